@@ -1,0 +1,65 @@
+//! The bytes of an input file: mapped where they are on disk as they are, in memory where they had to be unpacked.
+
+use std::fs::File;
+use std::io::Read;
+use std::ops::Deref;
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+use memmap2::Mmap;
+
+use super::{ReadError, ReadFault};
+
+/// A file's bytes, read-only.
+#[derive(Debug)]
+pub enum Bytes {
+    /// Pages come and go with their use.
+    Mapped(Mmap),
+    /// Unpacked, or not mappable.
+    Owned(Vec<u8>),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map,
+            Self::Owned(vec) => vec,
+        }
+    }
+}
+
+/// Opens `path`: mapped, or unpacked into memory when it is gzipped, whatever its extension says.
+///
+/// # Errors
+/// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
+/// [`ReadFault::Compression`] for a damaged gzip stream.
+pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
+    let fail = |fault: ReadFault| ReadError::new(path, fault);
+    let mut file = File::open(path).map_err(|e| fail(e.into()))?;
+    let metadata = file.metadata().map_err(|e| fail(e.into()))?;
+    if metadata.is_dir() {
+        return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory).into()));
+    }
+    let bytes = if metadata.is_file() && metadata.len() > 0 {
+        // SAFETY: the map is private to this process and never written through. Another program that
+        // shortens the file meanwhile can end the run by a signal, as it can for every mapping reader.
+        Bytes::Mapped(unsafe { Mmap::map(&file) }.map_err(|e| fail(e.into()))?)
+    } else {
+        let mut owned = Vec::new();
+        file.read_to_end(&mut owned).map_err(|e| fail(e.into()))?;
+        Bytes::Owned(owned)
+    };
+    if bytes.is_empty() {
+        return Err(fail(ReadFault::Empty));
+    }
+    if bytes.starts_with(&[0x1f, 0x8b]) {
+        let mut unpacked = Vec::new();
+        MultiGzDecoder::new(&*bytes)
+            .read_to_end(&mut unpacked)
+            .map_err(|e| fail(ReadFault::Compression(e.to_string())))?;
+        return Ok(Bytes::Owned(unpacked));
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,27 @@
+//! Triangle meshes and what can be said of them.
+
+/// A value on every vertex.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VertexAttribute {
+    /// As the particles' file spelled it; velocity is always called `velocity`.
+    pub name: String,
+    /// Numbers per vertex.
+    pub components: usize,
+    /// All components of one vertex after the other.
+    pub values: Vec<f32>,
+}
+
+/// An indexed triangle mesh. Counter-clockwise seen from outside of the fluid.
+///
+/// Positions are f64, so a surface far from the origin keeps its shape; writers choose the width.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Mesh {
+    /// In the particles' unit of length.
+    pub positions: Vec<[f64; 3]>,
+    /// Indices into `positions`.
+    pub triangles: Vec<[u32; 3]>,
+    /// Unit normals, outward, one a vertex; or none at all.
+    pub normals: Option<Vec<[f32; 3]>>,
+    /// Further values on the vertices.
+    pub attributes: Vec<VertexAttribute>,
+}

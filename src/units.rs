@@ -1,0 +1,136 @@
+//! Numbers that carry a meaning, checked once where they are made.
+//!
+//! Symbols follow the paper: isovalue `c`, standard deviation `sigma`, particle mean `mu0`.
+
+use thiserror::Error;
+
+/// The value that stands for an indicator of exactly 1 in every integer field.
+pub const FULL: u16 = u16::MAX;
+
+/// A number outside of the range that its meaning allows.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum UnitError {
+    /// An isovalue must cut the field.
+    #[error("the isovalue must lie between 0 and 1, both excluded; {0} does not")]
+    Isovalue(f64),
+    /// The width of the Gaussian.
+    #[error("sigma must be more than 0 and at most {max} cells; {0} is not", max = Sigma::MAX)]
+    Sigma(f64),
+    /// The mean number of particles in a full cell.
+    #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
+    MeanCount(f64),
+    /// A length that must be positive.
+    #[error("{what} must be a positive length; {value} is not")]
+    Length {
+        /// What the length measures.
+        what: &'static str,
+        /// What was given.
+        value: f64,
+    },
+}
+
+/// Checks that `value` can be used as a length.
+///
+/// # Errors
+/// [`UnitError::Length`] where it is not positive and finite.
+pub fn positive_length(what: &'static str, value: f64) -> Result<f64, UnitError> {
+    (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { what, value })
+}
+
+/// The isovalue `c`, held as an integer plus one half on the scale of the field.
+///
+/// A sample is inside the fluid when it is greater than [`threshold`](Self::threshold). No sample can
+/// be equal to `threshold + 1/2`, so no vertex ever falls on a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Isovalue(u16);
+
+impl Isovalue {
+    /// The isovalue nearest to `c`, 0 < `c` < 1.
+    ///
+    /// # Errors
+    /// [`UnitError::Isovalue`] outside of that range.
+    pub fn new(c: f64) -> Result<Self, UnitError> {
+        if !(c > 0.0 && c < 1.0) {
+            return Err(UnitError::Isovalue(c));
+        }
+        Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
+    }
+
+    /// Half of a field value: the unbiased isovalue for a plateau (METHOD section 5).
+    #[must_use]
+    pub fn half_of(plateau: u16) -> Self {
+        Self(plateau / 2)
+    }
+
+    /// The greatest field value that is outside.
+    #[must_use]
+    pub fn threshold(self) -> u16 {
+        self.0
+    }
+
+    /// `c` as a fraction of 1.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        (f64::from(self.0) + 0.5) / f64::from(FULL)
+    }
+}
+
+/// The standard deviation of the Gaussian, in cells.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Sigma(f64);
+
+impl Sigma {
+    /// Wider filters erase everything that a particle fluid holds.
+    pub const MAX: f64 = 10.0;
+
+    /// # Errors
+    /// [`UnitError::Sigma`] unless 0 < `cells` <= [`Self::MAX`].
+    pub fn new(cells: f64) -> Result<Self, UnitError> {
+        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
+    }
+
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> f64 {
+        self.0
+    }
+
+    /// The narrower Gaussian of the detail step (section 6.2).
+    #[must_use]
+    pub fn half(self) -> Self {
+        Self(self.0 / 2.0)
+    }
+}
+
+/// `mu0`: the mean number of particles in the full cells of frame 0 (eq. 4). Not an integer.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct MeanCount(f64);
+
+impl MeanCount {
+    /// Counts are held in 16 bits.
+    pub const MAX: f64 = u16::MAX as f64;
+
+    /// # Errors
+    /// [`UnitError::MeanCount`] unless 0 < `mean` <= [`Self::MAX`].
+    pub fn new(mean: f64) -> Result<Self, UnitError> {
+        if mean > 0.0 && mean <= Self::MAX { Ok(Self(mean)) } else { Err(UnitError::MeanCount(mean)) }
+    }
+
+    /// Eq. 4: `particles` / `full_cells`.
+    ///
+    /// # Errors
+    /// [`UnitError::MeanCount`] where there is no full cell, or more than [`Self::MAX`] particles in each.
+    pub fn measured(particles: u64, full_cells: u64) -> Result<Self, UnitError> {
+        Self::new(particles as f64 / full_cells as f64)
+    }
+
+    /// In particles per cell.
+    #[must_use]
+    pub fn particles(self) -> f64 {
+        self.0
+    }
+}
+
+/// The bytes that a run may have resident at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MemoryBudget(pub u64);
