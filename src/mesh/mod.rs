@@ -1,5 +1,9 @@
 //! Triangle meshes and what can be said of them.
 
+mod block;
+
+pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
+
 /// A value on every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {

@@ -1,0 +1,103 @@
+//! A padded block: the dense samples of a box of cells, cut out of the sparse field.
+
+use glam::IVec3;
+
+use crate::grid::CellBox;
+
+/// One sample for every cell of a box, x fastest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Block<T = u16> {
+    cells: CellBox,
+    samples: Vec<T>,
+}
+
+impl<T: Copy + Default> Block<T> {
+    /// All zero.
+    #[must_use]
+    pub fn zero(cells: CellBox) -> Self {
+        Self { cells, samples: vec![T::default(); cells.volume()] }
+    }
+
+    /// The cells that it samples.
+    #[must_use]
+    pub fn cells(&self) -> CellBox {
+        self.cells
+    }
+
+    /// Every sample, x fastest, then y, then z.
+    #[must_use]
+    pub fn samples(&self) -> &[T] {
+        &self.samples
+    }
+
+    /// The same, to be changed.
+    pub fn samples_mut(&mut self) -> &mut [T] {
+        &mut self.samples
+    }
+
+    /// Samples from one cell to the next along x, y and z.
+    #[must_use]
+    pub fn strides(&self) -> [usize; 3] {
+        let size = self.cells.size().as_usizevec3();
+        [1, size.x, size.x * size.y]
+    }
+
+    /// Where `cell` stands among the samples.
+    ///
+    /// # Panics
+    /// In debug builds, if the block does not hold it.
+    #[must_use]
+    #[inline]
+    pub fn index(&self, cell: IVec3) -> usize {
+        debug_assert!(self.cells.contains(cell), "{cell} is not in {:?}", self.cells);
+        let [_, row, slab] = self.strides();
+        let local = (cell - self.cells.lo).as_usizevec3();
+        local.x + local.y * row + local.z * slab
+    }
+
+    /// The sample of `cell`.
+    #[must_use]
+    #[inline]
+    pub fn at(&self, cell: IVec3) -> T {
+        self.samples[self.index(cell)]
+    }
+
+    /// The rows along x of `part`: its (y, z), and its samples.
+    ///
+    /// # Panics
+    /// If the block does not cover `part`.
+    pub fn rows(&self, part: CellBox) -> impl Iterator<Item = ([i32; 2], &[T])> + '_ {
+        assert!(self.cells.covers(&part), "{part:?} is not in {:?}", self.cells);
+        let width = part.size().x as usize;
+        (part.lo.z..part.hi.z).flat_map(move |z| {
+            (part.lo.y..part.hi.y).map(move |y| {
+                let first = self.index(IVec3::new(part.lo.x, y, z));
+                ([y, z], &self.samples[first..first + width])
+            })
+        })
+    }
+
+    /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
+    ///
+    /// # Panics
+    /// If the block holds no cell of the domain nearest to one of its own.
+    pub fn repeat_edges(&mut self, domain: CellBox) {
+        if domain.covers(&self.cells) {
+            return;
+        }
+        let cells = self.cells;
+        for z in cells.lo.z..cells.hi.z {
+            for y in cells.lo.y..cells.hi.y {
+                for x in cells.lo.x..cells.hi.x {
+                    let cell = IVec3::new(x, y, z);
+                    let inside = cell.clamp(domain.lo, domain.hi - 1);
+                    if inside != cell {
+                        let sample = self.at(inside);
+                        let index = self.index(cell);
+                        self.samples[index] = sample;
+                    }
+                }
+            }
+        }
+    }
+}

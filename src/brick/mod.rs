@@ -1,0 +1,11 @@
+//! Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
+
+mod bin;
+mod block;
+mod field;
+mod sums;
+
+pub use bin::{BinError, BinPlan, Bins, Census, InvalidParticles};
+pub use block::Block;
+pub use field::{BrickSide, DifField, Page};
+pub use sums::CellSums;

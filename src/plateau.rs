@@ -1,0 +1,151 @@
+//! The isovalue that places the surface without bias (METHOD section 5).
+//!
+//! Over a half space the smoothed field crosses half of its interior plateau at the true surface. The
+//! plateau is the median of the smoothed DIF over interior cells: those whose filters see nothing but
+//! fluid. A cell counts as fluid when it is full, or lies in a gap that one cell on every side closes,
+//! for particles at random leave cells empty in the middle of the fluid.
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::brick::{Block, DifField};
+use crate::grid::{CellBox, Domain};
+use crate::recipe::gather;
+use crate::stage::blur::Smoothing;
+use crate::units::{FULL, Isovalue};
+
+/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
+const SAMPLED_BLOCKS: usize = 192;
+
+/// What the smoothed DIF is like where the fluid is deep.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Plateau {
+    /// Interior cells were found.
+    Interior {
+        /// Of the field over the interior cells.
+        median: u16,
+        /// Above this isovalue the interior fills with bubbles.
+        lowest: u16,
+    },
+    /// The fluid is nowhere deeper than the filters reach; the greatest value stands in.
+    Shallow {
+        /// Of the field over all cells.
+        greatest: u16,
+    },
+}
+
+impl Plateau {
+    /// Measures a frame's plateau. The result depends on the frame and the smoothing alone.
+    #[must_use]
+    pub fn of(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>) -> Self {
+        let blocks = dif.regions(0, 0);
+        let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
+        let sampled: Vec<_> = blocks.iter().step_by(step).collect();
+        let interior = histogram(&sampled, |&(_, cells)| interior_samples(dif, smoothing, domain, cells));
+        if let Some(median) = quantile(&interior, 0.5) {
+            return Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) };
+        }
+        // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
+        let all: Vec<_> = blocks.iter().collect();
+        let interior = histogram(&all, |&(_, cells)| interior_samples(dif, smoothing, domain, cells));
+        match quantile(&interior, 0.5) {
+            Some(median) => Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) },
+            None => {
+                let field =
+                    histogram(&all, |&(_, cells)| smooth(dif, smoothing, domain, cells).samples().to_vec());
+                Self::Shallow { greatest: quantile(&field, 1.0).unwrap_or(0) }
+            }
+        }
+    }
+
+    /// Half of the plateau.
+    #[must_use]
+    pub fn isovalue(self) -> Isovalue {
+        match self {
+            Self::Interior { median, .. } => Isovalue::half_of(median),
+            Self::Shallow { greatest } => Isovalue::half_of(greatest),
+        }
+    }
+}
+
+type Histogram = Vec<u64>;
+
+fn histogram<T: Sync>(parts: &[&T], samples: impl Fn(&T) -> Vec<u16> + Sync) -> Histogram {
+    let empty = || vec![0; usize::from(FULL) + 1];
+    parts
+        .par_iter()
+        .fold(empty, |mut histogram, part| {
+            samples(part).into_iter().for_each(|sample| histogram[usize::from(sample)] += 1);
+            histogram
+        })
+        .reduce(empty, |mut a, b| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+            a
+        })
+}
+
+/// The lowest value that at least a `share` of the samples does not exceed.
+fn quantile(histogram: &Histogram, share: f64) -> Option<u16> {
+    let total: u64 = histogram.iter().sum();
+    let wanted = ((total as f64 * share).ceil() as u64).max(1);
+    let mut below = 0;
+    histogram
+        .iter()
+        .position(|&count| {
+            below += count;
+            below >= wanted
+        })
+        .map(|value| value as u16)
+}
+
+fn smooth(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>, cells: CellBox) -> Block {
+    let reach = smoothing.reach();
+    smoothing.apply(&gather(dif, cells.grown(reach, reach), domain), domain.map(Domain::cells))
+}
+
+/// The smoothed DIF over the interior cells among `cells`.
+fn interior_samples(
+    dif: &DifField,
+    smoothing: &Smoothing,
+    domain: Option<&Domain>,
+    cells: CellBox,
+) -> Vec<u16> {
+    // Closing is a dilation and an erosion by one cell; then the filters' reach is taken off.
+    let closing = 1;
+    let erosion = closing + smoothing.reach();
+    let seen = cells.grown(erosion + closing, erosion + closing);
+    let wide = gather(dif, seen, domain);
+    let mut full = Block::zero(seen);
+    full.samples_mut().iter_mut().zip(wide.samples()).for_each(|(to, &theta)| *to = theta > 0);
+    let covered = window(&full, closing, |a, b| a | b);
+    let interior = window(&covered, erosion, |a, b| a & b);
+    if !interior.samples().contains(&true) {
+        return Vec::new();
+    }
+    let field = smooth(dif, smoothing, domain, cells);
+    let samples = field.samples().iter().zip(interior.samples());
+    samples.filter(|&(_, &interior)| interior).map(|(&sample, _)| sample).collect()
+}
+
+/// Combines every cell with all others within `reach` along each axis.
+fn window(block: &Block<bool>, reach: i32, combine: impl Fn(bool, bool) -> bool) -> Block<bool> {
+    let mut out = block.clone();
+    for axis in 0..3 {
+        let mut cells = out.cells();
+        cells.lo[axis] += reach;
+        cells.hi[axis] -= reach;
+        let mut next = Block::zero(cells);
+        let step = IVec3::AXES[axis];
+        for offset in -reach..=reach {
+            let shifted = CellBox { lo: cells.lo + step * offset, hi: cells.hi + step * offset };
+            let width = cells.size().x as usize;
+            for (to, (_, from)) in next.samples_mut().chunks_exact_mut(width).zip(out.rows(shifted)) {
+                for (to, &from) in to.iter_mut().zip(from) {
+                    *to = if offset == -reach { from } else { combine(*to, from) };
+                }
+            }
+        }
+        out = next;
+    }
+    out
+}

@@ -1,0 +1,110 @@
+//! See the room's `mod.rs` for the formula.
+
+use multiversion::multiversion;
+
+use crate::brick::Block;
+use crate::grid::CellBox;
+
+use super::{Kernel, UNIT};
+
+/// A number that can be blurred.
+pub trait Sample: Copy + Default {
+    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the kernel's weights.
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel);
+}
+
+/// Blurs `block` with `kernel` along x, then y, then z.
+///
+/// The result is smaller by the kernel's reach on every side: exactly the cells whose whole
+/// neighbourhood was given.
+///
+/// # Panics
+/// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
+#[must_use]
+pub fn blur<T: Sample>(block: &Block<T>, kernel: &Kernel) -> Block<T> {
+    let along_x = blur_axis(block, 0, kernel);
+    let along_y = blur_axis(&along_x, 1, kernel);
+    blur_axis(&along_y, 2, kernel)
+}
+
+fn blur_axis<T: Sample>(block: &Block<T>, axis: usize, kernel: &Kernel) -> Block<T> {
+    let reach = kernel.reach();
+    let CellBox { mut lo, mut hi } = block.cells();
+    lo[axis] += reach;
+    hi[axis] -= reach;
+    let cells = CellBox { lo, hi };
+    assert!(!cells.is_empty(), "a kernel of reach {reach} on {:?}", block.cells());
+
+    let mut out = Block::zero(cells);
+    let [_, row_stride, slab_stride] = block.strides();
+    let step = block.strides()[axis];
+    let size = cells.size().as_usizevec3();
+    let span = size.x + 2 * reach as usize * step;
+    for (row, to) in out.samples_mut().chunks_exact_mut(size.x).enumerate() {
+        let first = row % size.y * row_stride + row / size.y * slab_stride;
+        T::blur_row(to, &block.samples()[first..first + span], step, kernel);
+    }
+    out
+}
+
+/// Integers of the DIF, by the formula of `mod.rs`.
+impl Sample for u16 {
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel) {
+        match kernel.half() {
+            &[w0, w1] => blur_narrow(to, taps, step, &[w0, w1]),
+            &[w0, w1, w2] => blur_narrow(to, taps, step, &[w0, w1, w2]),
+            &[w0, w1, w2, w3] => blur_narrow(to, taps, step, &[w0, w1, w2, w3]),
+            half => blur_wide(to, taps, step, half),
+        }
+    }
+}
+
+/// Sums of attributes: the same weights as fractions of 1, taps added in order.
+impl Sample for f32 {
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel) {
+        blur_float(to, taps, step, kernel.half());
+    }
+}
+
+/// For kernels narrow enough to stay in registers.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, half: &[u32; HALF]) {
+    let len = to.len();
+    let tap = |k: usize| &taps[k * step..k * step + len];
+    let centre = tap(HALF - 1);
+    let pairs: [(&[u16], &[u16]); HALF] = std::array::from_fn(|k| (tap(HALF - 1 - k), tap(HALF - 1 + k)));
+    for i in 0..len {
+        let mut sum = half[0] * u32::from(centre[i]) + (1 << 15);
+        for k in 1..HALF {
+            sum += half[k] * (u32::from(pairs[k].0[i]) + u32::from(pairs[k].1[i]));
+        }
+        to[i] = (sum >> 16) as u16;
+    }
+}
+
+/// For kernels of any width, one tap after the other.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32]) {
+    let reach = half.len() - 1;
+    let mut sums = vec![1_u32 << 15; to.len()];
+    for k in 0..=2 * reach {
+        let weight = half[k.abs_diff(reach)];
+        for (sum, &sample) in sums.iter_mut().zip(&taps[k * step..]) {
+            *sum += weight * u32::from(sample);
+        }
+    }
+    for (to, sum) in to.iter_mut().zip(sums) {
+        *to = (sum >> 16) as u16;
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn blur_float(to: &mut [f32], taps: &[f32], step: usize, half: &[u32]) {
+    let reach = half.len() - 1;
+    for k in 0..=2 * reach {
+        let weight = half[k.abs_diff(reach)] as f32 / UNIT as f32;
+        for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
+            *to += weight * sample;
+        }
+    }
+}

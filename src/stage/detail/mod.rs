@@ -1,0 +1,10 @@
+//! Detail recovery (section 6.2): what smoothing took below the isovalue is smoothed again, less.
+//!
+//! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth, blur(theta_bar))
+//! per cell, the second blur a Gaussian of sigma / 2.
+//!
+//! Reaches as far as that second kernel.
+
+mod cpu;
+
+pub use cpu::recover;

@@ -1,0 +1,238 @@
+//! The oracle: METHOD.md on one dense array, as plainly as it can be said.
+//!
+//! Twice: in the integers that the sparse field must equal to the bit, and in f64 as the method is
+//! written. Nothing of the library's stages is used here; only the marching-cubes table is shared, whose
+//! own tests hold it to its rule.
+
+use std::collections::BTreeMap;
+
+use glam::{DVec3, IVec3};
+use meniscus::grid::CellBox;
+use meniscus::stage::dual_mc::table::TABLE;
+
+/// What is to be computed. Cells have edge 1 and the grid's origin is 0.
+pub struct Method {
+    /// `None`: symmetry. `Some(mu0)`: counting.
+    pub mu0: Option<f64>,
+    pub sigma: f64,
+    /// Recover details, at this isovalue in 1 / 65535.
+    pub detail: Option<f64>,
+    pub walls: Option<CellBox>,
+}
+
+/// A value for every cell of a box.
+#[derive(Clone)]
+pub struct Dense<T> {
+    pub cells: CellBox,
+    pub values: Vec<T>,
+}
+
+impl<T: Copy + Default> Dense<T> {
+    pub fn new(cells: CellBox, value: impl Fn(IVec3) -> T) -> Self {
+        let mut values = Vec::with_capacity(cells.volume());
+        for z in cells.lo.z..cells.hi.z {
+            for y in cells.lo.y..cells.hi.y {
+                for x in cells.lo.x..cells.hi.x {
+                    values.push(value(IVec3::new(x, y, z)));
+                }
+            }
+        }
+        Self { cells, values }
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = (IVec3, T)> + '_ {
+        let size = self.cells.size();
+        self.values.iter().enumerate().map(move |(i, &value)| {
+            let i = i as i32;
+            (self.cells.lo + IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y)), value)
+        })
+    }
+
+    /// Zero outside of the box, unless the box has walls: then the edge cell is repeated.
+    pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
+        let cell = if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
+        if !self.cells.contains(cell) {
+            return T::default();
+        }
+        let (local, size) = (cell - self.cells.lo, self.cells.size());
+        self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
+    }
+}
+
+/// Half of a filter's mask, centre first, summing to 1: the Gaussian of section 4.2.
+pub fn gaussian(sigma: f64) -> Vec<f64> {
+    let taps = 3.max(2 * (3.0 * sigma).floor() as i32 - 1);
+    let weight = |k: i32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();
+    let sum: f64 = (-(taps / 2)..=taps / 2).map(weight).sum();
+    (0..=taps / 2).map(|k| weight(k) / sum).collect()
+}
+
+fn integer_weights(half: &[f64]) -> Vec<u64> {
+    let mut weights: Vec<u64> = half.iter().map(|w| (w * 65536.0).round() as u64).collect();
+    weights[0] = 65536 - 2 * weights[1..].iter().sum::<u64>();
+    weights
+}
+
+impl Method {
+    /// All cells that the field can reach, or those between the walls.
+    fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
+        self.walls.unwrap_or_else(|| {
+            let reach = 2 * gaussian(self.sigma).len() as i32 + 2;
+            particles
+                .iter()
+                .map(|&p| DVec3::from(p).floor().as_ivec3())
+                .fold(CellBox::EMPTY, |b, cell| b.union(&CellBox { lo: cell, hi: cell + 1 }))
+                .grown(reach, reach)
+        })
+    }
+
+    fn particles_by_cell(&self, particles: &[[f64; 3]]) -> BTreeMap<[i32; 3], Vec<DVec3>> {
+        let mut by_cell: BTreeMap<_, Vec<_>> = BTreeMap::new();
+        for p in particles.iter().map(|&p| DVec3::from(p)) {
+            let cell = p.floor().as_ivec3();
+            if self.walls.is_none_or(|walls| walls.contains(cell)) {
+                by_cell.entry(cell.to_array()).or_default().push(p - cell.as_dvec3());
+            }
+        }
+        by_cell
+    }
+
+    /// The field in f64.
+    pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
+        let by_cell = self.particles_by_cell(particles);
+        let theta = Dense::new(self.cells(particles), |cell| {
+            let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0.0 };
+            let n = offsets.len() as f64;
+            match self.mu0 {
+                Some(mu0) => n.min(mu0) / mu0,
+                None => {
+                    let centroid = offsets.iter().sum::<DVec3>() / n;
+                    1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
+                }
+            }
+        });
+        let blur = |field: &Dense<f64>, half: &[f64]| {
+            (0..3).fold(field.clone(), |field, axis| {
+                Dense::new(field.cells, |cell| {
+                    let tap = |k: i32| {
+                        half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, self.walls)
+                    };
+                    let reach = half.len() as i32 - 1;
+                    (-reach..=reach).map(tap).sum()
+                })
+            })
+        };
+        let mut smooth = blur(&theta, &gaussian(self.sigma));
+        if self.mu0.is_some() {
+            smooth = blur(&smooth, &[1.0 / 3.0; 2]);
+        }
+        let Some(c) = self.detail.map(|c| c / 65535.0) else { return smooth };
+        let lost =
+            Dense::new(
+                theta.cells,
+                |cell| {
+                    if smooth.at(cell, None) <= c { theta.at(cell, None) } else { 0.0 }
+                },
+            );
+        let details = blur(&lost, &gaussian(self.sigma / 2.0));
+        Dense::new(theta.cells, |cell| smooth.at(cell, None).max(details.at(cell, None)))
+    }
+
+    /// The field in the integers of the design: offsets of 13 bits, theta of 16.
+    pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
+        let by_cell = self.particles_by_cell(particles);
+        let theta = Dense::new(self.cells(particles), |cell| {
+            let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
+            let n = offsets.len() as i128;
+            match self.mu0 {
+                Some(mu0) => (((n as f64).min(mu0) / mu0) * 65535.0).round() as u16,
+                None => {
+                    let mut square = 0;
+                    for axis in 0..3 {
+                        let sum: i128 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as i128).sum();
+                        let distance = (2 * sum + n - n * 8192).abs();
+                        let quarter_steps = (8 * distance + n) / (2 * n);
+                        square += quarter_steps * quarter_steps;
+                    }
+                    let floor = square.isqrt();
+                    let root = if square - floor * floor > floor { floor + 1 } else { floor };
+                    (65535 - (root * 37837 + (1 << 14)) / (1 << 15)) as u16
+                }
+            }
+        });
+        let blur = |field: &Dense<u16>, half: &[u64]| {
+            (0..3).fold(field.clone(), |field, axis| {
+                Dense::new(field.cells, |cell| {
+                    let tap = |k: i32| {
+                        half[k.unsigned_abs() as usize]
+                            * u64::from(field.at(cell + IVec3::AXES[axis] * k, self.walls))
+                    };
+                    let reach = half.len() as i32 - 1;
+                    (((-reach..=reach).map(tap).sum::<u64>() + 32768) / 65536) as u16
+                })
+            })
+        };
+        let mut smooth = blur(&theta, &integer_weights(&gaussian(self.sigma)));
+        if self.mu0.is_some() {
+            smooth = blur(&smooth, &[21846, 21845]);
+        }
+        let Some(c) = self.detail else { return smooth };
+        let lost = Dense::new(theta.cells, |cell| {
+            if f64::from(smooth.at(cell, None)) <= c { theta.at(cell, None) } else { 0 }
+        });
+        let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
+        Dense::new(theta.cells, |cell| smooth.at(cell, None).max(details.at(cell, None)))
+    }
+}
+
+/// What orders the cells of a mesh: tiles of 4^3 along the Morton curve, x fastest in a tile.
+fn order_of(cell: IVec3) -> (u64, i32) {
+    let tile = (cell.div_euclid(IVec3::splat(4)) + (1 << 20)).to_array();
+    let mut morton = 0;
+    for bit in 0..21 {
+        for (axis, coordinate) in tile.iter().enumerate() {
+            morton |= ((*coordinate as u64 >> bit) & 1) << (3 * bit + axis);
+        }
+    }
+    let local = cell.rem_euclid(IVec3::splat(4));
+    (morton, local.x + 4 * local.y + 16 * local.z)
+}
+
+/// Marching cubes over a whole dense field at isovalue `c` (on the scale of the field).
+pub fn mesh(field: &Dense<f64>, c: f64, walls: Option<CellBox>) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
+    // Ghost points beyond the walls are outside; without walls the field is 0 there.
+    let inside = |cell: IVec3| field.cells.contains(cell) && field.at(cell, None) > c;
+    let dual =
+        Dense::<u8>::new(field.cells.grown(1, 0), |_| 0).iter().map(|(cell, _)| cell).collect::<Vec<_>>();
+
+    let mut vertices = BTreeMap::new();
+    for &cell in &dual {
+        for axis in 0..3 {
+            let next = cell + IVec3::AXES[axis];
+            if inside(cell) != inside(next) {
+                let mut position = cell.as_dvec3() + 0.5;
+                let phi = |cell| c - field.at(cell, None);
+                let ghost = walls.is_some_and(|w| !w.contains(cell) || !w.contains(next));
+                position[axis] += if ghost { 0.5 } else { phi(cell) / (phi(cell) - phi(next)) };
+                let (tile, local) = order_of(cell);
+                vertices.insert((tile, axis, local), position.to_array());
+            }
+        }
+    }
+    let number: BTreeMap<_, u32> = vertices.keys().zip(0..).map(|(&key, i)| (key, i)).collect();
+
+    let mut cells: Vec<IVec3> = dual;
+    cells.sort_by_key(|&cell| order_of(cell));
+    let mut triangles = Vec::new();
+    for cell in cells {
+        let case: usize =
+            (0..8_i32).map(|k| usize::from(inside(cell + IVec3::new(k & 1, k >> 1 & 1, k >> 2))) << k).sum();
+        for triangle in &TABLE[case] {
+            triangles.push(triangle.map(|edge| {
+                let (tile, local) = order_of(cell + edge.offset());
+                number[&(tile, usize::from(edge.axis), local)]
+            }));
+        }
+    }
+    (vertices.into_values().collect(), triangles)
+}

@@ -1,0 +1,105 @@
+//! What the tests share: random scenes, settings, and the oracle.
+#![allow(dead_code, reason = "each test file uses its part")]
+
+pub mod dense;
+#[path = "../../tools/bench/scene.rs"]
+pub mod scene;
+
+use glam::{DVec3, IVec3};
+use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surface, Surfacing};
+use meniscus::grid::{Domain, Grid};
+use meniscus::particles::Particles;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{MemoryBudget, Sigma};
+use scene::Random;
+
+/// Settings that tests start from: cells of edge 1 at the origin, the defaults of the command line.
+pub fn sampling() -> Sampling {
+    Sampling {
+        grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
+        domain: None,
+        indicator: Indicator::Symmetry,
+        invalid: InvalidParticles::Refuse,
+        side: BrickSide::Eight,
+        carried: Vec::new(),
+        budget: MemoryBudget(8 << 30),
+    }
+}
+
+pub fn surfacing() -> Surfacing {
+    Surfacing { sigma: Sigma::new(1.0).unwrap(), iso: None, detail: Detail::Smoothed, normals: Normals::None }
+}
+
+pub fn reconstruct(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    surfacing: &Surfacing,
+) -> (Frame, Surface) {
+    let mut laps = Laps::default();
+    let frame = Frame::sample(particles, sampling, &mut laps).unwrap();
+    let surface = frame.surface(surfacing, &mut laps).unwrap();
+    (frame, surface)
+}
+
+/// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a cell.
+pub fn splashes(seed: u64) -> Vec<[f64; 3]> {
+    let mut random = Random::new(seed);
+    let mut particles = Vec::new();
+    for _ in 0..4 {
+        let centre = DVec3::new(random.unit(), random.unit(), random.unit()) * 24.0 - 12.0;
+        let radius = 2.0 + 5.0 * random.unit();
+        let count = (8.4 * radius.powi(3)) as usize;
+        particles.extend(std::iter::repeat_with(|| ball(&mut random, centre, radius)).take(count));
+    }
+    particles.extend((0..600).map(|_| [30.0 * random.unit() - 15.0, -14.3, 30.0 * random.unit() - 15.0]));
+    particles.extend((0..60).map(|_| std::array::from_fn(|_| 40.0 * random.unit() - 20.0)));
+    shuffle(&mut particles, &mut random);
+    particles
+}
+
+fn ball(random: &mut Random, centre: DVec3, radius: f64) -> [f64; 3] {
+    loop {
+        let p = DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        if p.length_squared() < 1.0 {
+            return (centre + radius * p).to_array();
+        }
+    }
+}
+
+pub fn shuffle<T>(items: &mut [T], random: &mut Random) {
+    for i in (1..items.len()).rev() {
+        items.swap(i, (random.bits() % (i as u64 + 1)) as usize);
+    }
+}
+
+/// Particles of a lattice with `per_axis` particles along a cell's edge, jittered by a share of their
+/// spacing, where `inside` holds.
+pub fn fill(
+    half: f64,
+    per_axis: f64,
+    jitter: f64,
+    seed: u64,
+    inside: impl Fn(DVec3) -> bool,
+) -> Vec<[f64; 3]> {
+    let mut random = Random::new(seed);
+    let steps = (half * per_axis) as i32;
+    let mut particles = Vec::new();
+    for z in -steps..steps {
+        for y in -steps..steps {
+            for x in -steps..steps {
+                let lattice = (IVec3::new(x, y, z).as_dvec3() + 0.5) / per_axis;
+                let shift = DVec3::new(random.unit(), random.unit(), random.unit()) - 0.5;
+                if inside(lattice) {
+                    particles.push((lattice + 2.0 * jitter / per_axis * shift).to_array());
+                }
+            }
+        }
+    }
+    particles
+}
+
+/// A tank around the middle of [`splashes`], its walls on cell faces.
+pub fn tank(grid: &Grid) -> Domain {
+    Domain::new(grid, DVec3::new(-13.0, -15.0, -11.0), DVec3::new(12.0, 9.0, 14.0)).unwrap()
+}

@@ -1,0 +1,146 @@
+//! The sparse pipeline against the method on one dense array.
+
+mod common;
+
+use common::dense::{self, Dense, Method};
+use common::scene::Random;
+use common::{reconstruct, sampling, shuffle, splashes, surfacing, tank};
+use glam::IVec3;
+use meniscus::brick::BrickSide;
+use meniscus::frame::{Detail, Frame, Laps, Sampling, Surfacing};
+use meniscus::grid::BLOCK;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{Isovalue, Sigma};
+
+/// Every way to compute a field that the oracle knows.
+fn variants() -> Vec<(Sampling, Surfacing)> {
+    let mut variants = Vec::new();
+    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+        for (sigma, detail) in [
+            (1.0, Detail::Smoothed),
+            (0.8, Detail::Recovered),
+            (1.5, Detail::Recovered),
+            (2.0, Detail::Smoothed),
+        ] {
+            for walls in [false, true] {
+                let mut sampling = Sampling { indicator, ..sampling() };
+                sampling.domain = walls.then(|| tank(&sampling.grid));
+                let iso = Some(Isovalue::new(0.3).unwrap());
+                variants.push((
+                    sampling,
+                    Surfacing { sigma: Sigma::new(sigma).unwrap(), detail, iso, ..surfacing() },
+                ));
+            }
+        }
+    }
+    variants
+}
+
+fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
+    let iso = surfacing.iso.unwrap();
+    Method {
+        mu0: frame.mean_count().map(|mean| mean.particles()),
+        sigma: surfacing.sigma.cells(),
+        detail: (surfacing.detail == Detail::Recovered).then(|| f64::from(iso.threshold()) + 0.5),
+        walls: sampling.domain.map(|d| d.cells()),
+    }
+}
+
+/// The sparse field, block by block as it is meshed, is the dense one; beyond, both are 0.
+fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
+    let (recipe, _) = frame.recipe(surfacing);
+    let mut cells = 0;
+    for block in dense.cells.cubes(BLOCK) {
+        let part = dense.cells.intersection(&meniscus::grid::CellBox::cube(block, BLOCK));
+        let field = frame.field(&recipe, part);
+        for (([y, z], row), x) in field.rows(part).zip(std::iter::repeat(part.lo.x)) {
+            for (x, &sample) in (x..).zip(row) {
+                let cell = IVec3::new(x, y, z);
+                assert_eq!(sample, dense.at(cell, None), "{what}: cell {cell}");
+                cells += 1;
+            }
+        }
+    }
+    assert_eq!(cells, dense.values.len());
+}
+
+#[test]
+fn the_sparse_field_is_the_dense_one_to_the_bit() {
+    for seed in 0..2 {
+        let particles = splashes(seed);
+        for (sampling, surfacing) in variants() {
+            let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+            let dense = oracle(&frame, &sampling, &surfacing).integer(&particles);
+            assert!(dense.values.iter().any(|&v| v > 20_000), "the scene has an inside");
+            for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+                let sampling = Sampling { side, ..sampling.clone() };
+                let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+                let what = format!("seed {seed}, {side:?}, {:?}, {surfacing:?}", sampling.indicator);
+                assert_same_field(&frame, &surfacing, &dense, &what);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex() {
+    let particles = splashes(7);
+    for (sampling, surfacing) in variants() {
+        let (frame, surface) = reconstruct(&particles[..], &sampling, &surfacing);
+        let field = oracle(&frame, &sampling, &surfacing).integer(&particles);
+        let field =
+            Dense { cells: field.cells, values: field.values.iter().map(|&v| f64::from(v)).collect() };
+        let walls = sampling.domain.map(|d| d.cells());
+        let c = f64::from(surface.iso.threshold()) + 0.5;
+        let (positions, triangles) = dense::mesh(&field, c, walls);
+        assert_eq!(surface.mesh.triangles, triangles);
+        assert_eq!(surface.mesh.positions.len(), positions.len());
+        for (ours, theirs) in surface.mesh.positions.iter().zip(&positions) {
+            for axis in 0..3 {
+                assert!((ours[axis] - theirs[axis]).abs() < 1e-12, "{ours:?} is not {theirs:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn threads_particle_order_brick_side_and_shifts_by_a_brick_change_no_byte() {
+    let particles = splashes(3);
+    for (sampling, surfacing) in variants() {
+        let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
+        for (threads, side) in [(1, BrickSide::Four), (2, BrickSide::Sixteen), (5, BrickSide::Eight)] {
+            let mut shuffled = particles.clone();
+            shuffle(&mut shuffled, &mut Random::new(threads as u64));
+            let sampling = Sampling { side, ..sampling.clone() };
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let (_, surface) = pool.install(|| reconstruct(&shuffled[..], &sampling, &surfacing));
+            assert!(surface.mesh == expected.mesh, "{threads} threads, {side:?}");
+        }
+    }
+}
+
+#[test]
+fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64() {
+    let particles = splashes(11);
+    for (sampling, surfacing) in variants() {
+        let (frame, surface) = reconstruct(&particles[..], &sampling, &surfacing);
+        let method = oracle(&frame, &sampling, &surfacing);
+        let (integer, real) = (method.integer(&particles), method.real(&particles));
+        let scaled = Dense {
+            cells: integer.cells,
+            values: integer.values.iter().map(|&v| f64::from(v) / 65535.0).collect(),
+        };
+        let errors = scaled.values.iter().zip(&real.values).map(|(i, r)| (i - r).abs());
+        let worst = errors.fold(0.0, f64::max);
+        assert!(worst < 1e-4, "{surfacing:?}: a cell is off by {worst}");
+
+        let c = surface.iso.value();
+        let (ours, our_triangles) = dense::mesh(&scaled, c, method.walls);
+        let (theirs, their_triangles) = dense::mesh(&real, c, method.walls);
+        assert_eq!(our_triangles, their_triangles, "no sample of these scenes is that close to c");
+        let pairs = ours.iter().flatten().zip(theirs.iter().flatten());
+        let squares: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+        let rms = (squares / ours.len() as f64).sqrt();
+        assert!(rms < 2e-3, "{surfacing:?}: vertices are off by {rms} cells RMS");
+    }
+}
