@@ -2,6 +2,7 @@
 
 pub mod bytes;
 pub mod columns;
+pub mod encode;
 
 use std::path::{Path, PathBuf};
 
