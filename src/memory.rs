@@ -1,0 +1,45 @@
+//! How much memory this process may take, and has taken.
+
+use std::fs::read_to_string;
+
+use crate::units::MemoryBudget;
+
+/// Three quarters of what is available: the system's own estimate, and no more than a control group allows.
+///
+/// Where the system tells nothing, there is no limit.
+#[must_use]
+pub fn default_budget() -> MemoryBudget {
+    let available = [system_available(), group_available()].into_iter().flatten().min();
+    MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
+}
+
+fn system_available() -> Option<u64> {
+    kib_field(&read_to_string("/proc/meminfo").ok()?, "MemAvailable:")
+}
+
+/// Limit less use, of this process's control group (version 2, else 1).
+fn group_available() -> Option<u64> {
+    let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
+    let left = |limit: &str, used: &str| Some(number(limit)?.saturating_sub(number(used)?));
+    let group = read_to_string("/proc/self/cgroup").ok()?;
+    let own = group.lines().find_map(|line| line.strip_prefix("0::"));
+    let own = own.map(|group| format!("/sys/fs/cgroup{}", group.trim_end_matches('/')));
+    let v2 = own.iter().map(String::as_str).chain(["/sys/fs/cgroup"]).find_map(|dir| {
+        left(&format!("{dir}/memory.max"), &format!("{dir}/memory.current"))
+    });
+    v2.or_else(|| {
+        let v1 = "/sys/fs/cgroup/memory/memory";
+        left(&format!("{v1}.limit_in_bytes"), &format!("{v1}.usage_in_bytes"))
+    })
+}
+
+/// The most memory that this process ever had resident, in bytes, mapped files included.
+#[must_use]
+pub fn peak_resident() -> Option<u64> {
+    kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
+}
+
+fn kib_field(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}

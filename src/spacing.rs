@@ -1,0 +1,123 @@
+//! The particles' spacing, estimated from their number density deep in the fluid.
+//!
+//! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Counting in cells a few
+//! spacings wide, and only in those whose 26 neighbours hold particles too, leaves surfaces out of it.
+
+use glam::IVec3;
+use hashbrown::HashMap;
+use rayon::prelude::*;
+
+use crate::grid::Grid;
+use crate::particles::Particles;
+
+/// Particles a counting cell should hold: first choice, and what thin layers are tried with.
+const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
+/// Interior cells that make an estimate worth having.
+const ENOUGH_CELLS: usize = 8;
+/// Up to this many particles, several placements of the counting grid are averaged.
+const SMALL: usize = 1 << 20;
+
+/// Estimates the spacing; `None` where there is no inside, as in a few particles or mere spray.
+#[must_use]
+pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+    let (lo, hi, finite) = bounds(particles)?;
+    let extent = hi - lo;
+    let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
+    let mut cell = (volume / finite as f64).cbrt();
+    if !(cell.is_finite() && cell > 0.0) {
+        return None;
+    }
+    TARGETS.iter().find_map(|&target| {
+        cell = cell_for(particles, target, cell, lo)?;
+        let placements = if particles.len() <= SMALL { 8 } else { 1 };
+        // Shifts by multiples of the golden ratio's powers spread evenly.
+        let shifts = (0..placements).map(|i| {
+            let i = f64::from(i);
+            glam::DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
+        });
+        let (mut total, mut cells) = (0, 0);
+        for shift in shifts {
+            let counts = counts(particles, &Grid::new(lo - shift * cell, cell).ok()?);
+            for (coord, count) in &counts {
+                if surrounded(&counts, *coord) {
+                    total += count;
+                    cells += 1;
+                }
+            }
+        }
+        (cells >= ENOUGH_CELLS * placements as usize).then(|| cell * (cells as f64 / total as f64).cbrt())
+    })
+}
+
+type Counts = HashMap<IVec3, usize>;
+
+/// Corners of the box around all finite positions, and how many those are.
+fn bounds(particles: &(impl Particles + ?Sized)) -> Option<(glam::DVec3, glam::DVec3, usize)> {
+    let none = || (glam::DVec3::MAX, glam::DVec3::MIN, 0_usize);
+    let (lo, hi, count) = fold(particles, none, |(lo, hi, count), p| {
+        if p.is_finite() { (lo.min(p), hi.max(p), count + 1) } else { (lo, hi, count) }
+    })
+    .reduce(none, |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2));
+    (count > 1).then_some((lo, hi, count))
+}
+
+/// Folds over the positions, one accumulator a piece of work.
+fn fold<A: Send>(
+    particles: &(impl Particles + ?Sized),
+    identity: impl Fn() -> A + Sync + Send,
+    add: impl Fn(A, glam::DVec3) -> A + Sync + Send,
+) -> impl ParallelIterator<Item = A> {
+    const CHUNK: usize = 1 << 12;
+    let chunks = particles.len().div_ceil(CHUNK);
+    (0..chunks).into_par_iter().fold(identity, move |accumulator, chunk| {
+        let first = chunk * CHUNK;
+        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
+        particles.positions(first, &mut positions);
+        positions.into_iter().map(glam::DVec3::from).fold(accumulator, &add)
+    })
+}
+
+fn counts(particles: &(impl Particles + ?Sized), grid: &Grid) -> Counts {
+    fold(particles, Counts::new, |mut counts, p| {
+        if let Ok(placed) = grid.place(p.to_array()) {
+            *counts.entry(placed.cell).or_default() += 1;
+        }
+        counts
+    })
+    .reduce(Counts::new, |mut a, b| {
+        if a.is_empty() {
+            return b;
+        }
+        b.into_iter().for_each(|(cell, count)| *a.entry(cell).or_default() += count);
+        a
+    })
+}
+
+/// A cell size at which the typical particle shares its cell with about `target` others.
+fn cell_for(
+    particles: &(impl Particles + ?Sized),
+    target: f64,
+    mut cell: f64,
+    lo: glam::DVec3,
+) -> Option<f64> {
+    for _ in 0..12 {
+        let counts = counts(particles, &Grid::new(lo, cell).ok()?);
+        let mut sizes: Vec<usize> = counts.into_values().collect();
+        sizes.sort_unstable();
+        let binned: usize = sizes.iter().sum();
+        let mut below = 0;
+        let typical = sizes.into_iter().find(|size| {
+            below += size;
+            2 * below >= binned
+        })?;
+        if (0.6..1.6).contains(&(typical as f64 / target)) {
+            break;
+        }
+        cell *= (target / typical as f64).cbrt().clamp(0.1, 10.0);
+    }
+    Some(cell)
+}
+
+fn surrounded(counts: &Counts, cell: IVec3) -> bool {
+    (0..27).all(|i| counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)))
+}
