@@ -1,5 +1,9 @@
 //! Triangle meshes and what can be said of them.
 
+pub mod check;
+pub mod measure;
+pub mod stars;
+
 /// A value on every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {
