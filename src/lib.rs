@@ -11,3 +11,5 @@ pub mod recipe;
 pub mod stage;
 pub mod stitch;
 pub mod units;
+pub mod memory;
+pub mod spacing;

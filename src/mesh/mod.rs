@@ -1,6 +1,9 @@
 //! Triangle meshes and what can be said of them.
 
 mod block;
+pub mod check;
+pub mod measure;
+pub mod stars;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 

@@ -1,0 +1,330 @@
+//! Is a mesh closed, oriented and 2-manifold, and where is it not?
+//!
+//! Everything is decided at one vertex at a time, from its star: every edge is looked at from its lesser end, and
+//! the triangles around a vertex hang together by the edges that they share there, or they do not. So there
+//! is nothing to hash and nothing to sort but a handful of spokes, and the order of the findings is that of
+//! the vertices, whatever the number of threads.
+
+use std::fmt;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Mesh;
+use super::stars::{Stars, is_sound};
+
+/// Vertices a task: enough to make the task's overhead vanish.
+const CHUNK: usize = 1 << 14;
+
+/// How often a defect occurs, and where first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Found<T> {
+    /// How often.
+    pub count: usize,
+    /// The first in the order of the vertices or triangles.
+    pub first: Option<T>,
+}
+
+impl<T> Default for Found<T> {
+    fn default() -> Self {
+        Self { count: 0, first: None }
+    }
+}
+
+impl<T> Found<T> {
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        self.count == 0
+    }
+
+    fn note(&mut self, what: T) {
+        self.count += 1;
+        self.first.get_or_insert(what);
+    }
+
+    /// Adds what was found further on.
+    fn append(&mut self, later: Self) {
+        self.count += later.count;
+        self.first = self.first.take().or(later.first);
+    }
+}
+
+impl<T> FromIterator<T> for Found<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(all: I) -> Self {
+        let mut found = Self::default();
+        all.into_iter().for_each(|what| found.note(what));
+        found
+    }
+}
+
+/// How the triangles of a mesh hang together, positions aside.
+///
+/// Triangles that name a missing vertex, or one vertex twice, are counted and then left out, so that they
+/// do not show up as other defects as well. An edge falls into at most one class.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Topology {
+    /// Pairs of vertices that a triangle joins.
+    pub edges: usize,
+    /// Triangles with three different vertices that exist.
+    pub sound_triangles: usize,
+    /// Triangles that name a vertex which does not exist; the first by its number.
+    pub out_of_range: Found<usize>,
+    /// Triangles that name one vertex twice; the first by its number.
+    pub degenerate_triangles: Found<usize>,
+    /// Edges with one triangle only, by their ends.
+    pub boundary_edges: Found<[u32; 2]>,
+    /// Edges whose two triangles run along them the same way, by their ends.
+    pub misoriented_edges: Found<[u32; 2]>,
+    /// Edges with more than two triangles, by their ends.
+    pub crowded_edges: Found<[u32; 2]>,
+    /// Vertices whose triangles form more than one fan.
+    pub pinched_vertices: Found<u32>,
+    /// Triangles on the three vertices of an earlier one, whichever way round.
+    ///
+    /// Not a defect by itself: two triangles back to back are closed and manifold. Any other twin shows
+    /// up as a crowded or misoriented edge, too.
+    pub twin_triangles: Found<[u32; 3]>,
+    /// Vertices without a sound triangle. Not a defect.
+    pub unreferenced_vertices: Found<u32>,
+}
+
+impl Topology {
+    /// No edge is on a boundary.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.boundary_edges.is_none()
+    }
+
+    /// No edge is run along twice the same way. (Of three triangles at an edge two must.)
+    #[must_use]
+    pub fn is_oriented(&self) -> bool {
+        self.misoriented_edges.is_none() && self.crowded_edges.is_none()
+    }
+
+    /// All triangles are sound, no edge has more than two, and those at a vertex form one fan.
+    #[must_use]
+    pub fn is_manifold(&self) -> bool {
+        self.out_of_range.is_none()
+            && self.degenerate_triangles.is_none()
+            && self.crowded_edges.is_none()
+            && self.pinched_vertices.is_none()
+    }
+
+    /// All of these: every directed edge occurs once, and so does its reverse.
+    #[must_use]
+    pub fn is_closed_oriented_manifold(&self) -> bool {
+        self.is_closed() && self.is_oriented() && self.is_manifold()
+    }
+
+    fn append(mut self, later: Self) -> Self {
+        self.edges += later.edges;
+        self.boundary_edges.append(later.boundary_edges);
+        self.misoriented_edges.append(later.misoriented_edges);
+        self.crowded_edges.append(later.crowded_edges);
+        self.pinched_vertices.append(later.pinched_vertices);
+        self.twin_triangles.append(later.twin_triangles);
+        self.unreferenced_vertices.append(later.unreferenced_vertices);
+        self
+    }
+}
+
+/// What [`check`] found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// All of them, referenced or not.
+    pub vertices: usize,
+    /// All of them, sound or not.
+    pub triangles: usize,
+    /// How the triangles hang together.
+    #[serde(flatten)]
+    pub topology: Topology,
+    /// Vertices with a coordinate that is infinite or not a number.
+    pub non_finite_positions: Found<usize>,
+    /// Vertices on the position of an earlier one, to the bit. Not a defect: meshes may touch themselves.
+    pub duplicate_positions: Found<usize>,
+}
+
+impl Report {
+    /// Closed, oriented, 2-manifold, and every position a point of space.
+    #[must_use]
+    pub fn is_closed_oriented_manifold(&self) -> bool {
+        self.topology.is_closed_oriented_manifold() && self.non_finite_positions.is_none()
+    }
+}
+
+/// Looks at every triangle, edge, vertex and position of `mesh`.
+#[must_use]
+pub fn check(mesh: &Mesh) -> Report {
+    let non_finite = mesh.positions.iter().enumerate().filter(|(_, p)| !p.iter().all(|x| x.is_finite()));
+    Report {
+        vertices: mesh.positions.len(),
+        triangles: mesh.triangles.len(),
+        topology: topology(mesh),
+        non_finite_positions: non_finite.map(|(vertex, _)| vertex).collect(),
+        duplicate_positions: duplicate_positions(&mesh.positions),
+    }
+}
+
+/// Looks at the triangles of `mesh` only.
+#[must_use]
+pub fn topology(mesh: &Mesh) -> Topology {
+    let vertices = mesh.positions.len();
+    let mut triangles = Topology::default();
+    for (number, &triangle) in mesh.triangles.iter().enumerate() {
+        if is_sound(triangle, vertices) {
+            triangles.sound_triangles += 1;
+        } else if triangle.iter().any(|&v| v as usize >= vertices) {
+            triangles.out_of_range.note(number);
+        } else {
+            triangles.degenerate_triangles.note(number);
+        }
+    }
+    let stars = Stars::new(mesh);
+    // No triangle names a vertex beyond u32, so one there is unreferenced, and `as` shortens no other number.
+    let chunks: Vec<Topology> = (0..vertices.div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            let mut survey = Survey::default();
+            for vertex in chunk * CHUNK..((chunk + 1) * CHUNK).min(vertices) {
+                survey.visit(vertex as u32, stars.of(vertex));
+            }
+            survey.topology
+        })
+        .collect();
+    chunks.into_iter().fold(triangles, Topology::append)
+}
+
+/// One side of a triangle, seen from the vertex that is being looked at.
+#[derive(Clone, Copy)]
+struct Spoke {
+    /// The other end.
+    to: u32,
+    /// Whether the triangle runs along it from here to there.
+    outward: bool,
+    /// Number of the triangle in the star.
+    triangle: usize,
+}
+
+/// Findings so far, and room to work in.
+#[derive(Default)]
+struct Survey {
+    topology: Topology,
+    spokes: Vec<Spoke>,
+    fan_of: Vec<usize>,
+    opposite: Vec<[u32; 2]>,
+}
+
+impl Survey {
+    fn visit(&mut self, vertex: u32, star: &[[u32; 2]]) {
+        if star.is_empty() {
+            self.topology.unreferenced_vertices.note(vertex);
+            return;
+        }
+        self.spokes.clear();
+        for (triangle, &[next, last]) in star.iter().enumerate() {
+            self.spokes.push(Spoke { to: next, outward: true, triangle });
+            self.spokes.push(Spoke { to: last, outward: false, triangle });
+        }
+        self.spokes.sort_unstable_by_key(|spoke| spoke.to);
+        self.note_edges(vertex);
+        if self.fans(star.len()) > 1 {
+            self.topology.pinched_vertices.note(vertex);
+        }
+        self.note_twins(vertex, star);
+    }
+
+    /// Every edge is noted at its lesser end.
+    fn note_edges(&mut self, vertex: u32) {
+        for edge in self.spokes.chunk_by(|a, b| a.to == b.to).filter(|edge| edge[0].to > vertex) {
+            let ends = [vertex, edge[0].to];
+            self.topology.edges += 1;
+            match edge {
+                [_] => self.topology.boundary_edges.note(ends),
+                [one, other] if one.outward == other.outward => self.topology.misoriented_edges.note(ends),
+                [_, _] => {}
+                _ => self.topology.crowded_edges.note(ends),
+            }
+        }
+    }
+
+    /// Into how many fans the triangles fall, when those that share a spoke are in one.
+    fn fans(&mut self, triangles: usize) -> usize {
+        self.fan_of.clear();
+        self.fan_of.extend(0..triangles);
+        let mut fans = triangles;
+        for pair in self.spokes.windows(2).filter(|pair| pair[0].to == pair[1].to) {
+            let [one, other] = [0, 1].map(|side| root(&mut self.fan_of, pair[side].triangle));
+            if one != other {
+                self.fan_of[one.max(other)] = one.min(other);
+                fans -= 1;
+            }
+        }
+        fans
+    }
+
+    /// Every triangle is noted at its least vertex.
+    fn note_twins(&mut self, vertex: u32, star: &[[u32; 2]]) {
+        self.opposite.clear();
+        let least = star.iter().filter(|[a, b]| vertex < *a.min(b));
+        self.opposite.extend(least.map(|&[a, b]| [a.min(b), a.max(b)]));
+        self.opposite.sort_unstable();
+        for pair in self.opposite.windows(2).filter(|pair| pair[0] == pair[1]) {
+            let [a, b] = pair[0];
+            self.topology.twin_triangles.note([vertex, a, b]);
+        }
+    }
+}
+
+/// The least member of the set that holds `member`.
+fn root(set_of: &mut [usize], mut member: usize) -> usize {
+    while set_of[member] != member {
+        set_of[member] = set_of[set_of[member]];
+        member = set_of[member];
+    }
+    member
+}
+
+/// Vertices that lie where one of a lesser number does.
+fn duplicate_positions(positions: &[[f64; 3]]) -> Found<usize> {
+    let mut sorted: Vec<([u64; 3], usize)> = positions
+        .par_iter()
+        .enumerate()
+        .map(|(vertex, position)| (position.map(f64::to_bits), vertex))
+        .collect();
+    sorted.par_sort_unstable();
+    let repeated = || sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1);
+    Found { count: repeated().count(), first: repeated().min() }
+}
+
+impl fmt::Display for Report {
+    /// One line a promise, kept or not, and one a defect.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let topology = &self.topology;
+        writeln!(f, "{} vertices, {} edges, {} triangles", self.vertices, topology.edges, self.triangles)?;
+        for (promise, kept) in [
+            ("closed", topology.is_closed()),
+            ("oriented", topology.is_oriented()),
+            ("2-manifold", topology.is_manifold()),
+        ] {
+            writeln!(f, "{promise}: {}", if kept { "yes" } else { "no" })?;
+        }
+        line(f, "edges with one triangle only", &topology.boundary_edges)?;
+        line(f, "edges run along twice the same way", &topology.misoriented_edges)?;
+        line(f, "edges with more than two triangles", &topology.crowded_edges)?;
+        line(f, "vertices with more than one fan of triangles", &topology.pinched_vertices)?;
+        line(f, "triangles that name a missing vertex", &topology.out_of_range)?;
+        line(f, "triangles that name a vertex twice", &topology.degenerate_triangles)?;
+        line(f, "triangles on the vertices of another", &topology.twin_triangles)?;
+        line(f, "vertices that are not finite", &self.non_finite_positions)?;
+        line(f, "vertices without a triangle", &topology.unreferenced_vertices)?;
+        line(f, "vertices on the position of another", &self.duplicate_positions)
+    }
+}
+
+fn line<T: fmt::Debug>(f: &mut fmt::Formatter<'_>, what: &str, found: &Found<T>) -> fmt::Result {
+    match &found.first {
+        Some(first) => writeln!(f, "{what}: {}, the first {first:?}", found.count),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,205 @@
+//! Area, volume, pieces, genus and the shapes of the triangles.
+//!
+//! Volume is the sum of the tetrahedra between the triangles and the centre of the mesh's box (the
+//! divergence theorem), so that a mesh far from the origin keeps its digits. Genus follows from
+//! Euler's `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in order.
+
+use std::ops::Range;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Mesh;
+use super::check::topology;
+use super::stars::is_sound;
+
+/// Triangles a partial sum.
+const CHUNK: usize = 1 << 14;
+
+/// Classes of the histogram of least angles, 5 degrees each: no triangle's least angle exceeds 60.
+pub const ANGLE_CLASSES: usize = 12;
+
+/// What [`measure`] found. Triangles that name a missing vertex, or one twice, are left out of everything.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Measures {
+    /// Least and greatest corner, of the vertices that triangles use; none for an empty mesh.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// Square of the unit of length.
+    pub area: f64,
+    /// Cube of the unit of length, negative where triangles face inwards. None unless closed and oriented.
+    pub volume: Option<f64>,
+    /// Pieces that share no vertex.
+    pub components: usize,
+    /// Vertices - edges + triangles, of those vertices that triangles use.
+    pub euler_characteristic: i64,
+    /// Handles, of all components together. None unless closed, oriented and 2-manifold.
+    pub genus: Option<i64>,
+    /// The shapes of the triangles.
+    pub quality: Quality,
+}
+
+/// How near to equilateral triangles are.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Quality {
+    /// Triangles by their least angle: from 0 to 5 degrees, from 5 to 10, and so on.
+    pub least_angles: [usize; ANGLE_CLASSES],
+    /// The least angle of all, in degrees; none for an empty mesh.
+    pub worst_angle: Option<f64>,
+    /// The triangle that has it, by its number.
+    pub worst_triangle: Option<usize>,
+    /// Mean of the least angles, in degrees; none for an empty mesh.
+    pub mean_angle: Option<f64>,
+    /// Longest edge over shortest height, 1 for an equilateral triangle; the greatest of the triangles
+    /// with an area, none if there are no such.
+    pub worst_aspect: Option<f64>,
+    /// Triangles without area.
+    pub flat: usize,
+}
+
+/// Measures all of `mesh`.
+#[must_use]
+pub fn measure(mesh: &Mesh) -> Measures {
+    let topology = topology(mesh);
+    let vertices = mesh.positions.len() - topology.unreferenced_vertices.count;
+    let bounds = bounds(mesh);
+    let centre = bounds.map_or(DVec3::ZERO, |[low, high]| (low + high) / 2.0);
+    let sums = Sums::of(mesh, centre);
+    let components = components(mesh);
+    let euler = vertices as i64 - topology.edges as i64 + topology.sound_triangles as i64;
+    Measures {
+        bounds: bounds.map(|corners| corners.map(|corner| corner.to_array())),
+        area: sums.doubled_area / 2.0,
+        volume: (topology.is_closed() && topology.is_oriented()).then_some(sums.sextuple_volume / 6.0),
+        components,
+        euler_characteristic: euler,
+        genus: topology.is_closed_oriented_manifold().then_some(components as i64 - euler / 2),
+        quality: sums.quality(topology.sound_triangles),
+    }
+}
+
+fn sound(mesh: &Mesh) -> impl Iterator<Item = [u32; 3]> {
+    mesh.triangles.iter().copied().filter(|&triangle| is_sound(triangle, mesh.positions.len()))
+}
+
+/// Least and greatest corner of the vertices that sound triangles use.
+fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
+    let used = sound(mesh).flatten().map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+    used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])
+}
+
+/// Counts the pieces by joining the vertices of every triangle.
+fn components(mesh: &Mesh) -> usize {
+    // Each vertex points at a lesser one of its piece, the least at itself. No triangle names one beyond u32.
+    let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
+    let mut used = vec![false; lesser.len()];
+    for [a, b, c] in sound(mesh) {
+        let [a, b, c] = [a, b, c].map(|vertex| {
+            used[vertex as usize] = true;
+            root(&mut lesser, vertex)
+        });
+        let least = a.min(b).min(c);
+        for vertex in [a, b, c] {
+            lesser[vertex as usize] = least;
+        }
+    }
+    (0..=u32::MAX).zip(&lesser).zip(used).filter(|&((vertex, &lesser), used)| used && vertex == lesser).count()
+}
+
+fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
+    while lesser[vertex as usize] != vertex {
+        lesser[vertex as usize] = lesser[lesser[vertex as usize] as usize];
+        vertex = lesser[vertex as usize];
+    }
+    vertex
+}
+
+/// What can be summed over triangles.
+#[derive(Default)]
+struct Sums {
+    doubled_area: f64,
+    sextuple_volume: f64,
+    angles: f64,
+    least_angles: [usize; ANGLE_CLASSES],
+    worst: Option<(f64, usize)>,
+    aspect: Option<f64>,
+    flat: usize,
+}
+
+impl Sums {
+    fn of(mesh: &Mesh, centre: DVec3) -> Self {
+        let chunks: Vec<Self> = (0..mesh.triangles.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
+                let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(mesh.triangles.len());
+                Self::of_range(mesh, centre, range)
+            })
+            .collect();
+        chunks.into_iter().fold(Self::default(), Self::add)
+    }
+
+    fn of_range(mesh: &Mesh, centre: DVec3, range: Range<usize>) -> Self {
+        let mut sums = Self::default();
+        for number in range {
+            let triangle = mesh.triangles[number];
+            if is_sound(triangle, mesh.positions.len()) {
+                let corners = triangle.map(|v| DVec3::from(mesh.positions[v as usize]) - centre);
+                sums.note(number, corners);
+            }
+        }
+        sums
+    }
+
+    fn note(&mut self, number: usize, [a, b, c]: [DVec3; 3]) {
+        let doubled = (b - a).cross(c - a).length();
+        self.doubled_area += doubled;
+        self.sextuple_volume += a.dot(b.cross(c));
+        let angle = least_angle([a, b, c], doubled);
+        self.angles += angle;
+        self.least_angles[((angle / 5.0) as usize).min(ANGLE_CLASSES - 1)] += 1;
+        self.worst = worse(self.worst, Some((angle, number)));
+        if doubled > 0.0 {
+            let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            let aspect = longest / doubled * (3.0_f64.sqrt() / 2.0);
+            self.aspect = Some(self.aspect.map_or(aspect, |worst| worst.max(aspect)));
+        } else {
+            self.flat += 1;
+        }
+    }
+
+    fn add(self, later: Self) -> Self {
+        Self {
+            doubled_area: self.doubled_area + later.doubled_area,
+            sextuple_volume: self.sextuple_volume + later.sextuple_volume,
+            angles: self.angles + later.angles,
+            least_angles: std::array::from_fn(|class| self.least_angles[class] + later.least_angles[class]),
+            worst: worse(self.worst, later.worst),
+            aspect: self.aspect.into_iter().chain(later.aspect).reduce(f64::max),
+            flat: self.flat + later.flat,
+        }
+    }
+
+    fn quality(&self, triangles: usize) -> Quality {
+        Quality {
+            least_angles: self.least_angles,
+            worst_angle: self.worst.map(|(angle, _)| angle),
+            worst_triangle: self.worst.map(|(_, number)| number),
+            mean_angle: (triangles > 0).then(|| self.angles / triangles as f64),
+            worst_aspect: self.aspect,
+            flat: self.flat,
+        }
+    }
+}
+
+/// The one of the lesser angle, the earlier of equals.
+fn worse(earlier: Option<(f64, usize)>, later: Option<(f64, usize)>) -> Option<(f64, usize)> {
+    earlier.into_iter().chain(later).reduce(|one, other| if other.0 < one.0 { other } else { one })
+}
+
+/// In degrees, from the corners and twice the area. The least angle lies across from the shortest edge.
+fn least_angle([a, b, c]: [DVec3; 3], doubled: f64) -> f64 {
+    let across = [(b, c, a), (c, a, b), (a, b, c)];
+    let cosine_scaled = across.map(|(from, to, apex)| (from - apex).dot(to - apex));
+    // atan2 is greatest where its second argument is least, so the least angle has the greatest one.
+    doubled.atan2(cosine_scaled.into_iter().fold(f64::NEG_INFINITY, f64::max)).to_degrees()
+}
