@@ -24,9 +24,11 @@ fn group_available() -> Option<u64> {
     let group = read_to_string("/proc/self/cgroup").ok()?;
     let own = group.lines().find_map(|line| line.strip_prefix("0::"));
     let own = own.map(|group| format!("/sys/fs/cgroup{}", group.trim_end_matches('/')));
-    let v2 = own.iter().map(String::as_str).chain(["/sys/fs/cgroup"]).find_map(|dir| {
-        left(&format!("{dir}/memory.max"), &format!("{dir}/memory.current"))
-    });
+    let v2 = own
+        .iter()
+        .map(String::as_str)
+        .chain(["/sys/fs/cgroup"])
+        .find_map(|dir| left(&format!("{dir}/memory.max"), &format!("{dir}/memory.current")));
     v2.or_else(|| {
         let v1 = "/sys/fs/cgroup/memory/memory";
         left(&format!("{v1}.limit_in_bytes"), &format!("{v1}.usage_in_bytes"))

@@ -2,15 +2,18 @@
 
 mod common;
 
+use std::f64::consts::PI;
+
 use common::scene::Random;
 use common::{fill, reconstruct, sampling, splashes, surfacing, tank};
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use meniscus::brick::Block;
 use meniscus::frame::{Detail, Frame, FrameError, Laps, Normals, Sampling, Surface, Surfacing};
-use meniscus::grid::{CellBox, Domain, Grid};
+use meniscus::grid::{BLOCK, CellBox, Domain, Grid, MortonKey};
 use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::{BlockMesh, Mesh};
+use meniscus::particles::{AttributeInfo, Particles};
 use meniscus::stage::dual_mc::contour;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::stitch;
@@ -23,26 +26,233 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
 
 const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
 
+/// Name, genus, volume in cells and inside of a shape no part of which is thinner than 32 cells.
+type Shape = (&'static str, i64, f64, fn(DVec3) -> bool);
+
+const SHAPES: [Shape; 3] = [
+    ("sphere", 0, 4.0 / 3.0 * PI * 4096.0, |p| p.length() < 16.0),
+    ("slab", 0, 96.0 * 32.0 * 96.0, |p| p.abs().cmplt(DVec3::new(48.0, 16.0, 48.0)).all()),
+    ("torus", 1, 2.0 * PI * PI * 32.0 * 256.0, |p| {
+        (DVec3::new(p.x, 0.0, p.z).length() - 32.0).hypot(p.y) < 16.0
+    }),
+];
+
 #[test]
 fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells() {
-    let torus = |p: DVec3| (DVec3::new(p.x, 0.0, p.z).length() - 11.0).hypot(p.y) < 5.0;
-    let shapes: [(&str, i64, f64, Box<dyn Fn(DVec3) -> bool>); 3] = [
-        ("sphere", 0, 4.0 / 3.0 * std::f64::consts::PI * 16f64.powi(3), Box::new(|p| p.length() < 16.0)),
-        ("slab", 0, 32.0 * 16.0 * 32.0, Box::new(|p| p.abs().cmplt(DVec3::new(16.0, 8.0, 16.0)).all())),
-        ("torus", 1, 2.0 * std::f64::consts::PI.powi(2) * 11.0 * 25.0, Box::new(torus)),
-    ];
-    for (name, genus, volume, inside) in shapes {
+    for (name, genus, volume, inside) in SHAPES {
         for indicator in INDICATORS {
-            for (per_axis, jitter) in [(1.0, 0.3), (2.0, 0.3)] {
-                let particles = fill(20.0, per_axis, jitter, 5, &inside);
+            for jitter in [0.0, 0.3, 0.5] {
+                let particles = fill(50.0, 1.0, jitter, 5, inside);
                 let (_, surface) =
                     reconstruct(&particles[..], &Sampling { indicator, ..sampling() }, &surfacing());
-                let what = format!("{name}, {indicator:?}, {per_axis} particles a cell edge");
+                let what = format!("{name}, {indicator:?}, jitter {jitter}");
                 assert_watertight(&surface.mesh, &what);
                 let measures = measure(&surface.mesh);
-                println!("{what}: {:.4} iso {:.3}  genus {:?} comps {}", measures.volume / volume - 1.0, surface.iso.value(), measures.genus, measures.components);
-                let _ = genus;
+                assert_eq!((measures.genus, measures.components), (Some(genus), 1), "{what}");
+                let error = measures.volume.unwrap() / volume - 1.0;
+                // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. The box after the
+                // Gaussian makes v 1.6 cells^2 for counting: 1.9 % of this sphere.
+                let curved = name == "sphere" && indicator != Indicator::Symmetry;
+                assert!(error.abs() < if curved { 0.019 } else { 0.01 }, "{what}: volume off by {error}");
             }
         }
     }
+}
+
+#[test]
+fn normals_point_out_of_a_sphere() {
+    let particles = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
+    let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
+    let (_, surface) = reconstruct(&particles[..], &sampling(), &surfacing);
+    let normals = surface.mesh.normals.as_ref().unwrap();
+    assert_eq!(normals.len(), surface.mesh.positions.len());
+    for (&position, &normal) in surface.mesh.positions.iter().zip(normals) {
+        let normal = DVec3::from(normal.map(f64::from));
+        assert!((normal.length() - 1.0).abs() < 1e-6);
+        assert!(normal.dot(DVec3::from(position).normalize()) > 0.8, "{normal} at {position:?}");
+    }
+    assert!(measure(&surface.mesh).volume.unwrap() > 0.0);
+}
+
+/// The surface of samples that a function gives, over blocks of 32^3 cells, zero all around.
+fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Mesh {
+    let cells = CellBox { lo: blocks.lo * BLOCK, hi: blocks.hi * BLOCK };
+    let mut meshes: Vec<BlockMesh> = blocks
+        .grown(1, 0)
+        .cubes(1)
+        .map(|block| {
+            let region = CellBox::cube(block, BLOCK);
+            let mut field = Block::zero(region.grown(0, 1));
+            for cell in region.grown(0, 1).intersection(&cells).cubes(1) {
+                let index = field.index(cell);
+                field.samples_mut()[index] = sample(cell);
+            }
+            contour(&field, region, iso, None)
+        })
+        .collect();
+    meshes.sort_by_key(|mesh| MortonKey::of(mesh.block));
+    stitch(&meshes, &Grid::new(DVec3::ZERO, 1.0).unwrap(), None, iso, &[]).unwrap()
+}
+
+#[test]
+fn white_noise_over_27_blocks_is_a_closed_oriented_manifold() {
+    for (seed, c) in [(1, 0.5), (2, 0.3), (3, 0.9), (4, 0.02)] {
+        let noise = |cell: IVec3| {
+            let key = MortonKey::of(cell).0;
+            Random::new(key.wrapping_mul(31).wrapping_add(seed)).bits() as u16
+        };
+        let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2) };
+        let mesh = surface_of(blocks, Isovalue::new(c).unwrap(), noise);
+        assert!(mesh.triangles.len() > 100_000, "{} triangles", mesh.triangles.len());
+        assert_watertight(&mesh, &format!("noise cut at {c}"));
+    }
+}
+
+#[test]
+fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold() {
+    // Two inside values and one outside: 2^12 patterns on 2 x 2 x 3 samples, far apart from each other.
+    let pattern = |cell: IVec3| {
+        let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
+        let which = group.x + 16 * (group.y + 16 * group.z);
+        let bit = local.x - 1 + 2 * (local.y - 1) + 4 * (local.z - 1);
+        let inside =
+            local.min_element() >= 1 && local.x < 3 && local.y < 3 && local.z < 4 && which >> bit & 1 == 1;
+        if inside { 40_000 + 1000 * bit as u16 } else { 100 * bit.unsigned_abs() as u16 }
+    };
+    let mesh =
+        surface_of(CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) }, Isovalue::new(0.5).unwrap(), pattern);
+    assert!(mesh.triangles.len() > 50_000);
+    assert_watertight(&mesh, "all patterns");
+}
+
+#[test]
+fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
+    for seed in 20..24 {
+        let particles = splashes(seed);
+        for indicator in INDICATORS {
+            for (sigma, detail) in
+                [(0.8, Detail::Smoothed), (1.0, Detail::Recovered), (3.0, Detail::Smoothed)]
+            {
+                for walls in [false, true] {
+                    let mut sampling = Sampling { indicator, ..sampling() };
+                    sampling.domain = walls.then(|| tank(&sampling.grid));
+                    for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
+                        let surfacing =
+                            Surfacing { sigma: Sigma::new(sigma).unwrap(), detail, iso, ..surfacing() };
+                        let (_, Surface { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing);
+                        assert_watertight(
+                            &mesh,
+                            &format!("seed {seed}, {indicator:?}, {surfacing:?}, {walls}"),
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume() {
+    // Walls on cell faces, and walls that cut cells in unequal parts, where the lattice fills the tank less well.
+    for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
+        let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
+        for indicator in INDICATORS {
+            let sampling = sampling();
+            let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
+            let particles = fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
+            let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
+            let (_, Surface { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
+            assert_watertight(&mesh, "a tank");
+            let measures = measure(&mesh);
+            let [low, high] = measures.bounds.unwrap();
+            assert_eq!(low, lo.to_array());
+            assert_eq!((high[0], high[2]), (hi.x, hi.z));
+            let volume = (hi.x - lo.x) * -lo.y * (hi.z - lo.z);
+            let error = measures.volume.unwrap() / volume - 1.0;
+            assert!(error.abs() < tolerance, "{indicator:?}, walls at {lo}: volume off by {error}");
+        }
+    }
+}
+
+#[test]
+fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape() {
+    let drop = fill(10.0, 2.0, 0.3, 4, |p| p.length() < 6.0);
+    let far = |shift: DVec3| drop.iter().map(move |&p| (DVec3::from(p) + shift).to_array());
+    let shift = DVec3::new(1e6, -1e6, 5e5);
+    let both: Vec<[f64; 3]> = far(-shift).chain(far(shift)).collect();
+    let (one_frame, one) = reconstruct(&drop[..], &sampling(), &surfacing());
+    let (two_frame, two) = reconstruct(&both[..], &sampling(), &surfacing());
+    assert_eq!(two_frame.dif().full_cells(), 2 * one_frame.dif().full_cells());
+    assert!(two_frame.dif().sample_bytes() < 3 * one_frame.dif().sample_bytes());
+    assert_watertight(&two.mesh, "two drops");
+    assert_eq!(two.mesh.triangles.len(), 2 * one.mesh.triangles.len());
+    let volume = |mesh: &Mesh| measure(mesh).area;
+    assert!((volume(&two.mesh) / volume(&one.mesh) - 2.0).abs() < 1e-4);
+}
+
+#[test]
+fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error() {
+    let particle = [[0.3, 0.4, -0.6]];
+    let (frame, surface) = reconstruct(&particle[..], &sampling(), &surfacing());
+    assert_watertight(&surface.mesh, "a drop");
+    assert_eq!(measure(&surface.mesh).components, 1);
+    let iso = Isovalue::new(0.5).unwrap();
+    let above = Surfacing { iso: Some(iso), ..surfacing() };
+    assert_eq!(frame.surface(&above, &mut Laps::default()).unwrap_err(), FrameError::NoSurface { iso });
+}
+
+#[test]
+fn a_million_particles_in_one_place_are_one_drop() {
+    let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
+    for indicator in INDICATORS {
+        let surface =
+            Frame::sample(&particles[..], &Sampling { indicator, ..sampling() }, &mut Laps::default())
+                .and_then(|frame| frame.surface(&surfacing(), &mut Laps::default()));
+        match (indicator, surface) {
+            (Indicator::Symmetry, Ok(surface)) => assert_watertight(&surface.mesh, "one place"),
+            // Sixteen bits hold no mean of a million.
+            (Indicator::Counting { .. }, Err(FrameError::MeanCount(_))) => {}
+            (indicator, other) => panic!("{indicator:?} gave {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn attributes_reach_the_vertices_blurred_like_the_field() {
+    struct Moving(Vec<[f64; 3]>, [AttributeInfo; 1]);
+    impl Particles for Moving {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+        fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+            self.0[..].positions(first, out);
+        }
+        fn attributes(&self) -> &[AttributeInfo] {
+            &self.1
+        }
+        fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
+            // A rigid rotation about y, three times as fast as the unit; one particle has none.
+            for (i, out) in out.chunks_exact_mut(3).enumerate() {
+                let [x, _, z] = self.0[first + i];
+                out.copy_from_slice(&[3.0 * z as f32, f32::from(first + i != 17) * 0.5, -3.0 * x as f32]);
+                if first + i == 18 {
+                    out[0] = f32::NAN;
+                }
+            }
+        }
+    }
+    let ball = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
+    let mut moving = Moving(ball, [AttributeInfo { name: "v".into(), components: 3 }]);
+    let sampling = Sampling { carried: vec![0], ..sampling() };
+    let (_, first) = reconstruct(&moving, &sampling, &surfacing());
+    let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
+    assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
+    for (&[x, _, z], v) in first.mesh.positions.iter().zip(velocity.values.chunks_exact(3)) {
+        // The values come from within: up to two cells further in than the vertex.
+        assert!((f64::from(v[0]) - 3.0 * z).abs() < 6.0 && (f64::from(v[2]) + 3.0 * x).abs() < 6.0);
+        assert!((v[1] - 0.5).abs() < 0.1);
+    }
+    moving.0.swap(100, 5000);
+    let (_, second) = reconstruct(&moving, &sampling, &surfacing());
+    assert!(first.mesh == second.mesh, "values depend on the particles' order");
 }
