@@ -111,3 +111,13 @@ fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
     }
     assert_eq!(refused, huge.len() * (3 * 4 + 2 * 14));
 }
+
+#[test]
+fn components_of_an_array_without_tuples_cost_neither_memory_nor_time() {
+    let head = "# vtk DataFile Version 5.1\nt\nBINARY\nDATASET POLYDATA\nPOINTS 0 float\n\nPOINT_DATA 0\n";
+    let field = "FIELD FieldData 2\na 18446744073709551615 0 float\n\nb 9 0 float\n";
+    let file = VTK.particles(format!("{head}{field}").as_bytes()).unwrap();
+    assert_eq!(attributes(&file), [("b".to_owned(), 9, Vec::new())]);
+    let names = "FIELD FieldData 1\na 18446744073709551615 0 float\n\nMETADATA\nCOMPONENT_NAMES\nx\n\n";
+    assert!(VTK.particles(format!("{head}{names}").as_bytes()).is_err());
+}
