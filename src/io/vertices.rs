@@ -110,22 +110,27 @@ impl Triangles {
 
 /// The integer that `bytes` hold; nothing for a type that is not one.
 pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i64> {
-    let mut wide = [0; 8];
-    let narrow = bytes.get(..scalar.size())?;
-    match endian {
-        Endian::Little => wide.iter_mut().zip(narrow).for_each(|(to, from)| *to = *from),
-        Endian::Big => wide.iter_mut().zip(narrow.iter().rev()).for_each(|(to, from)| *to = *from),
-    }
-    let value = u64::from_le_bytes(wide);
+    let chunk2 = || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
+    let chunk4 = || bytes.first_chunk().map(|&b| order(endian, b, u32::from_le_bytes, u32::from_be_bytes));
+    let chunk8 = || bytes.first_chunk().map(|&b| order(endian, b, u64::from_le_bytes, u64::from_be_bytes));
     match scalar {
-        Scalar::I8 => Some(i64::from(value as i8)),
-        Scalar::I16 => Some(i64::from(value as i16)),
-        Scalar::I32 => Some(i64::from(value as i32)),
-        Scalar::I64 => Some(value as i64),
-        Scalar::U8 | Scalar::U16 | Scalar::U32 => Some(value as i64),
+        Scalar::I8 => bytes.first().map(|&value| i64::from(value as i8)),
+        Scalar::U8 => bytes.first().map(|&value| i64::from(value)),
+        Scalar::I16 => chunk2().map(|value| i64::from(value as i16)),
+        Scalar::U16 => chunk2().map(i64::from),
+        Scalar::I32 => chunk4().map(|value| i64::from(value as i32)),
+        Scalar::U32 => chunk4().map(i64::from),
+        Scalar::I64 => chunk8().map(|value| value as i64),
         // What is beyond i64 is no count and no index: -1 is refused wherever it is used.
-        Scalar::U64 => Some(i64::try_from(value).unwrap_or(-1)),
+        Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
         Scalar::F32 | Scalar::F64 => None,
+    }
+}
+
+fn order<B, V>(endian: Endian, bytes: B, little: fn(B) -> V, big: fn(B) -> V) -> V {
+    match endian {
+        Endian::Little => little(bytes),
+        Endian::Big => big(bytes),
     }
 }
 

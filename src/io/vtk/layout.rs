@@ -4,8 +4,8 @@ use crate::io::ReadFault;
 use crate::io::columns::Scalar;
 use crate::io::scan::{Scanner, malformed};
 
-/// More numbers in a tuple than any writer means.
-const MOST_COMPONENTS: usize = 1024;
+/// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
+const MOST_OF_NOTHING: usize = 9;
 
 /// The sections that we use.
 #[derive(Debug)]
@@ -283,8 +283,10 @@ impl<'a> Walk<'a> {
     }
 
     fn keep(&mut self, array: Option<Array>) -> Option<usize> {
-        let array = array.filter(|array| array.components > 0)?;
-        matches!(self.owner, Some(Owner::Points(_))).then(|| {
+        let array = array?;
+        let most = if array.tuples > 0 { usize::MAX } else { MOST_OF_NOTHING };
+        let kept = matches!(self.owner, Some(Owner::Points(_))) && (1..=most).contains(&array.components);
+        kept.then(|| {
             self.attributes.push(array);
             self.attributes.len() - 1
         })
@@ -334,9 +336,6 @@ impl<'a> Walk<'a> {
         components: usize,
         kind: &str,
     ) -> Result<Option<Array>, ReadFault> {
-        if components > MOST_COMPONENTS {
-            return Err(self.fault(format!("{name} has {components} components; we read {MOST_COMPONENTS}")));
-        }
         self.components = components;
         let values = tuples.saturating_mul(components);
         let scalar = match kind.to_ascii_lowercase().as_str() {
@@ -386,7 +385,9 @@ impl<'a> Walk<'a> {
         loop {
             match self.scan.line()?.map(str::trim) {
                 Some("") => return Ok(()),
-                Some("COMPONENT_NAMES") => (0..self.components).for_each(|_| _ = self.scan.skip_line()),
+                Some("COMPONENT_NAMES") => {
+                    (0..self.components).all(|_| self.scan.skip_line());
+                }
                 Some(_) => {}
                 None => return Err(self.fault("METADATA do not end with an empty line".into())),
             }

@@ -80,7 +80,11 @@ fn write_points(out: &mut dyn Write, positions: &[[f64; 3]], width: CoordinateWi
     writeln!(out)
 }
 
+/// POLYGONS, but none where there are none: the toolkit's own reader complains of an empty section.
 fn write_polygons(out: &mut dyn Write, triangles: &[[u32; 3]]) -> io::Result<()> {
+    if triangles.is_empty() {
+        return Ok(());
+    }
     writeln!(out, "POLYGONS {} {}", triangles.len(), 4 * triangles.len())?;
     write_chunks(out, triangles.len(), |range, out| {
         for &[a, b, c] in &triangles[range] {
