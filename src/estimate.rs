@@ -2,6 +2,7 @@
 //!
 //! After the particles are counted by bin, and before anything is stored for them.
 
+use bytesize::ByteSize;
 use hashbrown::HashMap;
 use thiserror::Error;
 
@@ -36,7 +37,7 @@ pub struct Estimate {
 #[error(
     "a cell size of {cell_size} needs about {} of memory, and {} may be used; \
      a cell size of {fitting_cell_size} needs {}; or allow more with --memory",
-    bytes(*needed), bytes(*budget), bytes(*fitting)
+    ByteSize(*needed), ByteSize(*budget), ByteSize(*fitting)
 )]
 pub struct OverBudget {
     /// What was asked for.
@@ -114,17 +115,4 @@ impl Estimate {
             fitting,
         })
     }
-}
-
-/// A number of bytes as people write it.
-#[must_use]
-pub fn bytes(count: u64) -> String {
-    let mut value = count as f64;
-    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"];
-    let mut unit = 0;
-    while value >= 1000.0 && unit + 1 < units.len() {
-        value /= 1024.0;
-        unit += 1;
-    }
-    if unit == 0 { format!("{count} B") } else { format!("{value:.3} {}", units[unit]) }
 }

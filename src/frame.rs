@@ -9,7 +9,7 @@ use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, 
 use crate::estimate::{Estimate, OverBudget};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::mesh::{BlockMesh, Mesh};
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::Plateau;
 use crate::recipe::Recipe;
 use crate::stage::attribute::{FixedPoint, vertex_values};
@@ -130,6 +130,45 @@ impl Laps {
     }
 }
 
+/// The attributes on the mesh: velocity under the name that other programs read, others under their own.
+fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
+    let velocity = velocity_attribute(attributes);
+    let name = |&index: &usize| {
+        let info = attributes[index].clone();
+        if velocity == Some(index) { AttributeInfo { name: "velocity".into(), ..info } } else { info }
+    };
+    carried.iter().map(name).collect()
+}
+
+/// What reconstructing `particles` would take, without doing it.
+///
+/// # Errors
+/// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+pub fn estimate(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+) -> Result<(Census, Estimate), FrameError> {
+    let (plan, estimate) = plan(particles, sampling)?;
+    Ok((plan.census(), estimate))
+}
+
+/// Counts the particles, and refuses what cannot be done with them.
+fn plan<'a>(
+    particles: &(impl Particles + ?Sized),
+    sampling: &'a Sampling,
+) -> Result<(BinPlan<'a>, Estimate), FrameError> {
+    let Sampling { grid, domain, .. } = sampling;
+    let plan = BinPlan::count(particles, grid, domain.as_ref(), sampling.invalid)?;
+    if plan.census().binned == 0 {
+        return Err(FrameError::NoParticles(plan.census()));
+    }
+    let attributes = particles.attributes();
+    let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
+    let estimate = Estimate::of(plan.counts(), sampling.side, components);
+    estimate.check(sampling.budget, plan.counts(), grid)?;
+    Ok((plan, estimate))
+}
+
 /// The DIF of a frame, and what else its surface needs.
 #[derive(Debug)]
 pub struct Frame {
@@ -164,19 +203,8 @@ impl Frame {
         laps: &mut Laps,
     ) -> Result<Self, FrameError> {
         let Sampling { grid, domain, .. } = sampling;
-        let plan = BinPlan::count(particles, grid, domain.as_ref(), sampling.invalid)?;
+        let (plan, _) = plan(particles, sampling)?;
         let census = plan.census();
-        if census.binned == 0 {
-            return Err(FrameError::NoParticles(census));
-        }
-        let infos: Vec<AttributeInfo> =
-            sampling.carried.iter().map(|&index| particles.attributes()[index].clone()).collect();
-        let carried_components = infos.iter().map(|info| info.components).sum();
-        Estimate::of(plan.counts(), sampling.side, carried_components).check(
-            sampling.budget,
-            plan.counts(),
-            grid,
-        )?;
         let bins = plan.fill(particles, &sampling.carried);
         laps.lap("bin");
 
@@ -186,6 +214,7 @@ impl Frame {
             Indicator::Symmetry => Indicator::Symmetry,
             Indicator::Counting { .. } => Indicator::Counting { mean },
         };
+        let infos = carried_infos(particles.attributes(), &sampling.carried);
         let carried = (!infos.is_empty()).then(|| {
             let fixed = (0..infos.len()).map(|i| FixedPoint::of(&bins, i)).collect::<Vec<_>>();
             (bins, infos.into_iter().zip(fixed).collect())

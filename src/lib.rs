@@ -1,5 +1,47 @@
-//! Watertight surface meshes from particle fluids.
+//! Watertight surface meshes from particle fluids, by discrete indicator functions.
+//!
+//! ```text
+//! particles --bin--> cell sums --indicate--> DIF bricks                     brick, stage::indicator
+//! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage
+//! block surfaces --stitch--> mesh --write--> file                           stitch, io
+//! ```
+//!
+//! Everything from a particle to the field is integer, so the result depends on nothing but the input: not
+//! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
+//! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
+//!
+//! ```
+//! use meniscus::brick::{BrickSide, InvalidParticles};
+//! use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surfacing};
+//! use meniscus::grid::Grid;
+//! use meniscus::mesh::check::check;
+//! use meniscus::stage::indicator::Indicator;
+//! use meniscus::units::Sigma;
+//!
+//! // A ball of particles, one a cell.
+//! let steps = || (-8..8).map(|i| f64::from(i) + 0.5);
+//! let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
+//! let particles: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 50.0).collect();
+//!
+//! let sampling = Sampling {
+//!     grid: Grid::new([0.0; 3].into(), 1.0)?,
+//!     domain: None,
+//!     indicator: Indicator::Symmetry,
+//!     invalid: InvalidParticles::Refuse,
+//!     side: BrickSide::default(),
+//!     carried: Vec::new(),
+//!     budget: meniscus::memory::default_budget(),
+//! };
+//! let surfacing =
+//!     Surfacing { sigma: Sigma::new(1.0)?, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
+//! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
+//! let surface = frame.surface(&surfacing, &mut Laps::default())?;
+//! assert!(check(&surface.mesh).is_closed_oriented_manifold());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
 pub mod brick;
+pub mod error;
 pub mod estimate;
 pub mod frame;
 pub mod grid;

@@ -1,5 +1,8 @@
 //! What the pipeline asks of particles: to be read by range, from several threads, as often as it likes.
 
+use glam::DVec3;
+use rayon::prelude::*;
+
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AttributeInfo {
@@ -76,4 +79,42 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
     VELOCITY_NAMES
         .iter()
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
+}
+
+/// Where particles are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Least coordinates.
+    pub lo: DVec3,
+    /// Greatest coordinates.
+    pub hi: DVec3,
+    /// Particles whose coordinates are all finite; the others do not count.
+    pub finite: usize,
+}
+
+/// The box around all finite positions; `None` where there is no such.
+#[must_use]
+pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
+    let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
+    let bounds = fold_positions(particles, none, |b, p| {
+        if p.is_finite() { Bounds { lo: b.lo.min(p), hi: b.hi.max(p), finite: b.finite + 1 } } else { b }
+    })
+    .reduce(none, |a, b| Bounds { lo: a.lo.min(b.lo), hi: a.hi.max(b.hi), finite: a.finite + b.finite });
+    (bounds.finite > 0).then_some(bounds)
+}
+
+/// Folds over all positions in parallel, one accumulator a piece of work.
+pub fn fold_positions<A: Send>(
+    particles: &(impl Particles + ?Sized),
+    identity: impl Fn() -> A + Sync + Send,
+    add: impl Fn(A, DVec3) -> A + Sync + Send,
+) -> impl ParallelIterator<Item = A> {
+    const CHUNK: usize = 1 << 12;
+    let chunks = particles.len().div_ceil(CHUNK);
+    (0..chunks).into_par_iter().fold(identity, move |accumulator, chunk| {
+        let first = chunk * CHUNK;
+        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
+        particles.positions(first, &mut positions);
+        positions.into_iter().map(DVec3::from).fold(accumulator, &add)
+    })
 }

@@ -8,7 +8,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::grid::Grid;
-use crate::particles::Particles;
+use crate::particles::{Bounds, Particles, bounds, fold_positions};
 
 /// Particles a counting cell should hold: first choice, and what thin layers are tried with.
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
@@ -20,7 +20,7 @@ const SMALL: usize = 1 << 20;
 /// Estimates the spacing; `None` where there is no inside, as in a few particles or mere spray.
 #[must_use]
 pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
-    let (lo, hi, finite) = bounds(particles)?;
+    let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;
     let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
     let mut cell = (volume / finite as f64).cbrt();
@@ -51,34 +51,8 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 
 type Counts = HashMap<IVec3, usize>;
 
-/// Corners of the box around all finite positions, and how many those are.
-fn bounds(particles: &(impl Particles + ?Sized)) -> Option<(glam::DVec3, glam::DVec3, usize)> {
-    let none = || (glam::DVec3::MAX, glam::DVec3::MIN, 0_usize);
-    let (lo, hi, count) = fold(particles, none, |(lo, hi, count), p| {
-        if p.is_finite() { (lo.min(p), hi.max(p), count + 1) } else { (lo, hi, count) }
-    })
-    .reduce(none, |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 + b.2));
-    (count > 1).then_some((lo, hi, count))
-}
-
-/// Folds over the positions, one accumulator a piece of work.
-fn fold<A: Send>(
-    particles: &(impl Particles + ?Sized),
-    identity: impl Fn() -> A + Sync + Send,
-    add: impl Fn(A, glam::DVec3) -> A + Sync + Send,
-) -> impl ParallelIterator<Item = A> {
-    const CHUNK: usize = 1 << 12;
-    let chunks = particles.len().div_ceil(CHUNK);
-    (0..chunks).into_par_iter().fold(identity, move |accumulator, chunk| {
-        let first = chunk * CHUNK;
-        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
-        particles.positions(first, &mut positions);
-        positions.into_iter().map(glam::DVec3::from).fold(accumulator, &add)
-    })
-}
-
 fn counts(particles: &(impl Particles + ?Sized), grid: &Grid) -> Counts {
-    fold(particles, Counts::new, |mut counts, p| {
+    fold_positions(particles, Counts::new, |mut counts, p| {
         if let Ok(placed) = grid.place(p.to_array()) {
             *counts.entry(placed.cell).or_default() += 1;
         }

@@ -1,1 +1,77 @@
-fn main() {}
+//! The command line: sees only the public interface of the library.
+
+mod info;
+mod inspect;
+mod interrupt;
+mod reconstruct;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use meniscus::error::{Cause, Error};
+
+/// Turn particle fluids into watertight surface meshes.
+#[derive(Parser)]
+#[command(version, about, propagate_version = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Reconstruct the surface of a frame of particles.
+    Reconstruct(reconstruct::Options),
+    /// Say what a particle file or a mesh holds.
+    Info(info::Options),
+    /// Check that meshes are closed, oriented 2-manifolds, and measure them.
+    Check(inspect::CheckOptions),
+    /// Measure how far a mesh lies from a reference.
+    Compare(inspect::CompareOptions),
+}
+
+/// What a command that ran to its end found.
+enum Verdict {
+    /// All is well.
+    Good,
+    /// The work was done, and something is not as it should be.
+    Bad,
+}
+
+fn main() -> ExitCode {
+    let Arguments { command } = Arguments::parse();
+    let verdict = match command {
+        Command::Reconstruct(options) => reconstruct::run(options),
+        Command::Info(options) => info::run(&options),
+        Command::Check(options) => inspect::check(&options),
+        Command::Compare(options) => inspect::compare(&options),
+    };
+    match verdict {
+        Ok(Verdict::Good) => ExitCode::SUCCESS,
+        Ok(Verdict::Bad) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("meniscus: {error}");
+            ExitCode::from(match error.cause() {
+                Cause::Request => 2,
+                Cause::Input => 3,
+                Cause::Output => 4,
+            })
+        }
+    }
+}
+
+/// Writes results to standard output. A reader that went away is no error.
+fn print(text: &str) -> Result<(), Error> {
+    use std::io::{ErrorKind, Write};
+    match writeln!(std::io::stdout().lock(), "{text}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(meniscus::io::WriteError::new("standard output".as_ref(), error).into())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Prints a result as JSON, for programs.
+fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
+    print(&serde_json::to_string_pretty(value).expect("results have string keys and finite depth"))
+}

@@ -1,0 +1,186 @@
+//! `meniscus info`: what a file holds.
+
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+use clap::Args;
+use glam::DVec3;
+use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::error::Error;
+use meniscus::frame::{self, Sampling};
+use meniscus::grid::Grid;
+use meniscus::io::input::{holds_mesh, open_particles};
+use meniscus::io::output::read_mesh;
+use meniscus::io::scene::spacing_beside;
+use meniscus::mesh::measure::measure;
+use meniscus::particles::{Particles, bounds};
+use meniscus::spacing;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::MemoryBudget;
+use serde::Serialize;
+
+use crate::{Verdict, print, print_json};
+
+#[derive(Args)]
+pub struct Options {
+    /// Particle files or meshes.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// As JSON, for programs: a list with an entry for each file.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Attribute {
+    name: String,
+    components: usize,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+enum Info {
+    Particles {
+        file: PathBuf,
+        format: &'static str,
+        particles: usize,
+        not_finite: usize,
+        bounds: Option<[[f64; 3]; 2]>,
+        attributes: Vec<Attribute>,
+        spacing: Option<f64>,
+        /// Where the spacing comes from.
+        spacing_source: Option<String>,
+        /// To reconstruct with cells of one spacing.
+        memory_bytes: Option<u64>,
+    },
+    Mesh {
+        file: PathBuf,
+        vertices: usize,
+        triangles: usize,
+        bounds: Option<[[f64; 3]; 2]>,
+        components: usize,
+        normals: bool,
+        attributes: Vec<Attribute>,
+    },
+}
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let infos = options.files.iter().map(|path| inspect(path)).collect::<Result<Vec<_>, _>>()?;
+    if options.json {
+        print_json(&infos)?;
+    } else {
+        for info in &infos {
+            print(&describe(info))?;
+        }
+    }
+    Ok(Verdict::Good)
+}
+
+fn inspect(path: &Path) -> Result<Info, Error> {
+    if holds_mesh(path)? {
+        let mesh = read_mesh(path)?;
+        let measures = measure(&mesh);
+        let attributes = mesh.attributes.iter();
+        return Ok(Info::Mesh {
+            file: path.to_owned(),
+            vertices: mesh.positions.len(),
+            triangles: mesh.triangles.len(),
+            bounds: measures.bounds,
+            components: measures.components,
+            normals: mesh.normals.is_some(),
+            attributes: attributes
+                .map(|a| Attribute { name: a.name.clone(), components: a.components })
+                .collect(),
+        });
+    }
+    let file = open_particles(path)?;
+    let particles = &file.particles;
+    let bounds = bounds(particles);
+    let (spacing, spacing_source) = if let Some(spacing) = file.spacing {
+        (Some(spacing), Some("the file".to_owned()))
+    } else if let Some((spacing, scene)) = spacing_beside(path) {
+        (Some(spacing), Some(scene.display().to_string()))
+    } else {
+        let estimate = spacing::estimate(particles);
+        (estimate, estimate.map(|_| "an estimate".to_owned()))
+    };
+    Ok(Info::Particles {
+        file: path.to_owned(),
+        format: file.format,
+        particles: particles.len(),
+        not_finite: particles.len() - bounds.map_or(0, |b| b.finite),
+        bounds: bounds.map(|b| [b.lo.to_array(), b.hi.to_array()]),
+        attributes: particles
+            .attributes()
+            .iter()
+            .map(|a| Attribute { name: a.name.clone(), components: a.components })
+            .collect(),
+        memory_bytes: spacing.and_then(|spacing| memory(particles, spacing)),
+        spacing,
+        spacing_source,
+    })
+}
+
+/// What reconstructing at a cell size of one spacing takes, in bytes.
+fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
+    let sampling = Sampling {
+        grid: Grid::new(DVec3::ZERO, spacing).ok()?,
+        domain: None,
+        indicator: Indicator::Symmetry,
+        invalid: InvalidParticles::Skip,
+        side: BrickSide::default(),
+        carried: Vec::new(),
+        budget: MemoryBudget(u64::MAX),
+    };
+    let (_, estimate) = frame::estimate(particles, &sampling).ok()?;
+    Some(estimate.total())
+}
+
+fn describe(info: &Info) -> String {
+    let mut lines = Vec::new();
+    let mut line = |name: &str, text: String| lines.push(format!("  {name:<12} {text}"));
+    let shared = |line: &mut dyn FnMut(&str, String),
+                  bounds: &Option<[[f64; 3]; 2]>,
+                  attributes: &[Attribute]| {
+        if let Some([lo, hi]) = bounds {
+            line("box", format!("({}, {}, {}) to ({}, {}, {})", lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]));
+        }
+        let list: Vec<_> = attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
+        line("attributes", if list.is_empty() { "none".into() } else { list.join(", ") });
+    };
+    let title = match info {
+        Info::Particles {
+            file,
+            format,
+            particles,
+            not_finite,
+            bounds,
+            attributes,
+            spacing,
+            spacing_source,
+            memory_bytes,
+        } => {
+            line("particles", particles.to_string());
+            if *not_finite > 0 {
+                line("not finite", not_finite.to_string());
+            }
+            shared(&mut line, bounds, attributes);
+            let source = spacing_source.as_deref().unwrap_or_default();
+            line("spacing", spacing.map_or("unknown".into(), |s| format!("{s:.6}, from {source}")));
+            if let Some(bytes) = memory_bytes {
+                line("memory", format!("about {} with cells of one spacing", ByteSize(*bytes)));
+            }
+            format!("{}: {format}", file.display())
+        }
+        Info::Mesh { file, vertices, triangles, bounds, components, normals, attributes } => {
+            line("vertices", vertices.to_string());
+            line("triangles", triangles.to_string());
+            line("components", components.to_string());
+            line("normals", if *normals { "yes" } else { "no" }.into());
+            shared(&mut line, bounds, attributes);
+            format!("{}: mesh", file.display())
+        }
+    };
+    format!("{title}\n{}", lines.join("\n"))
+}

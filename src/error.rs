@@ -1,0 +1,90 @@
+//! Every error of the library, with the file that it concerns, and whose fault it is.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::brick::BinError;
+use crate::frame::FrameError;
+use crate::grid::DomainError;
+use crate::io::{ReadError, WriteError, WriteFault};
+use crate::units::UnitError;
+
+/// Anything that can go wrong between a particle file and a mesh file.
+#[derive(Debug, Error)]
+pub enum Error {
+    /// An option or a combination of options.
+    #[error("{0}")]
+    Request(String),
+    /// A number out of range.
+    #[error(transparent)]
+    Unit(#[from] UnitError),
+    /// A box that cannot be a domain.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// An input file.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// An output file.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The particles of a file.
+    #[error("{}: {fault}", path.display())]
+    Frame {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with them.
+        fault: FrameError,
+    },
+    /// The spacing is not given, not in the file, and cannot be estimated.
+    #[error(
+        "{}: the spacing of {particles} particles cannot be estimated; give --spacing, --radius or --cell-size",
+        path.display()
+    )]
+    NoSpacing {
+        /// Which file.
+        path: PathBuf,
+        /// How many particles it has.
+        particles: usize,
+    },
+}
+
+/// Whose fault an error is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// The arguments or the request; nothing was done.
+    Request,
+    /// The input is bad.
+    Input,
+    /// The output cannot be written.
+    Output,
+}
+
+impl Error {
+    /// Whose fault it is.
+    #[must_use]
+    pub fn cause(&self) -> Cause {
+        match self {
+            Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
+            Self::Frame { fault: FrameError::OverBudget(_) | FrameError::TooManyVertices(_), .. } => {
+                Cause::Request
+            }
+            Self::Frame {
+                fault:
+                    FrameError::NoParticles(_)
+                    | FrameError::Bin(BinError::NotFinite { .. } | BinError::TooFar { .. })
+                    | FrameError::MeanCount(_)
+                    | FrameError::NoSurface { .. },
+                ..
+            }
+            | Self::NoSpacing { .. }
+            | Self::Read(_) => Cause::Input,
+            Self::Write(error) => match error.fault {
+                WriteFault::Io(_) => Cause::Output,
+                WriteFault::Exists | WriteFault::UnknownExtension { .. } | WriteFault::Unsupported(_) => {
+                    Cause::Request
+                }
+            },
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! What the program promises to whoever calls it: results, exit codes, and nothing left behind.
+
+mod common;
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use common::{fill, splashes};
+use meniscus::io::output::read_mesh;
+use meniscus::mesh::check::check;
+use tempfile::TempDir;
+
+fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    command.current_dir(folder).args(arguments).output().unwrap()
+}
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
+    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+}
+
+/// A folder with a ball of particles at spacing 0.5 in `ball.xyz`.
+fn folder_with_ball() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    fs::write(folder.path().join("ball.xyz"), raw(&ball)).unwrap();
+    folder
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder as it was.
+#[track_caller]
+fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
+    let before = names(folder);
+    let output = meniscus(folder, &[&["reconstruct"], arguments].concat());
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
+    for word in says {
+        assert!(errors.contains(word), "{arguments:?} does not say {word:?}: {errors}");
+    }
+    assert!(!errors.contains("panicked"), "{errors}");
+    assert_eq!(names(folder), before, "{arguments:?} left something behind");
+}
+
+#[test]
+fn every_bundled_frame_becomes_a_watertight_mesh_without_options() {
+    let folder = TempDir::new().unwrap();
+    let mut frames = 0;
+    for entry in ["dambreak_small", "dualsphysics_dambreak"].map(data) {
+        for frame in fs::read_dir(entry).unwrap().map(|e| e.unwrap().path()) {
+            let extension = frame.extension().unwrap().to_str().unwrap();
+            if !["bgeo", "vtk", "bi4"].contains(&extension) {
+                continue;
+            }
+            frames += 1;
+            for output in ["mesh.ply", "mesh.obj", "mesh.vtk", "mesh.vtp", "mesh.stl"] {
+                let run = meniscus(folder.path(), &["reconstruct", frame.to_str().unwrap(), "-o", output, "--overwrite"]);
+                assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+                let mesh = read_mesh(&folder.path().join(output)).unwrap();
+                assert!(mesh.triangles.len() > 1000);
+                let report = check(&mesh);
+                assert!(report.is_closed_oriented_manifold(), "{} as {output}: {report}", frame.display());
+                let velocity = mesh.attributes.iter().any(|a| a.name == "velocity" && a.components == 3);
+                assert_eq!(velocity, !["mesh.obj", "mesh.stl"].contains(&output), "{output}");
+            }
+        }
+    }
+    assert!(frames >= 4, "{frames} frames");
+}
+
+#[test]
+fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
+    let folder = TempDir::new().unwrap();
+    let mut particles = splashes(5);
+    fs::write(folder.path().join("a.xyz"), raw(&particles)).unwrap();
+    particles.reverse();
+    fs::write(folder.path().join("b.xyz"), raw(&particles)).unwrap();
+    let bytes = |input: &str, threads: &str| {
+        let options = ["--cell-size", "0.9", "--normals", "--detail", "--overwrite", "--threads", threads];
+        let run = meniscus(folder.path(), &[&["reconstruct", input, "-o", "out.ply"], &options[..]].concat());
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        fs::read(folder.path().join("out.ply")).unwrap()
+    };
+    let first = bytes("a.xyz", "1");
+    assert!(first == bytes("a.xyz", "1") && first == bytes("a.xyz", "2") && first == bytes("b.xyz", "3"));
+}
+
+#[test]
+fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
+    let folder = folder_with_ball();
+    let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
+    for (arguments, says) in [
+        (vec!["ball.xyz"], "--output"),
+        (vec!["ball.xyz", "-o", "out.abc"], "out.abc"),
+        (vec!["ball.xyz", "-o", "out"], "out"),
+        (vec!["ball.xyz", "-o", "out.stl", "--normals"], "normals"),
+        (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
+        (vec!["ball.xyz", "-o", "ball.xyz"], "unknown extension"),
+        (ball(&["--sigma", "0"]), "sigma"),
+        (ball(&["--sigma", "nan"]), "sigma"),
+        (ball(&["--iso", "1.5"]), "isovalue"),
+        (ball(&["--iso", "high"]), "auto"),
+        (ball(&["--mu0", "3"]), "counting"),
+        (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
+        (ball(&["--cell", "0"]), "--cell"),
+        (ball(&["--cell-size", "-1"]), "--cell-size"),
+        (ball(&["--cell-size", "1", "--cell", "1"]), "cannot be used with"),
+        (ball(&["--spacing", "inf"]), "--spacing"),
+        (ball(&["--radius", "0"]), "--radius"),
+        (ball(&["--origin", "1,2"]), "3 numbers"),
+        (ball(&["--origin", "1,2,nan"]), "origin"),
+        (ball(&["--domain", "0,0,0,1,-1,1"]), "domain"),
+        (ball(&["--domain", "0,0,0,0.01,1,1", "--cell-size", "0.5"]), "no cell centre along x"),
+        (ball(&["--attributes", "colour"]), "colour"),
+        (ball(&["--threads", "0"]), "--threads"),
+        (ball(&["--memory", "much"]), "--memory"),
+        (ball(&["--backend", "abacus"]), "abacus"),
+    ] {
+        assert_refused(folder.path(), &arguments, 2, &[says]);
+    }
+}
+
+#[test]
+fn an_existing_output_is_replaced_only_when_allowed() {
+    let folder = folder_with_ball();
+    let out = folder.path().join("out.ply");
+    fs::write(&out, "precious").unwrap();
+    assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply"], 2, &["out.ply", "--overwrite"]);
+    assert_eq!(fs::read(&out).unwrap(), b"precious");
+    // A failure keeps what was there, even where it may be replaced.
+    assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply", "--overwrite", "--iso", "0.999"], 3, &["empty"]);
+    assert_eq!(fs::read(&out).unwrap(), b"precious");
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
+    assert!(run.status.success());
+    assert!(fs::read(&out).unwrap().starts_with(b"ply"));
+    assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
+}
+
+#[test]
+fn an_input_is_never_its_own_output() {
+    let folder = TempDir::new().unwrap();
+    fs::copy(data("spot.ply"), folder.path().join("spot.ply")).unwrap();
+    let before = fs::read(folder.path().join("spot.ply")).unwrap();
+    assert_refused(folder.path(), &["spot.ply", "-o", "./spot.ply", "--overwrite"], 2, &["both"]);
+    assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
+    let folder = folder_with_ball();
+    assert_refused(folder.path(), &["ball.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    // The output is tried first: the input is not even looked at.
+    assert_refused(folder.path(), &["missing.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    fs::create_dir(folder.path().join("out.ply")).unwrap();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
+    assert!([Some(2), Some(4)].contains(&run.status.code()));
+    assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
+}
+
+#[test]
+fn a_full_disk_is_exit_4_and_leaves_nothing() {
+    let folder = folder_with_ball();
+    // A limit on file size stands in for a full disk; the signal it sends is ignored by the shell.
+    let script = "trap '' XFSZ; ulimit -f 8; exec \"$0\" reconstruct ball.xyz -o out.ply --quiet";
+    let run = Command::new("bash")
+        .current_dir(folder.path())
+        .args(["-c", script, env!("CARGO_BIN_EXE_meniscus")])
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(4), "{errors}");
+    assert!(errors.contains("out.ply"), "{errors}");
+    assert_eq!(names(folder.path()), ["ball.xyz"]);
+}
+
+#[test]
+fn bad_input_is_named_with_exit_3() {
+    let folder = TempDir::new().unwrap();
+    let put = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    let with = |index: usize, value: [f64; 3]| {
+        let mut particles = ball.clone();
+        particles[index] = value;
+        raw(&particles)
+    };
+    put("empty.ply", b"");
+    put("none.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n");
+    put("one.xyz", &raw(&ball[..1]));
+    put("same.xyz", &raw(&vec![[1.0, 2.0, 3.0]; 1_000_000]));
+    put("cut.xyz", &raw(&ball)[..100]);
+    put("nan.xyz", &with(1234, [0.0, f64::NAN, 0.0]));
+    put("inf.xyz", &with(77, [f64::INFINITY, 0.0, 0.0]));
+    put("far.xyz", &with(5, [0.0, 0.0, 1e30]));
+    put("noise.bgeo", &[7; 500]);
+    for (file, more, says) in [
+        ("missing.ply", &[][..], &["missing.ply", "No such file"][..]),
+        ("empty.ply", &[], &["empty.ply", "empty"]),
+        ("none.ply", &[], &["none.ply", "no particles"]),
+        ("one.xyz", &[], &["one.xyz", "spacing", "--spacing"]),
+        ("same.xyz", &[], &["same.xyz", "spacing", "--spacing"]),
+        ("same.xyz", &["--cell-size", "1", "--indicator", "counting"], &["same.xyz", "mu0"]),
+        ("cut.xyz", &[], &["cut.xyz"]),
+        ("nan.xyz", &["--spacing", "0.5"], &["nan.xyz", "particle 1234", "--skip-invalid"]),
+        ("nan.xyz", &[], &["nan.xyz", "particle 1234"]),
+        ("inf.xyz", &[], &["inf.xyz", "particle 77"]),
+        ("far.xyz", &["--spacing", "0.5"], &["far.xyz", "particle 5 ", "cells"]),
+        ("noise.bgeo", &[], &["noise.bgeo"]),
+        (".", &[], &["."]),
+    ] {
+        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), if file == "." { 2 } else { 3 }, says);
+    }
+}
+
+#[test]
+fn invalid_particles_are_dropped_and_counted_when_asked() {
+    let folder = TempDir::new().unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    fs::write(folder.path().join("good.xyz"), raw(&ball)).unwrap();
+    let mut bad = ball;
+    for (i, bad_position) in [[f64::NAN; 3], [0.0, f64::NEG_INFINITY, 0.0], [1e30, 0.0, 0.0]].into_iter().enumerate() {
+        bad.insert(100 * i, bad_position);
+    }
+    fs::write(folder.path().join("bad.xyz"), raw(&bad)).unwrap();
+    let run = |input: &str, output: &str| {
+        meniscus(folder.path(), &["reconstruct", input, "-o", output, "--spacing", "0.5", "--skip-invalid"])
+    };
+    assert!(run("good.xyz", "good.ply").status.success());
+    let dropped = run("bad.xyz", "bad.ply");
+    let notes = String::from_utf8_lossy(&dropped.stderr);
+    assert!(dropped.status.success(), "{notes}");
+    assert!(notes.contains("2 particles dropped") && notes.contains("1 particles dropped"), "{notes}");
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("good.ply") == bytes("bad.ply"));
+}
+
+#[test]
+fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
+    let folder = folder_with_ball();
+    let refused = ["ball.xyz", "-o", "out.ply", "--cell-size", "0.0001", "--memory", "2MiB"];
+    assert_refused(folder.path(), &refused, 2, &["0.0001", "memory", "a cell size of"]);
+    let output = meniscus(folder.path(), &[&["reconstruct"], &refused[..]].concat());
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let (_, fitting) = errors.split_once("a cell size of ").and_then(|(_, rest)| rest.split_once("a cell size of ")).unwrap();
+    let fitting = fitting.split(' ').next().unwrap();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--cell-size", fitting, "--memory", "2MiB"]);
+    assert!(run.status.success(), "{fitting}: {}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn a_dry_run_estimates_and_writes_nothing() {
+    let folder = folder_with_ball();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--dry-run"]);
+    assert!(run.status.success());
+    assert!(String::from_utf8_lossy(&run.stdout).contains("memory"));
+    assert_eq!(names(folder.path()), ["ball.xyz"]);
+}
+
+#[test]
+fn statistics_are_one_json_record_a_run() {
+    let folder = folder_with_ball();
+    for output in ["a.ply", "b.ply"] {
+        let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"]);
+        assert!(run.status.success());
+    }
+    let text = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+    let records: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(records.len(), 2);
+    let mesh = read_mesh(&folder.path().join("b.ply")).unwrap();
+    assert_eq!(records[1]["triangles"], mesh.triangles.len());
+    assert!(records[1]["seconds"]["mesh"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn info_tells_particles_from_meshes() {
+    let folder = folder_with_ball();
+    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success());
+    let run = meniscus(folder.path(), &["info", "--json", "ball.xyz", "ball.ply"]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let infos: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(infos[0]["kind"], "particles");
+    assert_eq!(infos[1]["kind"], "mesh");
+    let spacing = infos[0]["spacing"].as_f64().unwrap();
+    assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
+    assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
+}
+
+#[test]
+fn check_exits_0_only_for_a_closed_oriented_manifold() {
+    let folder = folder_with_ball();
+    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.obj"]).status.success());
+    let good = meniscus(folder.path(), &["check", "--json", "ball.obj"]);
+    assert_eq!(good.status.code(), Some(0));
+    let checked: serde_json::Value = serde_json::from_slice(&good.stdout).unwrap();
+    assert_eq!(checked[0]["measures"]["genus"], 0);
+    // One face less is a hole.
+    let text = fs::read_to_string(folder.path().join("ball.obj")).unwrap();
+    let last_face = text.trim_end().rfind("\nf ").unwrap();
+    fs::write(folder.path().join("hole.obj"), &text[..=last_face]).unwrap();
+    assert_eq!(meniscus(folder.path(), &["check", "ball.obj", "hole.obj"]).status.code(), Some(1));
+    assert_eq!(meniscus(folder.path(), &["check", "missing.obj"]).status.code(), Some(3));
+}
+
+#[test]
+fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_one() {
+    let folder = folder_with_ball();
+    for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.05")] {
+        assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--iso", iso]).status.success());
+    }
+    let compare = |a: &str, b: &str| -> serde_json::Value {
+        let run = meniscus(folder.path(), &["compare", "--json", a, b]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_slice(&run.stdout).unwrap()
+    };
+    assert_eq!(compare("half.ply", "half.ply")["hausdorff"], 0.0);
+    assert!(compare("half.ply", "large.ply")["bias"].as_f64().unwrap() > 0.2);
+    assert!(compare("large.ply", "half.ply")["bias"].as_f64().unwrap() < -0.2);
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let folder = folder_with_ball();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+        .current_dir(folder.path())
+        .args(["info", "ball.xyz"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+    std::io::stdout().flush().unwrap();
+}
