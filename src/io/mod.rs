@@ -1,7 +1,15 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 
+pub mod bgeo;
+pub mod bi4;
 pub mod bytes;
 pub mod columns;
+pub mod cursor;
+pub mod input;
+pub mod names;
+pub mod npy;
+pub mod scene;
+pub mod xyz;
 
 use std::path::{Path, PathBuf};
 
