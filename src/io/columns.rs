@@ -200,12 +200,12 @@ macro_rules! stored {
             $(fn $type(value: $type) -> Self;)*
         }
 
-        #[allow(clippy::cast_lossless)]
+        #[allow(clippy::cast_lossless)] // One line for all types, i64 among them.
         impl Nearest for f32 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }
 
-        #[allow(clippy::cast_lossless)] // One line for all types, i64 among them.
+        #[allow(clippy::cast_lossless)]
         impl Nearest for f64 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }

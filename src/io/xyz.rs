@@ -267,11 +267,12 @@ impl<'a> Iterator for Fields<'a> {
         if matches!(self.rest.first(), None | Some(b'#')) {
             return None;
         }
-        let end = match self.separator {
-            Separator::Byte(separator) => self.rest.iter().position(|&byte| byte == separator),
-            Separator::Blanks => self.rest.iter().position(u8::is_ascii_whitespace),
+        let ends = |byte: u8| match self.separator {
+            Separator::Byte(separator) => byte == separator,
+            Separator::Blanks => byte.is_ascii_whitespace(),
         };
-        let (field, rest) = match end {
+        let (field, rest) = match self.rest.iter().position(|&byte| ends(byte) || byte == b'#') {
+            Some(end) if self.rest[end] == b'#' => self.rest.split_at(end),
             Some(end) => (&self.rest[..end], &self.rest[end + 1..]),
             None => (self.rest, &[][..]),
         };
