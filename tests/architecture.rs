@@ -42,7 +42,8 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 fn room_of(path: &str) -> Option<usize> {
     let path = path.replace("::", "/");
     ROOMS.iter().position(|room| {
-        path.strip_prefix(room).is_some_and(|rest| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
+        path.strip_prefix(room)
+            .is_some_and(|rest| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
     })
 }
 

@@ -66,7 +66,10 @@ fn every_bundled_frame_becomes_a_watertight_mesh_without_options() {
             }
             frames += 1;
             for output in ["mesh.ply", "mesh.obj", "mesh.vtk", "mesh.vtp", "mesh.stl"] {
-                let run = meniscus(folder.path(), &["reconstruct", frame.to_str().unwrap(), "-o", output, "--overwrite"]);
+                let run = meniscus(
+                    folder.path(),
+                    &["reconstruct", frame.to_str().unwrap(), "-o", output, "--overwrite"],
+                );
                 assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
                 let mesh = read_mesh(&folder.path().join(output)).unwrap();
                 assert!(mesh.triangles.len() > 1000);
@@ -140,7 +143,12 @@ fn an_existing_output_is_replaced_only_when_allowed() {
     assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply"], 2, &["out.ply", "--overwrite"]);
     assert_eq!(fs::read(&out).unwrap(), b"precious");
     // A failure keeps what was there, even where it may be replaced.
-    assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply", "--overwrite", "--iso", "0.999"], 3, &["empty"]);
+    assert_refused(
+        folder.path(),
+        &["ball.xyz", "-o", "out.ply", "--overwrite", "--iso", "0.999"],
+        3,
+        &["empty"],
+    );
     assert_eq!(fs::read(&out).unwrap(), b"precious");
     let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
     assert!(run.status.success());
@@ -219,7 +227,12 @@ fn bad_input_is_named_with_exit_3() {
         ("noise.bgeo", &[], &["noise.bgeo"]),
         (".", &[], &["."]),
     ] {
-        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), if file == "." { 2 } else { 3 }, says);
+        assert_refused(
+            folder.path(),
+            &[&[file, "-o", "out.ply"], more].concat(),
+            if file == "." { 2 } else { 3 },
+            says,
+        );
     }
 }
 
@@ -229,7 +242,9 @@ fn invalid_particles_are_dropped_and_counted_when_asked() {
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
     fs::write(folder.path().join("good.xyz"), raw(&ball)).unwrap();
     let mut bad = ball;
-    for (i, bad_position) in [[f64::NAN; 3], [0.0, f64::NEG_INFINITY, 0.0], [1e30, 0.0, 0.0]].into_iter().enumerate() {
+    for (i, bad_position) in
+        [[f64::NAN; 3], [0.0, f64::NEG_INFINITY, 0.0], [1e30, 0.0, 0.0]].into_iter().enumerate()
+    {
         bad.insert(100 * i, bad_position);
     }
     fs::write(folder.path().join("bad.xyz"), raw(&bad)).unwrap();
@@ -252,9 +267,15 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     assert_refused(folder.path(), &refused, 2, &["0.0001", "memory", "a cell size of"]);
     let output = meniscus(folder.path(), &[&["reconstruct"], &refused[..]].concat());
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    let (_, fitting) = errors.split_once("a cell size of ").and_then(|(_, rest)| rest.split_once("a cell size of ")).unwrap();
+    let (_, fitting) = errors
+        .split_once("a cell size of ")
+        .and_then(|(_, rest)| rest.split_once("a cell size of "))
+        .unwrap();
     let fitting = fitting.split(' ').next().unwrap();
-    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--cell-size", fitting, "--memory", "2MiB"]);
+    let run = meniscus(
+        folder.path(),
+        &["reconstruct", "ball.xyz", "-o", "out.ply", "--cell-size", fitting, "--memory", "2MiB"],
+    );
     assert!(run.status.success(), "{fitting}: {}", String::from_utf8_lossy(&run.stderr));
 }
 
@@ -271,11 +292,13 @@ fn a_dry_run_estimates_and_writes_nothing() {
 fn statistics_are_one_json_record_a_run() {
     let folder = folder_with_ball();
     for output in ["a.ply", "b.ply"] {
-        let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"]);
+        let run =
+            meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"]);
         assert!(run.status.success());
     }
     let text = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
-    let records: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let records: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(records.len(), 2);
     let mesh = read_mesh(&folder.path().join("b.ply")).unwrap();
     assert_eq!(records[1]["triangles"], mesh.triangles.len());
@@ -316,7 +339,11 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
 fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_one() {
     let folder = folder_with_ball();
     for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.05")] {
-        assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--iso", iso]).status.success());
+        assert!(
+            meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--iso", iso])
+                .status
+                .success()
+        );
     }
     let compare = |a: &str, b: &str| -> serde_json::Value {
         let run = meniscus(folder.path(), &["compare", "--json", a, b]);

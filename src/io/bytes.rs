@@ -10,6 +10,12 @@ use memmap2::Mmap;
 
 use super::{ReadError, ReadFault};
 
+/// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than this.
+const GREATEST_RATIO: u64 = 128;
+
+/// Bytes that any file may unpack to.
+const ALWAYS_UNPACKED: u64 = 64 << 20;
+
 /// A file's bytes, read-only.
 #[derive(Debug)]
 pub enum Bytes {
@@ -34,7 +40,7 @@ impl Deref for Bytes {
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
-/// [`ReadFault::Compression`] for a damaged gzip stream.
+/// [`ReadFault::Compression`] for a damaged gzip stream, or one that unpacks beyond all reason.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     let fail = |fault: ReadFault| ReadError::new(path, fault);
     let mut file = File::open(path).map_err(|e| fail(e.into()))?;
@@ -55,10 +61,16 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
         return Err(fail(ReadFault::Empty));
     }
     if bytes.starts_with(&[0x1f, 0x8b]) {
+        let limit = (GREATEST_RATIO * bytes.len() as u64).max(ALWAYS_UNPACKED);
         let mut unpacked = Vec::new();
         MultiGzDecoder::new(&*bytes)
+            .take(limit + 1)
             .read_to_end(&mut unpacked)
             .map_err(|e| fail(ReadFault::Compression(e.to_string())))?;
+        if unpacked.len() as u64 > limit {
+            let what = format!("it unpacks to more than {GREATEST_RATIO} times its size");
+            return Err(fail(ReadFault::Compression(what)));
+        }
         return Ok(Bytes::Owned(unpacked));
     }
     Ok(bytes)

@@ -3,6 +3,7 @@
 //! A binary format's reader parses the header and says where the columns lie; a text format's reader
 //! decodes into little-endian columns first. Nothing else differs between formats.
 
+use std::collections::HashSet;
 use std::ops::Deref;
 
 use crate::particles::{AttributeInfo, Particles};
@@ -23,19 +24,6 @@ pub enum Scalar {
     U64,
     F32,
     F64,
-}
-
-impl Scalar {
-    /// Width in bytes.
-    #[must_use]
-    pub fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::I64 | Self::U64 | Self::F64 => 8,
-        }
-    }
 }
 
 /// Byte order of a column.
@@ -60,6 +48,14 @@ pub struct Column {
     pub endian: Endian,
 }
 
+impl Column {
+    /// The column of the `index`-th number after this one in every tuple.
+    #[must_use]
+    pub fn component(self, index: usize) -> Self {
+        Self { offset: self.offset + index * self.scalar.size(), ..self }
+    }
+}
+
 /// The numbers of a particle file, still as stored, in bytes that are owned, mapped or borrowed.
 #[derive(Debug)]
 pub struct ColumnStore<B = Bytes> {
@@ -82,17 +78,20 @@ pub enum Rows {
 }
 
 impl<B: Deref<Target = [u8]>> ColumnStore<B> {
-    /// Joins columns to the bytes that hold them.
+    /// Joins columns to the bytes that hold them. Of attributes with one name the first is kept.
     ///
     /// # Panics
-    /// If a column reaches past the bytes: readers check a header's counts before they believe them.
+    /// If a column reaches past the bytes or its numbers overlap: readers check a header's counts before they
+    /// believe them.
     #[must_use]
     pub fn new(
         bytes: B,
         rows: Rows,
         position: [Column; 3],
-        attributes: Vec<(AttributeInfo, Vec<Column>)>,
+        mut attributes: Vec<(AttributeInfo, Vec<Column>)>,
     ) -> Self {
+        let mut names = HashSet::new();
+        attributes.retain(|(info, _)| names.insert(info.name.clone()));
         let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
         let last = match &rows {
             Rows::All(count) => count.checked_sub(1),
@@ -102,6 +101,7 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
             for column in position.iter().chain(columns.iter().flatten()) {
                 let end = column.offset + last * column.stride + column.scalar.size();
                 assert!(end <= bytes.len(), "a column ends at byte {end} of {}", bytes.len());
+                assert!(column.stride >= column.scalar.size(), "a stride of {} bytes", column.stride);
             }
         }
         for (info, columns) in infos.iter().zip(&columns) {
@@ -110,88 +110,52 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
         Self { bytes, rows, position, infos, columns }
     }
 
-    fn read<T>(&self, column: &Column, first: usize, count: usize, mut put: impl FnMut(usize, T))
-    where
-        T: FromScalar,
-    {
-        match (column.scalar, column.endian) {
-            (Scalar::I8, _) => self
-                .walk(column, first, count, |i, b: [u8; 1]| put(i, T::from_i64(i8::from_le_bytes(b).into()))),
-            (Scalar::U8, _) => {
-                self.walk(column, first, count, |i, b: [u8; 1]| put(i, T::from_i64(b[0].into())))
-            }
-            (Scalar::I16, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i16::from_le_bytes(b).into())))
-            }
-            (Scalar::I16, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i16::from_be_bytes(b).into())))
-            }
-            (Scalar::U16, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(u16::from_le_bytes(b).into())))
-            }
-            (Scalar::U16, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(u16::from_be_bytes(b).into())))
-            }
-            (Scalar::I32, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i32::from_le_bytes(b).into())))
-            }
-            (Scalar::I32, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i32::from_be_bytes(b).into())))
-            }
-            (Scalar::U32, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(u32::from_le_bytes(b).into())))
-            }
-            (Scalar::U32, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(u32::from_be_bytes(b).into())))
-            }
-            (Scalar::I64, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i64::from_le_bytes(b))))
-            }
-            (Scalar::I64, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_i64(i64::from_be_bytes(b))))
-            }
-            (Scalar::U64, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f64(u64::from_le_bytes(b) as f64)))
-            }
-            (Scalar::U64, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f64(u64::from_be_bytes(b) as f64)))
-            }
-            (Scalar::F32, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f32(f32::from_le_bytes(b))))
-            }
-            (Scalar::F32, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f32(f32::from_be_bytes(b))))
-            }
-            (Scalar::F64, Endian::Little) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f64(f64::from_le_bytes(b))))
-            }
-            (Scalar::F64, Endian::Big) => {
-                self.walk(column, first, count, |i, b| put(i, T::from_f64(f64::from_be_bytes(b))))
+    /// Fills the tuples of `out`, each as wide as `columns` are many, from particle `first` on.
+    fn read<T: Nearest>(&self, columns: &[Column], first: usize, out: &mut [T]) {
+        let width = columns.len();
+        let neighbours = columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
+        match columns {
+            [xyz, _, _] if neighbours => self.read_tuples::<T, 3>(xyz, first, out, width),
+            _ => {
+                for (component, column) in columns.iter().enumerate() {
+                    let out = out.get_mut(component..).unwrap_or_default();
+                    self.read_tuples::<T, 1>(column, first, out, width);
+                }
             }
         }
     }
 
-    fn walk<const N: usize>(
+    /// Puts `K` neighbouring numbers of every particle at the head of each `step` numbers of `out`.
+    fn tuples<T, const K: usize, const N: usize>(
         &self,
         column: &Column,
         first: usize,
-        count: usize,
-        mut put: impl FnMut(usize, [u8; N]),
+        out: &mut [T],
+        step: usize,
+        number: impl Fn([u8; N]) -> T,
     ) {
-        let at = |row: usize| {
-            let start = column.offset + row * column.stride;
-            let mut bytes = [0; N];
-            bytes.copy_from_slice(&self.bytes[start..start + N]);
-            bytes
+        let tuple = |out: &mut [T], bytes: &[u8]| {
+            let (stored, _) = bytes.as_chunks::<N>();
+            for (out, stored) in out[..K].iter_mut().zip(&stored[..K]) {
+                *out = number(*stored);
+            }
         };
+        let count = out.len().div_ceil(step);
         match &self.rows {
             Rows::All(rows) => {
-                assert!(first + count <= *rows, "particles {first} to {} of {rows}", first + count);
-                (0..count).for_each(|i| put(i, at(first + i)));
+                let end = first.saturating_add(count);
+                assert!(end <= *rows, "particles {first} to {end} of {rows}");
+                if count > 0 {
+                    let start = column.offset + first * column.stride;
+                    let bytes = &self.bytes[start..][..(count - 1) * column.stride + K * N];
+                    for (out, row) in out.chunks_mut(step).zip(bytes.chunks(column.stride)) {
+                        tuple(out, row);
+                    }
+                }
             }
             Rows::Chosen(rows) => {
-                for (i, &row) in rows[first..first + count].iter().enumerate() {
-                    put(i, at(row as usize));
+                for (out, &row) in out.chunks_mut(step).zip(&rows[first..first + count]) {
+                    tuple(out, &self.bytes[column.offset + row as usize * column.stride..]);
                 }
             }
         }
@@ -207,9 +171,7 @@ impl<B: Deref<Target = [u8]> + Sync> Particles for ColumnStore<B> {
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        for (axis, column) in self.position.iter().enumerate() {
-            self.read(column, first, out.len(), |i, x: f64| out[i][axis] = x);
-        }
+        self.read(&self.position, first, out.as_flattened_mut());
     }
 
     fn attributes(&self) -> &[AttributeInfo] {
@@ -217,41 +179,58 @@ impl<B: Deref<Target = [u8]> + Sync> Particles for ColumnStore<B> {
     }
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
-        let columns = &self.columns[index];
-        let count = out.len() / columns.len();
-        for (component, column) in columns.iter().enumerate() {
-            self.read(column, first, count, |i, x: f32| out[i * columns.len() + component] = x);
+        self.read(&self.columns[index], first, out);
+    }
+}
+
+/// Everything that is done for one type after the other.
+macro_rules! stored {
+    ($($scalar:ident $type:ident),*) => {
+        impl Scalar {
+            /// Width in bytes.
+            #[must_use]
+            pub fn size(self) -> usize {
+                match self {
+                    $(Self::$scalar => size_of::<$type>()),*
+                }
+            }
         }
-    }
+
+        /// A number that any stored one converts to, to the nearest value.
+        trait Nearest: Copy {
+            $(fn $type(value: $type) -> Self;)*
+        }
+
+        #[allow(clippy::cast_lossless)] // One line for all types, i64 among them.
+        impl Nearest for f32 {
+            $(fn $type(value: $type) -> Self { value as Self })*
+        }
+
+        #[allow(clippy::cast_lossless)]
+        impl Nearest for f64 {
+            $(fn $type(value: $type) -> Self { value as Self })*
+        }
+
+        impl<B: Deref<Target = [u8]>> ColumnStore<B> {
+            /// [`tuples`](Self::tuples) of whatever type and byte order `column` has.
+            fn read_tuples<T: Nearest, const K: usize>(
+                &self,
+                column: &Column,
+                first: usize,
+                out: &mut [T],
+                step: usize,
+            ) {
+                match (column.scalar, column.endian) {
+                    $((Scalar::$scalar, Endian::Little) => self.tuples::<T, K, _>(
+                        column, first, out, step, |bytes| T::$type($type::from_le_bytes(bytes)),
+                    ),
+                    (Scalar::$scalar, Endian::Big) => self.tuples::<T, K, _>(
+                        column, first, out, step, |bytes| T::$type($type::from_be_bytes(bytes)),
+                    ),)*
+                }
+            }
+        }
+    };
 }
 
-/// A number that a stored scalar converts to, to the nearest value.
-trait FromScalar {
-    fn from_i64(value: i64) -> Self;
-    fn from_f32(value: f32) -> Self;
-    fn from_f64(value: f64) -> Self;
-}
-
-impl FromScalar for f32 {
-    fn from_i64(value: i64) -> Self {
-        value as Self
-    }
-    fn from_f32(value: f32) -> Self {
-        value
-    }
-    fn from_f64(value: f64) -> Self {
-        value as Self
-    }
-}
-
-impl FromScalar for f64 {
-    fn from_i64(value: i64) -> Self {
-        value as Self
-    }
-    fn from_f32(value: f32) -> Self {
-        value.into()
-    }
-    fn from_f64(value: f64) -> Self {
-        value
-    }
-}
+stored!(I8 i8, U8 u8, I16 i16, U16 u16, I32 i32, U32 u32, I64 i64, U64 u64, F32 f32, F64 f64);

@@ -1,12 +1,20 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 
+pub mod bgeo;
+pub mod bi4;
 pub mod bytes;
 pub mod columns;
+pub mod cursor;
 pub mod encode;
+pub mod input;
+pub mod names;
+pub mod npy;
 pub mod ply;
 pub mod scan;
+pub mod scene;
 mod vertices;
 pub mod vtk;
+pub mod xyz;
 
 use std::path::{Path, PathBuf};
 

@@ -9,7 +9,8 @@ use std::io::{BufWriter, Write};
 
 fn main() -> std::io::Result<()> {
     let mut arguments = std::env::args().skip(1);
-    let (Some(millions), Some(path)) = (arguments.next().and_then(|a| a.parse::<f64>().ok()), arguments.next())
+    let (Some(millions), Some(path)) =
+        (arguments.next().and_then(|a| a.parse::<f64>().ok()), arguments.next())
     else {
         eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz");
         std::process::exit(2);

@@ -1,0 +1,127 @@
+//! Houdini's classic .bgeo ("BgeoV", version 5), as partio and SPlisHSPlasH write it.
+//!
+//! Everything is big endian. A header names the attributes, then come the points, one record each: x, y, z, w
+//! and the attributes, four bytes a number. What follows the points is of no use here and is not read.
+
+use crate::particles::AttributeInfo;
+
+use super::bytes::Bytes;
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::cursor::{Cursor, malformed};
+use super::{ParticleFile, ReadFault};
+
+/// Width of every number of a point.
+const NUMBER: u64 = 4;
+
+/// Reads the header and the attributes' names; the points stay where they are.
+///
+/// A vector or a list of numbers becomes one attribute; indexed strings are passed over. The weight w is not divided by: it is 1 for every point that is not part of a curve.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] for Houdini's newer files and plain strings; [`ReadFault::Malformed`] and
+/// [`ReadFault::Truncated`] for a header that does not fit the file.
+pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+    refuse_newer_formats(&bytes)?;
+    let mut cursor = Cursor::new(&bytes, 0, Endian::Big);
+    if cursor.take("the magic", 5)? != b"BgeoV" {
+        return Err(malformed(0, "not a .bgeo file: it does not begin with \"BgeoV\""));
+    }
+    let version = cursor.u32("the version")?;
+    if version != 5 {
+        return Err(ReadFault::Unsupported(format!("version {version} of .bgeo; only version 5 is known")));
+    }
+    let points = cursor.count("points")?;
+    cursor.skip("the header", 3, NUMBER)?;
+    let definitions = cursor.count("point attributes")?;
+    cursor.skip("the header", 3, NUMBER)?;
+
+    let mut record = 4 * NUMBER;
+    let mut attributes = Vec::new();
+    for _ in 0..definitions {
+        let definition = Definition::read(&mut cursor)?;
+        if let Some(scalar) = definition.scalar {
+            attributes.push((definition.name, definition.components, scalar, record));
+        }
+        record += u64::from(definition.components) * NUMBER;
+    }
+    let start = cursor.skip("the points", points, record)?;
+
+    let column = |scalar, within: u64| Column {
+        offset: start + within as usize,
+        stride: record as usize,
+        scalar,
+        endian: Endian::Big,
+    };
+    let position = column(Scalar::F32, 0);
+    let attributes = attributes
+        .into_iter()
+        .filter(|(_, components, ..)| *components > 0)
+        .map(|(name, components, scalar, within)| {
+            let components = usize::from(components);
+            let first = column(scalar, within);
+            let columns = (0..components).map(|index| first.component(index)).collect();
+            (AttributeInfo { name, components }, columns)
+        })
+        .collect();
+    Ok(ParticleFile {
+        particles: ColumnStore::new(
+            bytes,
+            Rows::All(points as usize),
+            [0, 1, 2].map(|axis| position.component(axis)),
+            attributes,
+        ),
+        format: "Houdini classic .bgeo",
+        spacing: None,
+    })
+}
+
+fn refuse_newer_formats(bytes: &[u8]) -> Result<(), ReadFault> {
+    let newer = if bytes.starts_with(b"\x7fNSJ") || bytes.starts_with(b"[") {
+        "JSON .bgeo of Houdini 12 and later"
+    } else if bytes.starts_with(b"scf1") {
+        ".bgeo.sc, compressed by blosc"
+    } else {
+        return Ok(());
+    };
+    Err(ReadFault::Unsupported(format!(
+        "{newer}; save it as .bhclassic, or with HOUDINI_GEOMETRY_FORMAT=hclassic"
+    )))
+}
+
+/// What a point attribute is called and how it is stored.
+struct Definition {
+    name: String,
+    components: u16,
+    /// None for indices into strings.
+    scalar: Option<Scalar>,
+}
+
+impl Definition {
+    fn read(cursor: &mut Cursor) -> Result<Self, ReadFault> {
+        let length = cursor.u16("an attribute's name")?;
+        let name = cursor.take("an attribute's name", length.into())?;
+        let name = String::from_utf8_lossy(name).into_owned();
+        let components = cursor.u16("an attribute's size")?;
+        let at = cursor.at();
+        let scalar = match cursor.u32("an attribute's type")? {
+            0 | 5 => Some(Scalar::F32),
+            1 => Some(Scalar::I32),
+            4 => None,
+            2 => {
+                let what =
+                    format!("the attribute {name} holds plain strings; delete it, or make it an indexed one");
+                return Err(ReadFault::Unsupported(what));
+            }
+            other => return Err(malformed(at, format!("the attribute {name} has the unknown type {other}"))),
+        };
+        if scalar.is_some() {
+            cursor.skip("an attribute's default values", components.into(), NUMBER)?;
+        } else {
+            for _ in 0..cursor.count("strings")? {
+                let length = cursor.u16("a string's length")?;
+                cursor.take("a string", length.into())?;
+            }
+        }
+        Ok(Self { name, components, scalar })
+    }
+}

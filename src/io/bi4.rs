@@ -1,0 +1,296 @@
+//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part.
+//!
+//! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays and items
+//! below it; each is preceded by the size of its definition. The root's values describe the case, its child
+//! `PART_xxxx` holds one array a quantity. Fixed, moving and floating particles lie in the same arrays: the
+//! fluid are those whose number comes after theirs.
+
+use crate::particles::AttributeInfo;
+use crate::units::positive_length;
+
+use super::bytes::Bytes;
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::cursor::{Cursor, malformed};
+use super::{ParticleFile, ReadFault};
+
+const HEAD: usize = 64;
+
+/// Reads the tree and picks the fluid; the arrays stay where they are.
+///
+/// Every array of numbers with one entry a particle becomes an attribute, positions excepted.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] for the simulator's other files and for parts in several pieces;
+/// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
+pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+    let Tree { case, arrays, endian } = Tree::read(&bytes)?;
+    if case.pieces > 1 {
+        let what = format!("one of {} pieces of a part; only parts in one piece are read", case.pieces);
+        return Err(ReadFault::Unsupported(what));
+    }
+    let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
+        let array = arrays
+            .iter()
+            .find(|array| names.contains(&array.name.as_str()))
+            .ok_or_else(|| malformed(HEAD, format!("no array {} or {} in the part", names[0], names[1])))?;
+        match array.shape {
+            Some((scalar, width)) if scalars.contains(&scalar) && width == components => Ok((array, scalar)),
+            _ => Err(malformed(array.offset, format!("the array {} is of another type", array.name))),
+        }
+    };
+    let (ids, id_scalar) = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
+    let (position, _) = find(["Pos", "Posd"], [Scalar::F32, Scalar::F64], 3)?;
+    if ids.count != position.count {
+        let what = format!("{} positions for {} particles", position.count, ids.count);
+        return Err(malformed(position.offset, what));
+    }
+    let id_bytes = &bytes[ids.offset..][..ids.count * id_scalar.size()];
+    let fluid = Fluid::pick(id_bytes.chunks_exact(id_scalar.size()), case.boundary()?, endian)?;
+
+    let columns = |array: &Array| {
+        let (scalar, components) = array.shape?;
+        let stride = components * scalar.size();
+        let first = Column { offset: array.offset + fluid.first * stride, stride, scalar, endian };
+        Some((0..components).map(|index| first.component(index)).collect::<Vec<_>>())
+    };
+    let attributes = arrays
+        .iter()
+        .filter(|array| array.count == ids.count && array.name != position.name)
+        .filter_map(|array| {
+            let columns = columns(array)?;
+            Some((AttributeInfo { name: array.name.clone(), components: columns.len() }, columns))
+        })
+        .collect();
+    let position = columns(position).and_then(|columns| columns.try_into().ok()).expect("found with three");
+    Ok(ParticleFile {
+        particles: ColumnStore::new(bytes, fluid.rows, position, attributes),
+        format: "DualSPHysics .bi4",
+        spacing: case.spacing,
+    })
+}
+
+/// Which rows of the arrays are fluid: from `first` on, those of `rows`.
+struct Fluid {
+    first: usize,
+    rows: Rows,
+}
+
+impl Fluid {
+    fn pick<'a>(
+        ids: impl Iterator<Item = &'a [u8]> + Clone,
+        boundary: u64,
+        endian: Endian,
+    ) -> Result<Self, ReadFault> {
+        let fluid = ids.enumerate().filter(|(_, id)| number(id, endian) >= boundary).map(|(row, _)| row);
+        let (mut first, mut last, mut count) = (0, 0, 0);
+        for row in fluid.clone() {
+            first = if count == 0 { row } else { first };
+            last = row;
+            count += 1;
+        }
+        if count == 0 || last - first + 1 == count {
+            return Ok(Self { first, rows: Rows::All(count) });
+        }
+        let rows = fluid.map(u32::try_from).collect::<Result<_, _>>().map_err(|_| {
+            ReadFault::Unsupported("more than 2^32 particles, fluid and boundary mixed".into())
+        })?;
+        Ok(Self { first: 0, rows: Rows::Chosen(rows) })
+    }
+}
+
+/// An unsigned number of up to eight bytes.
+fn number(bytes: &[u8], endian: Endian) -> u64 {
+    let push = |number: u64, &byte: &u8| number << 8 | u64::from(byte);
+    match endian {
+        Endian::Big => bytes.iter().fold(0, push),
+        Endian::Little => bytes.iter().rev().fold(0, push),
+    }
+}
+
+/// What the values say, as far as it concerns us.
+#[derive(Default)]
+struct Case {
+    /// CaseNfixed, CaseNmoving and CaseNfloat.
+    not_fluid: [Option<u64>; 3],
+    pieces: u64,
+    spacing: Option<f64>,
+}
+
+impl Case {
+    /// The lowest number of a fluid particle.
+    fn boundary(&self) -> Result<u64, ReadFault> {
+        self.not_fluid.iter().try_fold(0u64, |sum, count| sum.checked_add((*count)?)).ok_or_else(|| {
+            malformed(HEAD, "no counts of fixed, moving and floating particles (CaseNfixed and others)")
+        })
+    }
+
+    /// Notes the value called `name` if it is one of ours.
+    fn note(&mut self, name: &[u8], kind: Kind, value: &[u8], endian: Endian) {
+        let whole = matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
+        match name {
+            b"CaseNfixed" => self.not_fluid[0] = whole,
+            b"CaseNmoving" => self.not_fluid[1] = whole,
+            b"CaseNfloat" => self.not_fluid[2] = whole,
+            b"Npiece" => self.pieces = whole.unwrap_or(1),
+            b"Dp" if kind.scalar == Some(Scalar::F64) => {
+                let spacing = f64::from_bits(number(value, endian));
+                self.spacing = positive_length("Dp", spacing).ok();
+            }
+            _ => {}
+        }
+    }
+}
+
+/// An array of the part, checked to lie within the file.
+struct Array {
+    name: String,
+    /// Type and number of components; None for an array that is not of numbers.
+    shape: Option<(Scalar, usize)>,
+    count: usize,
+    offset: usize,
+}
+
+/// A type of value.
+#[derive(Clone, Copy)]
+struct Kind {
+    /// None for texts and truth values.
+    scalar: Option<Scalar>,
+    components: usize,
+    /// Bytes of a value; None where a length precedes it.
+    size: Option<u64>,
+}
+
+impl Kind {
+    fn read(cursor: &mut Cursor) -> Result<Self, ReadFault> {
+        let at = cursor.at();
+        let code = cursor.u32("a type")?;
+        let scalar = match code {
+            1 => return Ok(Self { scalar: None, components: 1, size: None }),
+            2 => return Ok(Self { scalar: None, components: 1, size: Some(4) }),
+            3 => Scalar::I8,
+            4 => Scalar::U8,
+            5 => Scalar::I16,
+            6 => Scalar::U16,
+            7 | 20 => Scalar::I32,
+            8 | 21 => Scalar::U32,
+            9 => Scalar::I64,
+            10 => Scalar::U64,
+            11 | 22 => Scalar::F32,
+            12 | 23 => Scalar::F64,
+            _ => return Err(malformed(at, format!("the unknown type {code}"))),
+        };
+        let components = if code >= 20 { 3 } else { 1 };
+        Ok(Self { scalar: Some(scalar), components, size: Some((components * scalar.size()) as u64) })
+    }
+}
+
+/// The items of a file, laid flat: the values of all, and the arrays of its one part.
+struct Tree {
+    case: Case,
+    arrays: Vec<Array>,
+    endian: Endian,
+}
+
+impl Tree {
+    fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
+        let head = Cursor::new(bytes, 0, Endian::Little).take("the file head", HEAD as u64)?;
+        let code = head[..58].strip_prefix(b"#FileJBD ".as_slice()).map(<[u8]>::trim_ascii_end);
+        match code {
+            Some(b"JPartDataBi4") => {}
+            Some(other) => {
+                let what = String::from_utf8_lossy(other);
+                let what = format!("a {what} file holds no particles; those are in Part_0000.bi4 and so on");
+                return Err(ReadFault::Unsupported(what));
+            }
+            None => return Err(malformed(0, "not a .bi4 file: it does not begin with \"#FileJBD\"")),
+        }
+        let (endian, wide) = match head[60] {
+            0 => (Endian::Little, false),
+            1 => (Endian::Big, false),
+            10 => (Endian::Little, true),
+            11 => (Endian::Big, true),
+            other => return Err(malformed(60, format!("the unknown byte order {other}"))),
+        };
+        let mut cursor = Cursor::new(bytes, HEAD, endian);
+        let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
+        // An item's children follow it directly, so a count of those to come is all that the tree needs.
+        let mut to_come: u64 = 1;
+        while to_come > 0 {
+            to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
+        }
+        Ok(tree)
+    }
+
+    /// Reads one item but not its children, whose number it returns.
+    fn item(&mut self, cursor: &mut Cursor, wide: bool) -> Result<u64, ReadFault> {
+        cursor.u32("an item's size")?;
+        tag(cursor, b"\nITEM\n")?;
+        let is_part = text(cursor, "an item's name")?.starts_with(b"PART_");
+        cursor.take("an item's flags", 8)?;
+        text(cursor, "an item's format")?;
+        text(cursor, "an item's format")?;
+        let arrays = cursor.u32("the number of arrays")?;
+        let items = cursor.u32("the number of items")?;
+        if cursor.u32("the size of the values")? > 0 {
+            self.values(cursor)?;
+        }
+        for _ in 0..arrays {
+            let array = Array::read(cursor, wide)?;
+            if is_part {
+                self.arrays.push(array);
+            }
+        }
+        Ok(items.into())
+    }
+
+    fn values(&mut self, cursor: &mut Cursor) -> Result<(), ReadFault> {
+        tag(cursor, b"\nVALUES")?;
+        for _ in 0..cursor.u32("the number of values")? {
+            let name = text(cursor, "a value's name")?;
+            let kind = Kind::read(cursor)?;
+            let value = match kind.size {
+                Some(size) => cursor.take("a value", size)?,
+                None => text(cursor, "a text")?,
+            };
+            self.case.note(name, kind, value, self.endian);
+        }
+        Ok(())
+    }
+}
+
+impl Array {
+    fn read(cursor: &mut Cursor, wide: bool) -> Result<Self, ReadFault> {
+        cursor.u32("an array's size")?;
+        tag(cursor, b"\nARRAY")?;
+        let name = String::from_utf8_lossy(text(cursor, "an array's name")?).into_owned();
+        cursor.take("an array's flag", 4)?;
+        let kind = Kind::read(cursor)?;
+        let at = cursor.at();
+        let mut size = |what| if wide { cursor.u64(what) } else { cursor.u32(what).map(u64::from) };
+        let count = size("an array's count")?;
+        let bytes = size("an array's size")?;
+        let entry = kind.size.filter(|_| kind.scalar.is_some());
+        if entry.is_some_and(|size| count.checked_mul(size) != Some(bytes)) {
+            return Err(malformed(at, format!("the array {name} of {count} entries has {bytes} bytes")));
+        }
+        let offset = cursor.skip(&format!("the array {name}"), bytes, 1)?;
+        let shape = kind.scalar.map(|scalar| (scalar, kind.components));
+        Ok(Self { name, shape, count: count as usize, offset })
+    }
+}
+
+/// Bytes after their number.
+fn text<'a>(cursor: &mut Cursor<'a>, what: &str) -> Result<&'a [u8], ReadFault> {
+    let length = cursor.u32(what)?;
+    cursor.take(what, length.into())
+}
+
+fn tag(cursor: &mut Cursor, tag: &[u8]) -> Result<(), ReadFault> {
+    let at = cursor.at();
+    let found = text(cursor, "a tag")?;
+    if found != tag {
+        let [found, tag] = [found, tag].map(String::from_utf8_lossy);
+        return Err(malformed(at, format!("{found:?} where {tag:?} was expected")));
+    }
+    Ok(())
+}

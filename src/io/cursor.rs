@@ -1,0 +1,95 @@
+//! Reading a binary header: every step is checked against the bytes that are there.
+
+use super::ReadFault;
+use super::columns::Endian;
+
+/// A position in the bytes of a file, which every read moves on.
+#[derive(Debug, Clone)]
+pub struct Cursor<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    endian: Endian,
+}
+
+impl<'a> Cursor<'a> {
+    /// At byte `at` of `bytes`.
+    #[must_use]
+    pub fn new(bytes: &'a [u8], at: usize, endian: Endian) -> Self {
+        Self { bytes, at, endian }
+    }
+
+    /// Bytes from the start of the file.
+    #[must_use]
+    pub fn at(&self) -> usize {
+        self.at
+    }
+
+    /// Passes over `count` records of `stride` bytes each, and returns where they start.
+    ///
+    /// # Errors
+    /// [`ReadFault::Truncated`] where the file ends before they do, whatever the numbers.
+    pub fn skip(&mut self, what: &str, count: u64, stride: u64) -> Result<usize, ReadFault> {
+        let start = self.at;
+        let needed = count.saturating_mul(stride).saturating_add(start as u64);
+        if needed > self.bytes.len() as u64 {
+            let have = self.bytes.len() as u64;
+            return Err(ReadFault::Truncated { what: what.into(), needed, have });
+        }
+        self.at = needed as usize;
+        Ok(start)
+    }
+
+    /// The next `count` bytes.
+    ///
+    /// # Errors
+    /// [`ReadFault::Truncated`], as in all that follow.
+    pub fn take(&mut self, what: &str, count: u64) -> Result<&'a [u8], ReadFault> {
+        let start = self.skip(what, count, 1)?;
+        Ok(&self.bytes[start..self.at])
+    }
+
+    fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(what, N as u64)?);
+        if self.endian == Endian::Big {
+            array.reverse();
+        }
+        Ok(array)
+    }
+
+    /// A 16-bit number.
+    pub fn u16(&mut self, what: &str) -> Result<u16, ReadFault> {
+        self.array(what).map(u16::from_le_bytes)
+    }
+
+    /// A 32-bit number.
+    pub fn u32(&mut self, what: &str) -> Result<u32, ReadFault> {
+        self.array(what).map(u32::from_le_bytes)
+    }
+
+    /// A 64-bit number.
+    pub fn u64(&mut self, what: &str) -> Result<u64, ReadFault> {
+        self.array(what).map(u64::from_le_bytes)
+    }
+
+    /// A double.
+    pub fn f64(&mut self, what: &str) -> Result<f64, ReadFault> {
+        self.array(what).map(f64::from_le_bytes)
+    }
+
+    /// A count that the format stores with a sign.
+    ///
+    /// # Errors
+    /// [`ReadFault::Malformed`] for a negative one.
+    pub fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
+        let at = self.at;
+        let count = self.u32(what)? as i32;
+        u64::try_from(count).map_err(|_| malformed(at, format!("{count} {what}")))
+    }
+}
+
+/// A fault at byte `at`.
+#[must_use]
+pub fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
+    ReadFault::Malformed { at: at as u64, what: what.into() }
+}

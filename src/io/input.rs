@@ -1,0 +1,41 @@
+//! Particle files: which reader opens which.
+
+use std::path::Path;
+
+use super::bytes::{Bytes, open_bytes};
+use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, ply, vtk, xyz};
+
+/// The extensions that [`open_particles`] knows, in the words of a message.
+pub const KNOWN: &str =
+    ".bgeo, .bhclassic, .bi4, .csv, .npy, .ply, .txt, .vtk, .xyz, and .gz after any of them";
+
+/// Opens a particle file with the reader that its extension names, in upper or lower case.
+///
+/// A gzipped file opens under its plain name as well as with `.gz` appended.
+///
+/// # Errors
+/// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
+pub fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
+    let fail = |fault| ReadError::new(path, fault);
+    let reader = reader_for(path).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
+    reader(open_bytes(path)?).map_err(fail)
+}
+
+type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
+
+fn reader_for(path: &Path) -> Option<Reader> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
+    match extension {
+        // `.bgeo.sc` is recognised to say what to do instead.
+        "bgeo" | "bhclassic" => Some(bgeo::read_particles),
+        "sc" if name.ends_with(".bgeo.sc") => Some(bgeo::read_particles),
+        "bi4" => Some(bi4::read_particles),
+        "csv" | "txt" => Some(xyz::read_text),
+        "npy" => Some(npy::read_particles),
+        "ply" => Some(ply::read_particles),
+        "vtk" => Some(vtk::read_particles),
+        "xyz" => Some(xyz::read_particles),
+        _ => None,
+    }
+}

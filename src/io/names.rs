@@ -1,0 +1,72 @@
+//! What the columns of a table are called, and which belong together: `vx`, `vy`, `vz` are one velocity.
+
+use std::collections::HashMap;
+
+/// What a position may be called, the likeliest first. The empty name is that of plain `x`, `y`, `z`.
+const POSITION: [&str; 10] =
+    ["", "points", "point", "pos", "position", "positions", "p", "coordinates", "coords", "coord"];
+
+/// One quantity of a table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Quantity {
+    /// Without unit and component.
+    pub name: String,
+    /// Numbers of the columns that hold it: one, or those of x, y and z.
+    pub columns: Vec<usize>,
+}
+
+/// Finds the position among the columns called `names`, and then all other quantities in their order.
+///
+/// Columns are one vector where their names differ only in a last `x`, `y`, `z`, or `0`, `1`, `2` after a
+/// separator: `Pos.x [m]`, `"Points:0"`, `vel_x`, `vel[0]`, `vx`. None where no position is among them.
+#[must_use]
+pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
+    let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
+    let mut vectors = HashMap::<_, [Option<usize>; 3]>::new();
+    for (column, name) in names.iter().enumerate() {
+        if let Some((stem, axis)) = component(name) {
+            vectors.entry(stem).or_default()[axis].get_or_insert(column);
+        }
+    }
+    let mut all = Vec::new();
+    for (column, name) in names.iter().enumerate() {
+        let vector = component(name).and_then(|(stem, _)| match vectors[&stem] {
+            [Some(x), Some(y), Some(z)] => Some((stem.0, [x, y, z])),
+            _ => None,
+        });
+        match vector {
+            Some((stem, columns)) if columns[0] == column => {
+                let name = stem.trim_end_matches(['.', ':', '_', '-', '[', ' ']).to_owned();
+                all.push(Quantity { name, columns: columns.into() });
+            }
+            Some((_, columns)) if columns.contains(&column) => {}
+            _ => all.push(Quantity { name: (*name).to_owned(), columns: vec![column] }),
+        }
+    }
+    let position = POSITION.iter().find_map(|position| {
+        all.iter().position(|q| q.columns.len() == 3 && q.name.eq_ignore_ascii_case(position))
+    })?;
+    Some((all.remove(position), all))
+}
+
+fn without_unit(name: &str) -> &str {
+    let name = name.trim().trim_matches(['"', '\'']);
+    let end = name.find(" [").or_else(|| name.find(" (")).unwrap_or(name.len());
+    name[..end].trim()
+}
+
+/// Splits `vel.x` into the stem `vel.` and the axis 0. The stem says too whether axes are letters or digits.
+fn component(name: &str) -> Option<((&str, bool), usize)> {
+    let name = name.strip_suffix(']').unwrap_or(name);
+    let last = name.chars().next_back()?;
+    let stem = &name[..name.len() - last.len_utf8()];
+    match last {
+        'x' | 'X' => Some(((stem, false), 0)),
+        'y' | 'Y' => Some(((stem, false), 1)),
+        'z' | 'Z' => Some(((stem, false), 2)),
+        '0'..='2' if stem.ends_with(['.', ':', '_', '-', '[', ' ']) => {
+            Some(((stem, true), last as usize - '0' as usize))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,501 @@
+//! Particle files: what is read is what was written, and nothing damaged gets through or brings the reader down.
+
+#[path = "readers/build.rs"]
+mod build;
+#[path = "readers/meter.rs"]
+mod meter;
+
+use std::path::{Path, PathBuf};
+
+use meniscus::io::bytes::Bytes;
+use meniscus::io::input::open_particles;
+use meniscus::io::scene::spacing_beside;
+use meniscus::io::{ParticleFile, ReadFault, bgeo, bi4, npy, xyz};
+use meniscus::particles::{Particles, velocity_attribute};
+
+use build::{Bi4, gzip, tuples};
+
+type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
+    let mut out = vec![[f64::NAN; 3]; file.particles.len()];
+    file.particles.positions(0, &mut out);
+    out
+}
+
+fn attribute(file: &ParticleFile, name: &str) -> Vec<f32> {
+    let infos = file.particles.attributes();
+    let index = infos.iter().position(|info| info.name == name).expect(name);
+    let mut out = vec![f32::NAN; file.particles.len() * infos[index].components];
+    file.particles.attribute(index, 0, &mut out);
+    out
+}
+
+fn attributes(file: &ParticleFile) -> Vec<(&str, usize)> {
+    file.particles.attributes().iter().map(|info| (info.name.as_str(), info.components)).collect()
+}
+
+fn bounds(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
+    let fold = |start: f64, pick: fn(f64, f64) -> f64| {
+        [0, 1, 2].map(|axis| positions.iter().map(|p| p[axis]).fold(start, pick))
+    };
+    [fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max)]
+}
+
+fn read(reader: Reader, bytes: &[u8]) -> Result<ParticleFile, ReadFault> {
+    reader(Bytes::Owned(bytes.to_vec()))
+}
+
+fn text(text: &str) -> Result<ParticleFile, ReadFault> {
+    read(xyz::read_text, text.as_bytes())
+}
+
+fn fault(result: Result<ParticleFile, ReadFault>) -> String {
+    result.expect_err("a fault").to_string()
+}
+
+/// One small file of every binary format and layout.
+fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
+    let points = tuples(7);
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> = vec![
+        ("bgeo", bgeo::read_particles, build::bgeo(&points)),
+        ("raw.xyz", xyz::read_particles, build::raw(&points)),
+    ];
+    for descr in ["<f4", "<f8", ">f4", ">f8"] {
+        for fortran in [false, true] {
+            samples.push(("npy", npy::read_particles, build::npy(&points, descr, fortran)));
+        }
+    }
+    for big in [false, true] {
+        for wide in [false, true] {
+            for double in [false, true] {
+                for mixed in [false, true] {
+                    let layout = Bi4 { big, wide, double, mixed, pieces: 1 };
+                    samples.push(("bi4", bi4::read_particles, layout.build(&points)));
+                }
+            }
+        }
+    }
+    samples
+}
+
+#[test]
+fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
+    let frames = [
+        (
+            1,
+            [
+                [-1.9000000953674316, 0.09996075928211212, -0.44999998807907104],
+                [-1.0000001192092896, 1.2499607801437378, 0.45000001788139343],
+            ],
+            0.019620001316070557,
+        ),
+        (
+            10,
+            [
+                [-1.9498687982559204, 0.0397249311208725, -0.7047143578529358],
+                [-0.18260399997234344, 1.037776231765747, 0.704704761505127],
+            ],
+            7.032591819763184,
+        ),
+        (
+            20,
+            [
+                [-1.9468082189559937, 0.03871124982833862, -0.7047089338302612],
+                [1.645922303199768, 2.7653231620788574, 0.704710841178894],
+            ],
+            6.232513427734375,
+        ),
+    ];
+    for (number, bounds_said, fastest) in frames {
+        let file =
+            open_particles(&data(&format!("dambreak_small/ParticleData_Fluid_{number}.bgeo"))).unwrap();
+        assert_eq!(file.particles.len(), 8664);
+        assert_eq!(bounds(&positions(&file)), bounds_said, "frame {number}");
+        assert_eq!(attributes(&file), [("id", 1), ("velocity", 3), ("density", 1)]);
+        assert_eq!(velocity_attribute(file.particles.attributes()), Some(1));
+        let speeds = attribute(&file, "velocity");
+        let speeds = speeds.chunks(3).map(|v| v.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt());
+        assert!((speeds.fold(0.0, f64::max) - fastest).abs() < 1e-6, "frame {number}");
+        let mut ids = attribute(&file, "id");
+        ids.sort_by(f32::total_cmp);
+        assert!(ids.iter().enumerate().all(|(i, &id)| i as f32 == id), "ids are a permutation");
+    }
+}
+
+/// Counted and measured by a separate program: it looked for the array tags in the bytes, and took the rows
+/// whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+#[test]
+fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
+    let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
+    assert_eq!(file.spacing, Some(0.02));
+    assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3), ("Rhop", 1)]);
+    let positions = positions(&file);
+    assert_eq!(positions.len(), 9600);
+    assert_eq!(
+        bounds(&positions),
+        [
+            [0.028087908402085304, 0.02641223929822445, 0.025894498452544212],
+            [1.3392283916473389, 0.6535863280296326, 0.19753335416316986]
+        ]
+    );
+    assert_eq!(positions[1234], [0.12831753492355347, 0.25041982531547546, 0.039033424109220505]);
+    assert_eq!(attribute(&file, "Idp")[1234], 9452.0);
+    assert_eq!(attribute(&file, "Vel")[3 * 1234..][..3], [0.179_336_86, 0.003_737_534_4, -0.018_744_586]);
+    assert_eq!(attribute(&file, "Rhop")[1234], 999.602_84);
+}
+
+#[test]
+fn every_binary_layout_reads_back_to_the_bit_gzipped_or_not() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, _, bytes)) in samples().into_iter().enumerate() {
+        let plain = folder.path().join(format!("{number}.{name}"));
+        let packed = folder.path().join(format!("{number}.{}.GZ", name.to_uppercase()));
+        let misnamed = folder.path().join(format!("{number}-packed.{name}"));
+        std::fs::write(&plain, &bytes).unwrap();
+        std::fs::write(&packed, gzip(&bytes)).unwrap();
+        std::fs::write(&misnamed, gzip(&bytes)).unwrap();
+        for path in [plain, packed, misnamed] {
+            let file = open_particles(&path).unwrap();
+            assert_eq!(positions(&file), tuples(7), "{}", path.display());
+        }
+    }
+}
+
+#[test]
+fn any_range_of_a_file_is_the_same_as_in_the_whole() {
+    for (name, reader, bytes) in samples() {
+        let file = read(reader, &bytes).unwrap();
+        let whole = positions(&file);
+        for first in 0..=whole.len() {
+            for count in 0..=whole.len() - first {
+                let mut part = vec![[0.0; 3]; count];
+                file.particles.positions(first, &mut part);
+                assert_eq!(part, whole[first..first + count], "{name} {first} {count}");
+            }
+        }
+    }
+}
+
+#[test]
+fn attributes_of_a_bgeo_are_floats_vectors_and_integers_without_strings() {
+    let file = read(bgeo::read_particles, &build::bgeo(&tuples(7))).unwrap();
+    assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("uv", 2)]);
+    assert_eq!(attribute(&file, "id"), [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+    let v: Vec<f32> = (0..7).flat_map(|i| [0.5, 1.5, 2.5].map(|x| x + i as f32)).collect();
+    assert_eq!(attribute(&file, "v"), v);
+    let uv: Vec<f32> = (0..7).flat_map(|i| [0.25, 0.75].map(|x| x + i as f32)).collect();
+    assert_eq!(attribute(&file, "uv"), uv);
+}
+
+#[test]
+fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
+    for mixed in [false, true] {
+        let layout = Bi4 { big: false, wide: false, double: false, mixed, pieces: 1 };
+        let file = read(bi4::read_particles, &layout.build(&tuples(7))).unwrap();
+        assert_eq!(file.spacing, Some(0.25));
+        assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
+        assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
+        let velocity: Vec<f32> = tuples(7).as_flattened().iter().map(|&x| 2.0 * x as f32).collect();
+        assert_eq!(attribute(&file, "Vel"), velocity);
+    }
+}
+
+#[test]
+fn no_particles_are_no_error() {
+    let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1 };
+    let empty: [(Reader, Vec<u8>); 5] = [
+        (bgeo::read_particles, build::bgeo(&[])),
+        (npy::read_particles, build::npy(&[], "<f4", false)),
+        (npy::read_particles, build::npy(&[], "<f4", true)),
+        (bi4::read_particles, layout.build(&[])),
+        (xyz::read_text, b"# nobody here\n\n".to_vec()),
+    ];
+    for (reader, bytes) in empty {
+        assert!(read(reader, &bytes).unwrap().particles.is_empty());
+    }
+    let named = text("x,y,z,vx,vy,vz\n").unwrap();
+    assert_eq!((named.particles.len(), attributes(&named)), (0, vec![("v", 3)]));
+}
+
+#[test]
+fn a_truncated_file_is_refused_at_every_prefix() {
+    for (name, reader, bytes) in samples() {
+        for end in 0..bytes.len() {
+            match read(reader, &bytes[..end]) {
+                Err(ReadFault::Truncated { needed, have, .. }) => {
+                    assert!(have == end as u64 && needed > have, "{name} cut at {end}");
+                }
+                Err(ReadFault::Malformed { .. }) if name == "raw.xyz" => assert_ne!(end % 12, 0),
+                Err(other) => panic!("{name} cut at {end}: {other}"),
+                Ok(_) => assert!(name == "raw.xyz" && end % 12 == 0, "{name} cut at {end} is read"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_truncated_gzip_is_refused_at_every_prefix() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frame.bgeo");
+    let packed = gzip(&build::bgeo(&tuples(7)));
+    for end in 2..packed.len() {
+        std::fs::write(&path, &packed[..end]).unwrap();
+        let fault = open_particles(&path).expect_err("refused").fault;
+        assert!(matches!(fault, ReadFault::Compression(_)), "cut at {end}: {fault}");
+    }
+}
+
+#[test]
+fn a_gzip_bomb_is_refused_before_it_fills_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bomb.xyz");
+    let of_64_mib = gzip(&vec![0; 64 << 20]);
+    std::fs::write(&path, of_64_mib.repeat(8)).unwrap();
+    let (result, largest) = meter::largest_allocation(|| open_particles(&path));
+    let fault = result.expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Compression(_)), "{fault}");
+    assert!(largest <= 256 << 20, "{largest} bytes");
+}
+
+#[test]
+fn a_flipped_byte_is_read_or_refused_but_never_a_panic() {
+    let table =
+        b"a title\nx,y,z,vel:0,vel:1,vel:2,rho\n1,2,3,4,5,6,7\n# note\n1e3,-.5,nan,4,5,6,7\n".to_vec();
+    let mut samples = samples();
+    samples.push(("csv", xyz::read_text, table));
+    for (_, reader, bytes) in samples {
+        for at in 0..bytes.len() {
+            for mask in [0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= mask;
+                if let Ok(file) = read(reader, &damaged) {
+                    positions(&file);
+                    for info in file.particles.attributes() {
+                        attribute(&file, &info.name);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
+    let points = tuples(7);
+    let most = i32::MAX.to_be_bytes();
+    let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
+    for count_at in [9, 25] {
+        let mut bytes = build::bgeo(&points);
+        bytes[count_at..count_at + 4].copy_from_slice(&most);
+        cases.push((bgeo::read_particles, bytes));
+    }
+    for rows in [1 << 31, 1 << 63, u64::MAX] {
+        for fortran in [false, true] {
+            cases.push((npy::read_particles, build::npy_header("<f8", fortran, &format!("({rows}, 3)"))));
+        }
+    }
+    for wide in [false, true] {
+        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1 }.build(&points);
+        let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
+        for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
+            // Past the tag, a name of 3 letters (all three are), the flag and the type.
+            let count_at = tag + 6 + 4 + 3 + 4 + 4;
+            let mut bytes = bytes.clone();
+            let width = if wide { 8 } else { 4 };
+            for field in [0, width] {
+                let top = if wide { 0x80 } else { 0x7f };
+                bytes[count_at + field] = top;
+            }
+            cases.push((bi4::read_particles, bytes));
+        }
+    }
+    for (reader, bytes) in cases {
+        let (result, largest) = meter::largest_allocation(|| reader(Bytes::Owned(bytes)));
+        let fault = result.expect_err("refused");
+        assert!(matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. }), "{fault}");
+        assert!(largest < 4096, "{largest} bytes for: {fault}");
+    }
+}
+
+#[test]
+fn what_is_not_read_says_what_to_do() {
+    let points = tuples(2);
+    let of_pieces = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3 };
+    let mut info = of_pieces.build(&points);
+    info[9..27].copy_from_slice(b"JPartDataBi4_Info ");
+    let cases: [(Reader, Vec<u8>, &str); 9] = [
+        (bgeo::read_particles, b"\x7fNSJ\x00\x00".to_vec(), ".bhclassic"),
+        (bgeo::read_particles, b"scf1\x00\x00".to_vec(), "hclassic"),
+        (npy::read_particles, build::npy_header("|O", false, "(2, 3)"), "elements |O"),
+        (npy::read_particles, build::npy_header("<i8", false, "(2, 3)"), "float32"),
+        (npy::read_particles, build::npy_header("<f4", false, "(2, 4)"), "shape (2, 4)"),
+        (npy::read_particles, build::npy_header("<f4", false, "(6,)"), "shape (6,)"),
+        (npy::read_particles, build::npy_header("<f4", false, "()"), "shape ()"),
+        (bi4::read_particles, of_pieces.build(&points), "one of 3 pieces"),
+        (bi4::read_particles, info, "Part_0000.bi4"),
+    ];
+    for (reader, bytes, words) in cases {
+        let fault = read(reader, &bytes).expect_err(words);
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+        assert!(fault.to_string().contains(words), "{fault}");
+    }
+}
+
+#[test]
+fn separators_comments_and_line_ends_do_not_change_a_table() {
+    let same = [
+        "1 2 3\n4 5 -6e-1\n",
+        "1,2,3\r\n4,5,-6e-1",
+        "1, 2, 3 # the first, no more\n4,5,-.6# the second\n",
+        "\u{feff}# by hand\n1;2;3;\n\n4; 5; -6e-1;\n# end\n",
+        "  1\t2\t3   # the first\n\t4  5  -0.6\n",
+        "x y z\n1 2 3\n4 5 -.6\n",
+        "a title\nX;Y;Z\n1;2;3\n4;5;-.6\n",
+        "# z y x\n3 2 1\n-0.6 5 4\n",
+        "# x y z of all particles\n1 2 3\n4 5 -.6\n",
+        "title 1\n1,2,3\n4,5,-0.6\n",
+        "\"Points:0\",\"Points:1\",\"Points:2\"\n1,2,3\n4,5,-0.6\n",
+    ];
+    for table in same {
+        assert_eq!(positions(&text(table).expect(table)), [[1.0, 2.0, 3.0], [4.0, 5.0, -0.6]], "{table:?}");
+    }
+}
+
+#[test]
+fn named_columns_become_attributes_with_their_components() {
+    let table = "TimeStep [s];Np;Nbound\n0.5;2;0\n\n\
+        Pos.x [m];Pos.y [m];Pos.z [m];Idp;Vel.x [m/s];Vel.y [m/s];Vel.z [m/s];Rhop [kg/m^3];\n\
+        1;2;3;10;4;5;6;1000;\n7;8;9;11;-4;-5;-6;1001;\n";
+    let file = text(table).unwrap();
+    assert_eq!(positions(&file), [[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]]);
+    assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3), ("Rhop", 1)]);
+    assert_eq!(attribute(&file, "Vel"), [4.0, 5.0, 6.0, -4.0, -5.0, -6.0]);
+    assert_eq!(attribute(&file, "Rhop"), [1000.0, 1001.0]);
+
+    let file = text("id,vx,z,index,vy,y,x,vz,n:0,n:1,n:2,n:3\n1,2,3,8,4,5,6,7,9,10,11,12\n").unwrap();
+    assert_eq!(positions(&file), [[6.0, 5.0, 3.0]]);
+    assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("index", 1), ("n", 3), ("n:3", 1)]);
+    assert_eq!(attribute(&file, "v"), [2.0, 4.0, 7.0]);
+    assert_eq!(attribute(&file, "n"), [9.0, 10.0, 11.0]);
+}
+
+#[test]
+fn not_a_number_and_infinity_are_read_as_such() {
+    let read = positions(&text("nan,inf,-inf\n").unwrap())[0];
+    assert!(read[0].is_nan());
+    assert_eq!(read[1..], [f64::INFINITY, f64::NEG_INFINITY]);
+}
+
+#[test]
+fn a_bad_line_is_named_by_its_number() {
+    let cases = [
+        ("1,2,3\n4,5\n", "line 2: 2 fields where 3 are expected"),
+        ("1,2,3\n4,5,6,7\n", "line 2: 4 fields where 3 are expected"),
+        ("x,y,z\n\n1,2,3\n4,,6\n", "line 4: \"\" is not a number"),
+        ("x;y;z\n1,5;2,5;3,5\n", "line 2: \"1,5\" is not a number"),
+        ("1 2 3\n# note\n\nx y z\n", "line 4: \"x\" is not a number"),
+        ("1 2\n", "line 1: 2 fields where x, y and z are expected"),
+        (
+            "a,b,c\n1,2,3\n",
+            "line 1: neither three numbers nor the names of columns x, y and z: \"a\", \"b\", \"c\"",
+        ),
+        ("hello\n", "line 1: neither three numbers nor the names of columns x, y and z: \"hello\""),
+        ("x,y\n1,2\n", "line 1: neither three numbers nor the names of columns x, y and z: \"x\", \"y\""),
+    ];
+    for (table, said) in cases {
+        assert_eq!(fault(text(table)), said, "{table:?}");
+    }
+}
+
+#[test]
+fn a_long_table_is_the_same_whoever_decodes_it() {
+    let rows = 200_000;
+    let mut table = String::from("x,y,z\n");
+    for i in 0..rows {
+        table += &format!("{},{},{}\n", i, f64::from(i) * 0.1, -i);
+    }
+    let decode = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| positions(&text(&table).unwrap()))
+    };
+    let one = decode(1);
+    assert_eq!(one, decode(3));
+    assert_eq!(one.len(), rows as usize);
+    assert!(one.iter().zip(0..).all(|(p, i)| *p == [f64::from(i), f64::from(i) * 0.1, -f64::from(i)]));
+
+    let bad = table.replace("\n150000,", "\n150000.0.0,");
+    assert_eq!(fault(text(&bad)), "line 150002: \"150000.0.0\" is not a number");
+}
+
+#[test]
+fn a_prefix_of_a_table_is_its_first_rows_or_an_error() {
+    let table = "x,y,z,vx,vy,vz\n1,2,3,4,5,6\n10,20,30,40,50,60\n7,8,9,10,11,12\n";
+    let whole = positions(&text(table).unwrap());
+    for end in 1..table.len() {
+        if let Ok(file) = text(&table[..end]) {
+            let rows = positions(&file);
+            assert_eq!(rows, whole[..rows.len()], "cut at {end}");
+            assert!(rows.is_empty() || attributes(&file) == [("v", 3)], "cut at {end}");
+        }
+    }
+}
+
+#[test]
+fn an_xyz_is_text_or_raw_by_its_bytes() {
+    let raw = read(xyz::read_particles, &build::raw(&tuples(7))).unwrap();
+    assert_eq!((raw.format, positions(&raw)), ("raw f32 .xyz", tuples(7)));
+    let accents = format!("# {}\n1 2 3\n", "\u{e9}".repeat(3000));
+    for start in [accents.clone(), format!(" {accents}")] {
+        let table = read(xyz::read_particles, start.as_bytes()).unwrap();
+        assert_eq!((table.format, positions(&table)), ("text table", vec![[1.0, 2.0, 3.0]]));
+    }
+}
+
+#[test]
+fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
+    for name in ["nowhere/a.obj", "nowhere/a", "nowhere/a.ibi4", "nowhere/.bgeo/a", "nowhere/a.obj.gz"] {
+        let fault = open_particles(Path::new(name)).expect_err("refused").fault;
+        assert!(matches!(fault, ReadFault::UnknownExtension { .. }), "{name}: {fault}");
+    }
+    let fault = open_particles(Path::new("nowhere/a.BGEO")).expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Io(_)), "{fault}");
+}
+
+#[test]
+fn the_spacing_is_found_beside_the_frames_or_above_them() {
+    let (spacing, scene) = spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
+    assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));
+    let (spacing, case) =
+        spacing_beside(&data("dualsphysics_dambreak/particles/PartFluid_0000.vtk")).unwrap();
+    assert_eq!((spacing, case), (0.02, data("dualsphysics_dambreak/CaseDambreak.xml")));
+
+    let folder = tempfile::tempdir().unwrap();
+    let frames = folder.path().join("run/frames");
+    std::fs::create_dir_all(&frames).unwrap();
+    let frame = frames.join("a.bgeo");
+    let scene = |radius: &str| format!(r#"{{"Configuration": {{"particleRadius": {radius}}}}}"#);
+    assert_eq!(spacing_beside(&frame), None);
+    std::fs::write(folder.path().join("run/z.json"), scene("1")).unwrap();
+    assert_eq!(spacing_beside(&frame).unwrap().0, 2.0);
+    std::fs::write(frames.join("b.json"), scene("3")).unwrap();
+    for other in 'c'..='z' {
+        std::fs::write(frames.join(format!("{other}.json")), scene("4")).unwrap();
+    }
+    for (name, no_scene) in [
+        ("0.json", scene("-1")),
+        ("1.json", "[".repeat(100_000)),
+        ("2.json", "{}".into()),
+        ("3.xml", "<mesh><dp value=\"5\"/></mesh>".into()),
+        ("4.xml", "<case><dp value=\"five\"/></case>".into()),
+        ("5.xml", "<a".repeat(100_000)),
+        ("6.json", scene(&format!("{}1", " ".repeat(17 << 20)))),
+    ] {
+        std::fs::write(frames.join(name), no_scene).unwrap();
+    }
+    assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+}

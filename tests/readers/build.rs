@@ -1,0 +1,190 @@
+//! Files of every binary layout, written byte by byte from the formats' descriptions.
+
+use std::io::Write;
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+/// Positions that an f32 holds exactly, no two coordinates alike.
+pub fn tuples(count: usize) -> Vec<[f64; 3]> {
+    (0..count).map(|i| [0, 1, 2].map(|axis| (3 * i + axis) as f64 * 0.375 - 2.0)).collect()
+}
+
+pub fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(bytes).expect("memory takes all");
+    encoder.finish().expect("memory takes all")
+}
+
+pub fn raw(points: &[[f64; 3]]) -> Vec<u8> {
+    points.as_flattened().iter().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+}
+
+pub fn npy_header(descr: &str, fortran: bool, shape: &str) -> Vec<u8> {
+    let order = if fortran { "True" } else { "False" };
+    let mut header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    [b"\x93NUMPY\x01\x00", (header.len() as u16).to_le_bytes().as_slice(), header.as_bytes()].concat()
+}
+
+pub fn npy(points: &[[f64; 3]], descr: &str, fortran: bool) -> Vec<u8> {
+    let mut bytes = npy_header(descr, fortran, &format!("({}, 3)", points.len()));
+    let by_axis = || (0..3).flat_map(|axis| points.iter().map(move |p| p[axis]));
+    let values: Vec<f64> = if fortran { by_axis().collect() } else { points.as_flattened().to_vec() };
+    for x in values {
+        match descr {
+            "<f4" => bytes.extend((x as f32).to_le_bytes()),
+            ">f4" => bytes.extend((x as f32).to_be_bytes()),
+            "<f8" => bytes.extend(x.to_le_bytes()),
+            _ => bytes.extend(x.to_be_bytes()),
+        }
+    }
+    bytes
+}
+
+/// Attributes id, v, an indexed string, uv, and a second v. No bytes after the points, so that none can be spared.
+pub fn bgeo(points: &[[f64; 3]]) -> Vec<u8> {
+    let mut bytes = b"BgeoV".to_vec();
+    let int = |bytes: &mut Vec<u8>, x: i32| bytes.extend(x.to_be_bytes());
+    let name = |bytes: &mut Vec<u8>, name: &str| {
+        bytes.extend((name.len() as u16).to_be_bytes());
+        bytes.extend(name.as_bytes());
+    };
+    for x in [5, points.len() as i32, 0, 0, 0, 5, 0, 0, 0] {
+        int(&mut bytes, x);
+    }
+    for (called, components, kind) in
+        [("id", 1u16, 1), ("v", 3, 5), ("group", 1, 4), ("uv", 2, 0), ("v", 3, 0)]
+    {
+        name(&mut bytes, called);
+        bytes.extend(components.to_be_bytes());
+        int(&mut bytes, kind);
+        if kind == 4 {
+            int(&mut bytes, 2);
+            name(&mut bytes, "water");
+            name(&mut bytes, "");
+        } else {
+            bytes.extend(vec![0; 4 * usize::from(components)]);
+        }
+    }
+    for (i, p) in points.iter().enumerate() {
+        let floats = |bytes: &mut Vec<u8>, values: &[f32]| {
+            values.iter().for_each(|x| bytes.extend(x.to_be_bytes()));
+        };
+        let shift = i as f32;
+        floats(&mut bytes, &[p[0] as f32, p[1] as f32, p[2] as f32, 1.0]);
+        int(&mut bytes, i as i32 - 1);
+        floats(&mut bytes, &[0.5 + shift, 1.5 + shift, 2.5 + shift]);
+        int(&mut bytes, 1);
+        floats(&mut bytes, &[0.25 + shift, 0.75 + shift, -1.0, -1.0, -1.0]);
+    }
+    bytes
+}
+
+/// How a .bi4 is laid out.
+#[derive(Clone, Copy)]
+pub struct Bi4 {
+    /// Big endian.
+    pub big: bool,
+    /// Sizes of arrays in 64 bits.
+    pub wide: bool,
+    /// Positions and numbers of particles in 64 bits.
+    pub double: bool,
+    /// Boundary and fluid take turns, where else the boundary comes first.
+    pub mixed: bool,
+    pub pieces: u32,
+}
+
+impl Bi4 {
+    /// A part with `points` as fluid numbered from 5 on, and 5 particles that are not fluid. Spacing 0.25,
+    /// velocity twice the position.
+    pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
+        let mut head = b"#FileJBD JPartDataBi4".to_vec();
+        head.resize(58, b' ');
+        head.extend([b'\n', 0, u8::from(self.big) + 10 * u8::from(self.wide), u8::from(self.wide), 0, 0]);
+
+        let mut values = Vec::new();
+        for (name, count) in [("CaseNfixed", 2), ("CaseNmoving", 1), ("CaseNfloat", 2), ("CaseNfluid", 7)] {
+            values.push((name, 10, self.u64(count)));
+        }
+        values.push(("CaseName", 1, self.text("Dam")));
+        values.push(("NpDynamic", 2, self.u32(0)));
+        values.push(("Npiece", 8, self.u32(self.pieces)));
+        values.push(("Dp", 12, self.u64(0.25f64.to_bits())));
+        head.extend(self.item("JPartDataBi4", 0, 1, &self.values(&values)));
+
+        let mut rows: Vec<(u64, [f64; 3])> = (0..5).map(|id| (id, [-9.0; 3])).collect();
+        rows.extend((5..).zip(points.iter().copied()));
+        if self.mixed {
+            rows.sort_by_key(|(id, _)| (if *id < 5 { 2 * id } else { 2 * (id - 5) + 1 }, *id));
+        }
+        let ids =
+            rows.iter().flat_map(|&(id, _)| if self.double { self.u64(id) } else { self.u32(id as u32) });
+        let position = rows.iter().flat_map(|(_, p)| p.map(|x| self.float(x, self.double)).concat());
+        let velocity = rows.iter().flat_map(|(_, p)| p.map(|x| self.float(2.0 * x, false)).concat());
+        let (id_kind, position_kind) = if self.double { (10, 23) } else { (8, 22) };
+        let (id_name, position_name) = if self.double { ("Idpd", "Posd") } else { ("Idp", "Pos") };
+        let time = self.values(&[("TimeStep", 12, self.u64(1.5f64.to_bits()))]);
+        head.extend(self.item("PART_0000", 3, 0, &time));
+        head.extend(self.array(id_name, id_kind, rows.len(), &ids.collect::<Vec<_>>()));
+        head.extend(self.array(position_name, position_kind, rows.len(), &position.collect::<Vec<_>>()));
+        head.extend(self.array("Vel", 22, rows.len(), &velocity.collect::<Vec<_>>()));
+        head
+    }
+
+    fn item(self, name: &str, arrays: u32, items: u32, values: &[u8]) -> Vec<u8> {
+        let definition = [
+            self.text("\nITEM\n"),
+            self.text(name),
+            vec![0; 8],
+            self.text("%.7E"),
+            self.text("%.15E"),
+            self.u32(arrays),
+            self.u32(items),
+            self.u32(values.len() as u32),
+        ]
+        .concat();
+        [self.u32(definition.len() as u32), definition, values.to_vec()].concat()
+    }
+
+    fn values(self, values: &[(&str, u32, Vec<u8>)]) -> Vec<u8> {
+        let mut bytes = [self.text("\nVALUES"), self.u32(values.len() as u32)].concat();
+        for (name, kind, payload) in values {
+            bytes.extend([self.text(name), self.u32(*kind), payload.clone()].concat());
+        }
+        bytes
+    }
+
+    fn array(self, name: &str, kind: u32, count: usize, data: &[u8]) -> Vec<u8> {
+        let size = |x: usize| if self.wide { self.u64(x as u64) } else { self.u32(x as u32) };
+        let definition = [
+            self.text("\nARRAY"),
+            self.text(name),
+            vec![0; 4],
+            self.u32(kind),
+            size(count),
+            size(data.len()),
+        ]
+        .concat();
+        [self.u32(definition.len() as u32), definition, data.to_vec()].concat()
+    }
+
+    fn text(self, text: &str) -> Vec<u8> {
+        [self.u32(text.len() as u32), text.as_bytes().to_vec()].concat()
+    }
+
+    fn u32(self, x: u32) -> Vec<u8> {
+        if self.big { x.to_be_bytes() } else { x.to_le_bytes() }.to_vec()
+    }
+
+    fn u64(self, x: u64) -> Vec<u8> {
+        if self.big { x.to_be_bytes() } else { x.to_le_bytes() }.to_vec()
+    }
+
+    fn float(self, x: f64, double: bool) -> Vec<u8> {
+        if double { self.u64(x.to_bits()) } else { self.u32((x as f32).to_bits()) }
+    }
+}
