@@ -1,4 +1,4 @@
-//! Particle files: which reader opens which.
+//! Input files: which reader opens which, and whether a file holds particles or a mesh.
 
 use std::path::Path;
 
@@ -21,15 +21,34 @@ pub fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
     reader(open_bytes(path)?).map_err(fail)
 }
 
+/// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
+/// serves both.
+///
+/// # Errors
+/// [`ReadError`] where a file that may be either cannot be read.
+pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
+    let has_faces = match extension(path).as_deref() {
+        Some("obj" | "stl" | "vtp") => return Ok(true),
+        Some("ply") => ply::has_faces,
+        Some("vtk") => vtk::has_faces,
+        _ => return Ok(false),
+    };
+    has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
+}
+
+/// In lower case, without `.gz`.
+fn extension(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
+    Some(extension.to_owned())
+}
+
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
 
 fn reader_for(path: &Path) -> Option<Reader> {
-    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
-    match extension {
+    match extension(path)?.as_str() {
         // `.bgeo.sc` is recognised to say what to do instead.
-        "bgeo" | "bhclassic" => Some(bgeo::read_particles),
-        "sc" if name.ends_with(".bgeo.sc") => Some(bgeo::read_particles),
+        "bgeo" | "bhclassic" | "sc" => Some(bgeo::read_particles),
         "bi4" => Some(bi4::read_particles),
         "csv" | "txt" => Some(xyz::read_text),
         "npy" => Some(npy::read_particles),

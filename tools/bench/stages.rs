@@ -12,8 +12,11 @@ use meniscus::brick::{BinPlan, Block, BrickSide, InvalidParticles};
 use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::stage::blur::{Kernel, blur};
+use meniscus::stage::dual_mc::contour;
 use meniscus::stage::indicator::{Indicator, build_field};
+use meniscus::stitch::stitch;
 use meniscus::units::{MemoryBudget, Sigma};
+use rayon::prelude::*;
 
 /// The best of a few runs: what the machine can do when nobody disturbs it.
 fn best_seconds<T>(runs: usize, mut work: impl FnMut() -> T) -> (f64, T) {
@@ -42,7 +45,6 @@ fn main() {
     let from = vec![1_u8; 1 << 28];
     let mut to = vec![0_u8; 1 << 28];
     let (seconds, ()) = best_seconds(3, || {
-        use rayon::prelude::*;
         to.par_chunks_mut(1 << 20).zip(from.par_chunks(1 << 20)).for_each(|(a, b)| a.copy_from_slice(b));
     });
     row("memory copy (read + write)", 2.0 * from.len() as f64, "MB/s", seconds);
@@ -71,7 +73,6 @@ fn main() {
         Block::<u16>::zero(CellBox::cube(glam::IVec3::ZERO, 33).grown(kernel.reach(), kernel.reach()));
     let blocks = 4096;
     let (seconds, _) = best_seconds(3, || {
-        use rayon::prelude::*;
         (0..blocks).into_par_iter().map(|_| blur(black_box(&block), &kernel).samples().len()).sum::<usize>()
     });
     row("blur, reach 2, blocks of 32^3", f64::from(blocks) * 32f64.powi(3), "M cells/s", seconds);
@@ -92,6 +93,22 @@ fn main() {
         detail: Detail::Smoothed,
         normals: Normals::None,
     };
+    let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
+    let (recipe, _) = frame.recipe(&surfacing);
+    let fields: Vec<(CellBox, Block)> = frame
+        .dif()
+        .regions(recipe.reach() + 1, recipe.reach())
+        .into_par_iter()
+        .map(|(_, cells)| (cells, frame.field(&recipe, cells.tiled().grown(0, 1))))
+        .collect();
+    let (seconds, mesh) = best_seconds(3, || {
+        let surfaces: Vec<_> =
+            fields.par_iter().map(|(cells, field)| contour(field, *cells, recipe.iso, None)).collect();
+        stitch(&surfaces, &grid, None, recipe.iso, &[]).expect("few enough vertices")
+    });
+    row("marching cubes and stitching", mesh.triangles.len() as f64, "M triangles/s", seconds);
+    drop((frame, fields, mesh));
+
     let (seconds, (laps, surface)) = best_seconds(3, || {
         let mut laps = Laps::default();
         let frame = Frame::sample(&particles[..], &sampling, &mut laps).expect("a frame");
