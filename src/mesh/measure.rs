@@ -103,7 +103,11 @@ fn components(mesh: &Mesh) -> usize {
             lesser[vertex as usize] = least;
         }
     }
-    (0..=u32::MAX).zip(&lesser).zip(used).filter(|&((vertex, &lesser), used)| used && vertex == lesser).count()
+    (0..=u32::MAX)
+        .zip(&lesser)
+        .zip(used)
+        .filter(|&((vertex, &lesser), used)| used && vertex == lesser)
+        .count()
 }
 
 fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
@@ -159,7 +163,8 @@ impl Sums {
         self.least_angles[((angle / 5.0) as usize).min(ANGLE_CLASSES - 1)] += 1;
         self.worst = worse(self.worst, Some((angle, number)));
         if doubled > 0.0 {
-            let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            let longest =
+                (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
             let aspect = longest / doubled * (3.0_f64.sqrt() / 2.0);
             self.aspect = Some(self.aspect.map_or(aspect, |worst| worst.max(aspect)));
         } else {

@@ -1,6 +1,7 @@
 //! Triangle meshes and what can be said of them.
 
 pub mod check;
+pub mod compare;
 pub mod measure;
 pub mod stars;
 

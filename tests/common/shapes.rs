@@ -6,7 +6,8 @@ use meniscus::mesh::{Mesh, VertexAttribute};
 
 /// Axis-parallel, 8 vertices, 12 triangles.
 pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
-    let corner = |n: usize| std::array::from_fn(|axis| if n >> axis & 1 == 1 { high[axis] } else { low[axis] });
+    let corner =
+        |n: usize| std::array::from_fn(|axis| if n >> axis & 1 == 1 { high[axis] } else { low[axis] });
     let quads: [[u32; 4]; 6] =
         [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     let halves = |[a, b, c, d]: [u32; 4]| [[a, b, c], [a, c, d]];
