@@ -3,6 +3,8 @@
 //! A binary format's reader parses the header and says where the columns lie; a text format's reader
 //! decodes into little-endian columns first. Nothing else differs between formats.
 
+use std::ops::Deref;
+
 use crate::particles::{AttributeInfo, Particles};
 
 use super::bytes::Bytes;
@@ -58,10 +60,10 @@ pub struct Column {
     pub endian: Endian,
 }
 
-/// The numbers of a particle file, still as stored.
+/// The numbers of a particle file, still as stored, in bytes that are owned, mapped or borrowed.
 #[derive(Debug)]
-pub struct ColumnStore {
-    bytes: Bytes,
+pub struct ColumnStore<B = Bytes> {
+    bytes: B,
     rows: Rows,
     /// x, y and z, which need not be neighbours (a .ply may order its properties freely).
     position: [Column; 3],
@@ -79,14 +81,14 @@ pub enum Rows {
     Chosen(Vec<u32>),
 }
 
-impl ColumnStore {
+impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     /// Joins columns to the bytes that hold them.
     ///
     /// # Panics
     /// If a column reaches past the bytes: readers check a header's counts before they believe them.
     #[must_use]
     pub fn new(
-        bytes: Bytes,
+        bytes: B,
         rows: Rows,
         position: [Column; 3],
         attributes: Vec<(AttributeInfo, Vec<Column>)>,
@@ -196,7 +198,7 @@ impl ColumnStore {
     }
 }
 
-impl Particles for ColumnStore {
+impl<B: Deref<Target = [u8]> + Sync> Particles for ColumnStore<B> {
     fn len(&self) -> usize {
         match &self.rows {
             Rows::All(count) => *count,

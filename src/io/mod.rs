@@ -3,6 +3,10 @@
 pub mod bytes;
 pub mod columns;
 pub mod encode;
+pub mod ply;
+pub mod scan;
+mod vertices;
+pub mod vtk;
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! What .ply and legacy .vtk files promise, in both directions, and how their writers stay in order.
+//! How long runs of records stay in order.
 
 use std::io::{self, Write};
 
@@ -14,11 +14,10 @@ fn chunks_are_written_in_order_on_any_number_of_threads() {
         let wanted: Vec<u8> = (0..count as u32).flat_map(u32::to_le_bytes).collect();
         for threads in [1, 2, 5] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut got = Vec::new();
-            pool.install(|| {
+            let got = pool.install(|| {
                 let mut out = Vec::new();
                 write_chunks(&mut out, count, put_number).unwrap();
-                got = out;
+                out
             });
             assert!(got == wanted, "{count} records on {threads} threads");
         }

@@ -1,0 +1,136 @@
+//! The header of a .ply file: what elements there are, and of what rows.
+
+use crate::io::ReadFault;
+use crate::io::columns::{Endian, Scalar};
+use crate::io::scan::Scanner;
+
+/// How the rows are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Ascii,
+    Binary(Endian),
+}
+
+/// One value of a row, or a list of them behind their number.
+#[derive(Debug)]
+pub(super) struct Property {
+    pub name: String,
+    pub scalar: Scalar,
+    /// The type of a list's length.
+    pub list: Option<Scalar>,
+}
+
+/// Rows that are alike.
+#[derive(Debug)]
+pub(super) struct Element {
+    pub name: String,
+    pub count: usize,
+    pub properties: Vec<Property>,
+}
+
+impl Element {
+    /// Bytes of a row in binary; nothing if rows differ in length.
+    pub fn row(&self) -> Option<usize> {
+        self.properties.iter().map(|p| p.list.is_none().then(|| p.scalar.size())).sum()
+    }
+
+    /// The number of the property of that name.
+    pub fn property(&self, name: &str) -> Option<usize> {
+        self.properties.iter().position(|p| p.name == name)
+    }
+}
+
+/// All that stands before the data.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub encoding: Encoding,
+    pub elements: Vec<Element>,
+    /// Where the data start, in bytes from the start of the file.
+    pub body: usize,
+}
+
+impl Header {
+    pub fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
+        let mut scan = Scanner::new(bytes, 0);
+        if scan.line()?.map(str::trim_end) != Some("ply") {
+            return Err(scan.fault(0, "a .ply file starts with `ply`".into()));
+        }
+        let mut encoding = None;
+        let mut elements: Vec<Element> = Vec::new();
+        loop {
+            let here = scan.clone();
+            let fault = |what: String| here.fault(here.at(), what);
+            if matches!(scan.clone().word(), b"comment" | b"obj_info") {
+                scan.skip_line();
+                continue;
+            }
+            let Some(text) = scan.line()? else {
+                return Err(fault("the file ends before `end_header`".into()));
+            };
+            let words: Vec<&str> = text.split_ascii_whitespace().collect();
+            match *words {
+                [] => {}
+                ["format", name, "1.0"] => {
+                    encoding = Some(encoding_named(name).ok_or_else(|| {
+                        fault(format!(
+                            "format {name:?}; known are ascii, binary_little_endian, binary_big_endian"
+                        ))
+                    })?)
+                }
+                ["element", name, count] => {
+                    let count = count.parse().map_err(|_| fault(format!("{count:?} is no count")))?;
+                    elements.push(Element { name: name.to_owned(), count, properties: Vec::new() });
+                }
+                ["property", ref rest @ ..] => {
+                    let property = property(rest).ok_or_else(|| fault(format!("{text:?} is no property")))?;
+                    let element =
+                        elements.last_mut().ok_or_else(|| fault("a property of no element".into()))?;
+                    element.properties.push(property);
+                }
+                ["end_header"] => {
+                    let encoding = encoding.ok_or_else(|| fault("the header names no format".into()))?;
+                    return Ok(Self { encoding, elements, body: scan.at() });
+                }
+                _ => return Err(fault(format!("{text:?} is no line of a .ply header"))),
+            }
+        }
+    }
+}
+
+fn encoding_named(name: &str) -> Option<Encoding> {
+    Some(match name {
+        "ascii" => Encoding::Ascii,
+        "binary_little_endian" => Encoding::Binary(Endian::Little),
+        "binary_big_endian" => Encoding::Binary(Endian::Big),
+        _ => return None,
+    })
+}
+
+fn property(words: &[&str]) -> Option<Property> {
+    let (list, scalar, name) = match words {
+        ["list", list, scalar, name] => (Some(integer_named(list)?), scalar, name),
+        [scalar, name] => (None, scalar, name),
+        _ => return None,
+    };
+    Some(Property { name: (*name).to_owned(), scalar: scalar_named(scalar)?, list })
+}
+
+fn scalar_named(name: &str) -> Option<Scalar> {
+    Some(match name {
+        "char" | "int8" => Scalar::I8,
+        "uchar" | "uint8" => Scalar::U8,
+        "short" | "int16" => Scalar::I16,
+        "ushort" | "uint16" => Scalar::U16,
+        "int" | "int32" => Scalar::I32,
+        "uint" | "uint32" => Scalar::U32,
+        "int64" | "longlong" => Scalar::I64,
+        "uint64" | "ulonglong" => Scalar::U64,
+        "float" | "float32" => Scalar::F32,
+        "double" | "float64" => Scalar::F64,
+        _ => return None,
+    })
+}
+
+fn integer_named(name: &str) -> Option<Scalar> {
+    scalar_named(name).filter(|scalar| !matches!(scalar, Scalar::F32 | Scalar::F64))
+}

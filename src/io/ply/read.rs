@@ -1,0 +1,282 @@
+//! Reading .ply files: the rows of `vertex` where they lie, the lists of `face` as triangles.
+
+use crate::io::bytes::Bytes;
+use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::scan::{Scanner, malformed};
+use crate::io::vertices::{Triangles, Vertices, columns, integer};
+use crate::io::{ParticleFile, ReadFault};
+use crate::mesh::Mesh;
+use crate::particles::AttributeInfo;
+
+use super::header::{Element, Encoding, Header, Property};
+use super::{GROUPS, NORMAL};
+
+/// Reads the rows of `vertex` as particles: binary ones stay where they are, text becomes columns of f64.
+///
+/// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...) are the
+/// attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow each other are one
+/// attribute `a`, and any other is an attribute of its own. Elements that follow are not looked at.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a header, or a row of text, that does not parse, [`ReadFault::Truncated`] for fewer
+/// rows than the header counts, [`ReadFault::Malformed`] where there are no vertices with x, y and z, and
+/// [`ReadFault::Unsupported`] for lists on vertices.
+pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+    let header = Header::parse(&bytes)?;
+    let format = match header.encoding {
+        Encoding::Ascii => "PLY, ASCII",
+        Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
+        Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
+    };
+    Ok(vertices(&bytes, &header)?.into_particles(bytes, format))
+}
+
+/// Whether there are faces, so that the file is a mesh rather than particles. Reads the header only.
+///
+/// # Errors
+/// As [`read_mesh`], as far as the header shows it.
+pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
+    Ok(faces(&Header::parse(bytes)?)?.is_some())
+}
+
+/// Reads vertices and faces; polygons of more than three corners are fanned from their first.
+///
+/// # Errors
+/// As [`read_particles`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not there,
+/// and [`ReadFault::Unsupported`] for triangle strips.
+pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
+    let header = Header::parse(bytes)?;
+    let vertices = vertices(bytes, &header)?;
+    let mut triangles = Triangles::new(vertices.count)?;
+    if let Some((element, list)) = faces(&header)? {
+        let at = start(bytes, &header, element)?;
+        walk(bytes, header.encoding, element, at, Some(list), |face, at, corners| {
+            triangles.polygon(face, at, corners)
+        })?;
+    }
+    Ok(vertices.into_mesh(bytes, triangles.triangles))
+}
+
+fn vertices(bytes: &[u8], header: &Header) -> Result<Vertices, ReadFault> {
+    let element = header.elements.iter().find(|element| element.name == "vertex");
+    let element = element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
+    if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
+        let what = format!("vertices hold a list ({}); save the file without it", list.name);
+        return Err(ReadFault::Unsupported(what));
+    }
+    let at = start(bytes, header, element)?;
+    let (decoded, columns) = match header.encoding {
+        Encoding::Ascii => (Some(decode(bytes, at, element)?), text_columns(element)),
+        Encoding::Binary(endian) => {
+            skip(bytes, header.encoding, element, at)?;
+            (None, binary_columns(element, at, endian))
+        }
+    };
+    let axis = |name| {
+        let index = element.property(name);
+        index.ok_or_else(|| malformed(header.body, format!("vertices have no property `{name}`")))
+    };
+    let position = [axis("x")?, axis("y")?, axis("z")?];
+    let attributes: Vec<_> = group(&element.properties, position)
+        .into_iter()
+        .map(|(name, members)| {
+            let members: Vec<_> = members.into_iter().map(|index| columns[index]).collect();
+            (AttributeInfo { name, components: members.len() }, members)
+        })
+        .collect();
+    let normals = attributes.iter().position(|(info, _)| info.name == NORMAL && info.components == 3);
+    let position = position.map(|index| columns[index]);
+    Ok(Vertices { decoded, count: element.count, position, attributes, normals })
+}
+
+/// The attributes that `properties` without those of `position` make: names, and numbers of properties.
+fn group(properties: &[Property], position: [usize; 3]) -> Vec<(String, Vec<usize>)> {
+    let named = |name: &str| properties.iter().position(|p| p.name == name);
+    let groups = GROUPS.map(|(name, members)| (name, members.map(named)));
+    let whole = |members: &[Option<usize>; 3]| members.iter().copied().collect::<Option<Vec<usize>>>();
+    let mut taken = vec![false; properties.len()];
+    position.iter().for_each(|&index| taken[index] = true);
+    let mut attributes = Vec::new();
+    for index in 0..properties.len() {
+        if taken[index] {
+            continue;
+        }
+        let group = groups.iter().filter(|(_, members)| members.contains(&Some(index)));
+        let mut group = group.filter_map(|(name, members)| Some(((*name).to_owned(), whole(members)?)));
+        let (name, members) = group.next().unwrap_or_else(|| numbered_run(properties, &taken, index));
+        members.iter().for_each(|&member| taken[member] = true);
+        attributes.push((name, members));
+    }
+    attributes
+}
+
+/// The properties `a_0`, `a_1`, ... from number `first` on as `a`, or that one alone under its own name.
+fn numbered_run(properties: &[Property], taken: &[bool], first: usize) -> (String, Vec<usize>) {
+    let name = &properties[first].name;
+    let Some(base) = name.strip_suffix("_0") else {
+        return (name.clone(), vec![first]);
+    };
+    let follows = |&index: &usize| {
+        let number = properties[index].name.strip_prefix(base).and_then(|rest| rest.strip_prefix('_'));
+        !taken[index] && number.and_then(|number| number.parse().ok()) == Some(index - first)
+    };
+    match (first + 1..properties.len()).take_while(follows).count() {
+        0 => (name.clone(), vec![first]),
+        more => (base.to_owned(), (first..=first + more).collect()),
+    }
+}
+
+fn binary_columns(element: &Element, at: usize, endian: Endian) -> Vec<Column> {
+    let stride = element.row().unwrap_or(0);
+    let sizes = element.properties.iter().map(|p| p.scalar);
+    let offsets = sizes.scan(at, |offset, scalar| {
+        *offset += scalar.size();
+        Some((*offset - scalar.size(), scalar))
+    });
+    offsets.map(|(offset, scalar)| Column { offset, stride, scalar, endian }).collect()
+}
+
+fn text_columns(element: &Element) -> Vec<Column> {
+    let components = element.properties.len();
+    columns(0, 8 * components, components, Scalar::F64, Endian::Little)
+}
+
+/// Rows of text as little-endian f64.
+fn decode(bytes: &[u8], at: usize, element: &Element) -> Result<Vec<u8>, ReadFault> {
+    let width = element.properties.len();
+    let mut scan = Scanner::new(bytes, at);
+    scan.expect_numbers(element.count.saturating_mul(width), "the text of `vertex`")?;
+    let mut decoded = Vec::with_capacity(8 * element.count * width);
+    for _ in 0..element.count {
+        scan.skip_whitespace();
+        for _ in 0..width {
+            scan.skip_blanks();
+            decoded.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+        }
+        end_row(&mut scan)?;
+    }
+    Ok(decoded)
+}
+
+fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
+    scan.skip_blanks();
+    match scan.rest() {
+        [] | [b'\n', ..] | [b'\r', ..] => Ok(()),
+        _ => Err(scan.fault(scan.at(), "there are more values than properties".into())),
+    }
+}
+
+/// The element that holds faces, if there are any, and the number of the property that lists corners.
+fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
+    let filled = |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
+    if filled("tristrips").is_some() {
+        return Err(ReadFault::Unsupported("triangle strips; save the mesh with faces".into()));
+    }
+    let Some(element) = filled("face") else {
+        return Ok(None);
+    };
+    let is_corners = |p: &Property| {
+        ["vertex_indices", "vertex_index"].contains(&p.name.as_str())
+            && p.list.is_some()
+            && !matches!(p.scalar, Scalar::F32 | Scalar::F64)
+    };
+    let list = element.properties.iter().position(is_corners);
+    let list = list.ok_or_else(|| {
+        malformed(header.body, "faces have no list of integers called `vertex_indices` or `vertex_index`")
+    })?;
+    Ok(Some((element, list)))
+}
+
+/// Where the rows of `element` start, all before it being passed.
+fn start(bytes: &[u8], header: &Header, element: &Element) -> Result<usize, ReadFault> {
+    let before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
+    before.into_iter().try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
+}
+
+/// Where the rows of `element` that start at byte `at` end.
+fn skip(bytes: &[u8], encoding: Encoding, element: &Element, at: usize) -> Result<usize, ReadFault> {
+    let mut scan = Scanner::new(bytes, at);
+    let what = || format!("{} rows of `{}`", element.count, element.name);
+    match (encoding, element.row()) {
+        _ if element.properties.is_empty() => {}
+        (Encoding::Ascii, _) => {
+            scan.expect_numbers(element.count, &what())?;
+            for row in 0..element.count {
+                scan.skip_whitespace();
+                if !scan.skip_line() {
+                    let what = format!("the file ends where row {row} of `{}` should", element.name);
+                    return Err(scan.fault(scan.at(), what));
+                }
+            }
+        }
+        (Encoding::Binary(_), Some(row)) => scan.skip(element.count.saturating_mul(row), &what())?,
+        (Encoding::Binary(_), None) => return walk(bytes, encoding, element, at, None, |_, _, _| Ok(())),
+    }
+    Ok(scan.at())
+}
+
+/// Visits every row of `element` from byte `at` on: its number, its place, and the list that is property
+/// number `list`. Returns where the rows end.
+fn walk(
+    bytes: &[u8],
+    encoding: Encoding,
+    element: &Element,
+    at: usize,
+    list: Option<usize>,
+    mut visit: impl FnMut(usize, usize, &[i64]) -> Result<(), ReadFault>,
+) -> Result<usize, ReadFault> {
+    let mut scan = Scanner::new(bytes, at);
+    let mut values = Vec::new();
+    for row in 0..element.count {
+        if encoding == Encoding::Ascii {
+            scan.skip_whitespace();
+        }
+        let start = scan.at();
+        for (index, property) in element.properties.iter().enumerate() {
+            let length = match property.list {
+                Some(scalar) => next_integer(&mut scan, encoding, scalar)?,
+                None => 1,
+            };
+            let length = usize::try_from(length).map_err(|_| {
+                malformed(start, format!("row {row} of `{}` has a list of {length}", element.name))
+            })?;
+            if list == Some(index) {
+                values.clear();
+                for _ in 0..length {
+                    values.push(next_integer(&mut scan, encoding, property.scalar)?);
+                }
+            } else {
+                pass(&mut scan, encoding, property.scalar, length)?;
+            }
+        }
+        if encoding == Encoding::Ascii {
+            end_row(&mut scan)?;
+        }
+        visit(row, start, &values)?;
+    }
+    Ok(scan.at())
+}
+
+fn next_integer(scan: &mut Scanner, encoding: Encoding, scalar: Scalar) -> Result<i64, ReadFault> {
+    match encoding {
+        Encoding::Ascii => {
+            scan.skip_blanks();
+            scan.number()
+        }
+        Encoding::Binary(endian) => {
+            let (at, bytes) = (scan.at(), scan.rest());
+            scan.skip(scalar.size(), "a list")?;
+            integer(scalar, endian, bytes).ok_or_else(|| malformed(at, "expected an integer"))
+        }
+    }
+}
+
+fn pass(scan: &mut Scanner, encoding: Encoding, scalar: Scalar, count: usize) -> Result<(), ReadFault> {
+    match encoding {
+        Encoding::Ascii => (0..count).try_for_each(|_| {
+            scan.skip_blanks();
+            scan.number::<f64>().map(|_| ())
+        }),
+        Encoding::Binary(_) => scan.skip(count.saturating_mul(scalar.size()), "a row"),
+    }
+}

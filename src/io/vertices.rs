@@ -1,0 +1,145 @@
+//! What the readers share whose formats hold either particles or a mesh: columns over the vertices, and
+//! triangles from polygons.
+
+use crate::mesh::{Mesh, VertexAttribute};
+use crate::particles::{AttributeInfo, Particles, velocity_attribute};
+
+use super::bytes::Bytes;
+use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::scan::malformed;
+use super::{ParticleFile, ReadFault};
+
+/// The vertices of a file, found and checked against its size.
+pub(super) struct Vertices {
+    /// Columns of little-endian f64, in place of the file's bytes where those are text.
+    pub decoded: Option<Vec<u8>>,
+    pub count: usize,
+    pub position: [Column; 3],
+    pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
+    /// The number of the attribute that holds three components of a normal.
+    pub normals: Option<usize>,
+}
+
+impl Vertices {
+    /// Each vertex a particle.
+    pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
+        let bytes = self.decoded.map_or(bytes, Bytes::Owned);
+        let particles = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        ParticleFile { particles, format, spacing: None }
+    }
+
+    /// The vertices of a mesh.
+    pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
+        let bytes = self.decoded.as_deref().unwrap_or(bytes);
+        let store = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        let mut positions = vec![[0.0; 3]; self.count];
+        store.positions(0, &mut positions);
+        let normals = self.normals.map(|index| {
+            let mut normals = vec![[0.0; 3]; self.count];
+            store.attribute(index, 0, normals.as_flattened_mut());
+            normals
+        });
+        let velocity = velocity_attribute(store.attributes());
+        let attributes =
+            store.attributes().iter().enumerate().filter(|(index, _)| Some(*index) != self.normals);
+        let attributes = attributes.map(|(index, info)| {
+            let mut values = vec![0.0; self.count * info.components];
+            store.attribute(index, 0, &mut values);
+            let name = if Some(index) == velocity { "velocity".to_owned() } else { info.name.clone() };
+            VertexAttribute { name, components: info.components, values }
+        });
+        Mesh { positions, triangles, normals, attributes: attributes.collect() }
+    }
+}
+
+/// Neighbouring columns: `components` of them from byte `offset` on, in rows of `stride` bytes.
+pub(super) fn columns(
+    offset: usize,
+    stride: usize,
+    components: usize,
+    scalar: Scalar,
+    endian: Endian,
+) -> Vec<Column> {
+    (0..components).map(|i| Column { offset: offset + i * scalar.size(), stride, scalar, endian }).collect()
+}
+
+/// Triangles from the polygons of a file.
+pub(super) struct Triangles {
+    vertices: usize,
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Triangles {
+    /// Of a mesh with so many vertices.
+    pub fn new(vertices: usize) -> Result<Self, ReadFault> {
+        if u32::try_from(vertices).is_err() {
+            return Err(ReadFault::Unsupported(format!("{vertices} vertices; a mesh has less than 2^32")));
+        }
+        Ok(Self { vertices, triangles: Vec::new() })
+    }
+
+    /// Fans face number `face`, stored at byte `at`, from its first corner. Points and lines have no area
+    /// and are ignored.
+    pub fn polygon(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
+        self.check(face, at, corners)?;
+        if let [apex, rim @ ..] = corners {
+            self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]].map(|i| i as u32)));
+        }
+        Ok(())
+    }
+
+    /// Every three neighbours on a strip are a triangle, the second one turned over, and so on.
+    pub fn strip(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
+        self.check(face, at, corners)?;
+        self.triangles.extend(corners.windows(3).enumerate().map(|(i, c)| {
+            let [a, b] = if i % 2 == 0 { [c[0], c[1]] } else { [c[1], c[0]] };
+            [a, b, c[2]].map(|i| i as u32)
+        }));
+        Ok(())
+    }
+
+    fn check(&self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
+        match corners.iter().find(|&&i| i < 0 || i as u64 >= self.vertices as u64) {
+            Some(i) => {
+                Err(malformed(at, format!("face {face} names vertex {i}, the file has {}", self.vertices)))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// The integer that `bytes` hold; nothing for a type that is not one.
+pub(super) fn integer(scalar: Scalar, endian: Endian, bytes: &[u8]) -> Option<i64> {
+    let chunk2 = || bytes.first_chunk().map(|&b| order(endian, b, u16::from_le_bytes, u16::from_be_bytes));
+    let chunk4 = || bytes.first_chunk().map(|&b| order(endian, b, u32::from_le_bytes, u32::from_be_bytes));
+    let chunk8 = || bytes.first_chunk().map(|&b| order(endian, b, u64::from_le_bytes, u64::from_be_bytes));
+    match scalar {
+        Scalar::I8 => bytes.first().map(|&value| i64::from(value as i8)),
+        Scalar::U8 => bytes.first().map(|&value| i64::from(value)),
+        Scalar::I16 => chunk2().map(|value| i64::from(value as i16)),
+        Scalar::U16 => chunk2().map(i64::from),
+        Scalar::I32 => chunk4().map(|value| i64::from(value as i32)),
+        Scalar::U32 => chunk4().map(i64::from),
+        Scalar::I64 => chunk8().map(|value| value as i64),
+        // What is beyond i64 is no count and no index: -1 is refused wherever it is used.
+        Scalar::U64 => chunk8().map(|value| i64::try_from(value).unwrap_or(-1)),
+        Scalar::F32 | Scalar::F64 => None,
+    }
+}
+
+fn order<B, V>(endian: Endian, bytes: B, little: fn(B) -> V, big: fn(B) -> V) -> V {
+    match endian {
+        Endian::Little => little(bytes),
+        Endian::Big => big(bytes),
+    }
+}
+
+/// A mesh whose arrays differ in length is our bug, and no file can be made of it.
+pub(super) fn assert_complete(mesh: &Mesh) {
+    let vertices = mesh.positions.len();
+    let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
+    assert_eq!(normals, vertices, "one normal a vertex");
+    for VertexAttribute { name, components, values } in &mesh.attributes {
+        assert_eq!(Some(values.len()), vertices.checked_mul(*components), "{components} of {name} a vertex");
+    }
+}

@@ -1,0 +1,450 @@
+//! Where the arrays of a legacy .vtk file lie: one walk over its sections, no number read.
+
+use crate::io::ReadFault;
+use crate::io::columns::Scalar;
+use crate::io::scan::{Scanner, malformed};
+
+/// More numbers in a tuple than any writer means.
+const MOST_COMPONENTS: usize = 1024;
+
+/// The sections that we use.
+#[derive(Debug)]
+pub(super) struct Layout {
+    pub ascii: bool,
+    pub points: Array,
+    /// Of `POINT_DATA`, one tuple a point.
+    pub attributes: Vec<Array>,
+    /// The number of the attribute under `NORMALS`.
+    pub normals: Option<usize>,
+    pub cells: Vec<Cells>,
+    /// Of an `UNSTRUCTURED_GRID`.
+    pub cell_types: Option<Array>,
+}
+
+/// Numbers that follow each other.
+#[derive(Debug, Clone)]
+pub(super) struct Array {
+    pub name: String,
+    /// In bytes from the start of the file.
+    pub at: usize,
+    pub tuples: usize,
+    pub components: usize,
+    pub scalar: Scalar,
+}
+
+/// Cells, as numbers of points.
+#[derive(Debug)]
+pub(super) struct Cells {
+    pub kind: CellKind,
+    pub corners: Corners,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum CellKind {
+    Polygons,
+    Strips,
+    /// What `cell_types` say.
+    Typed,
+}
+
+#[derive(Debug)]
+pub(super) enum Corners {
+    /// So many cells, each its number of corners and then these (before version 5).
+    Counted { cells: usize, stream: Array },
+    /// Cell i has the corners from offset i to offset i + 1.
+    Offsets { offsets: Array, connectivity: Array },
+}
+
+/// What the attributes of a section are on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Owner {
+    Points(usize),
+    Cells(usize),
+}
+
+struct Walk<'a> {
+    scan: Scanner<'a>,
+    /// Where the line in hand starts.
+    line_at: usize,
+    ascii: bool,
+    offsets: bool,
+    owner: Option<Owner>,
+    /// Of the latest array.
+    components: usize,
+    points: Option<Array>,
+    attributes: Vec<Array>,
+    normals: Option<usize>,
+    cells: Vec<Cells>,
+    cell_types: Option<Array>,
+}
+
+impl Layout {
+    pub fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
+        let mut walk = Walk::start(bytes)?;
+        while let Some(words) = walk.next_words()? {
+            walk.section(&words)?;
+        }
+        walk.finish()
+    }
+}
+
+impl<'a> Walk<'a> {
+    fn start(bytes: &'a [u8]) -> Result<Self, ReadFault> {
+        let mut scan = Scanner::new(bytes, 0);
+        let version = scan.line()?.unwrap_or_default().strip_prefix("# vtk DataFile Version ");
+        let major = version.and_then(|version| version.trim().split('.').next()?.parse::<u32>().ok());
+        let major = major.ok_or_else(|| {
+            scan.fault(0, "a legacy .vtk file starts with `# vtk DataFile Version` and a number".into())
+        })?;
+        scan.skip_line();
+        let line_at = scan.at();
+        let ascii = match scan.line()?.map(str::trim) {
+            Some(word) if word.eq_ignore_ascii_case("ASCII") => true,
+            Some(word) if word.eq_ignore_ascii_case("BINARY") => false,
+            _ => return Err(scan.fault(line_at, "expected ASCII or BINARY".into())),
+        };
+        Ok(Self {
+            scan,
+            line_at,
+            ascii,
+            offsets: major >= 5,
+            owner: None,
+            components: 0,
+            points: None,
+            attributes: Vec::new(),
+            normals: None,
+            cells: Vec::new(),
+            cell_types: None,
+        })
+    }
+
+    /// The words of the next line that has any.
+    fn next_words(&mut self) -> Result<Option<Vec<&'a str>>, ReadFault> {
+        self.scan.skip_whitespace();
+        self.line_at = self.scan.at();
+        Ok(self.scan.line()?.map(|line| line.split_ascii_whitespace().collect()))
+    }
+
+    /// As [`Self::next_words`], past any `METADATA`, where `what` must follow.
+    fn words_of(&mut self, what: &str) -> Result<Vec<&'a str>, ReadFault> {
+        loop {
+            match self.next_words()? {
+                Some(words) if words == ["METADATA"] => self.metadata()?,
+                Some(words) => return Ok(words),
+                None => return Err(self.fault(format!("the file ends where {what} should follow"))),
+            }
+        }
+    }
+
+    fn fault(&self, what: String) -> ReadFault {
+        if self.ascii { self.scan.fault(self.line_at, what) } else { malformed(self.line_at, what) }
+    }
+
+    fn section(&mut self, words: &[&str]) -> Result<(), ReadFault> {
+        let keyword = words[0].to_ascii_uppercase();
+        match (keyword.as_str(), &words[1..]) {
+            ("DATASET", [kind]) if is(kind, "POLYDATA") || is(kind, "UNSTRUCTURED_GRID") => {}
+            ("DATASET", [kind]) => {
+                let what = "we read POLYDATA and UNSTRUCTURED_GRID";
+                return Err(ReadFault::Unsupported(format!("DATASET {kind}; {what}")));
+            }
+            ("POINTS", [count, kind]) => {
+                let array = self.numbers("POINTS", self.count(count)?, 3, kind)?;
+                if self.points.replace(array).is_some() {
+                    return Err(self.fault("there are POINTS already".into()));
+                }
+            }
+            ("VERTICES" | "LINES", [count, size]) => {
+                self.corners(count, size)?;
+            }
+            ("POLYGONS", [count, size]) => self.cells(CellKind::Polygons, count, size)?,
+            ("TRIANGLE_STRIPS", [count, size]) => self.cells(CellKind::Strips, count, size)?,
+            ("CELLS", [count, size]) => self.cells(CellKind::Typed, count, size)?,
+            ("CELL_TYPES", [count]) => {
+                self.cell_types = Some(self.numbers("CELL_TYPES", self.count(count)?, 1, "int")?);
+            }
+            ("POINT_DATA", [count]) => self.owner = Some(Owner::Points(self.point_data(count)?)),
+            ("CELL_DATA", [count]) => self.owner = Some(Owner::Cells(self.count(count)?)),
+            ("METADATA", []) => self.metadata()?,
+            ("FIELD", [_, count]) => {
+                for _ in 0..self.count(count)? {
+                    self.field_array()?;
+                }
+            }
+            ("SCALARS", [name, kind, rest @ ..]) if rest.len() <= 1 => {
+                let components = rest.first().map_or(Ok(1), |count| self.count(count))?;
+                let at = self.line_at;
+                if !is(self.words_of("LOOKUP_TABLE")?[0], "LOOKUP_TABLE") {
+                    return Err(self.fault(format!("SCALARS {name} (byte {at}) need a LOOKUP_TABLE")));
+                }
+                self.attribute(name, components, kind)?;
+            }
+            ("NORMALS", [name, kind]) => {
+                self.normals = self.attribute(name, 3, kind)?.or(self.normals);
+            }
+            ("VECTORS", [name, kind]) => {
+                self.attribute(name, 3, kind)?;
+            }
+            ("TENSORS", [name, kind]) => {
+                self.attribute(name, 9, kind)?;
+            }
+            ("TENSORS6", [name, kind]) => {
+                self.attribute(name, 6, kind)?;
+            }
+            ("TEXTURE_COORDINATES", [name, components, kind]) => {
+                self.attribute(name, self.count(components)?, kind)?;
+            }
+            ("GLOBAL_IDS" | "PEDIGREE_IDS" | "EDGE_FLAGS", [name, kind]) => {
+                self.attribute(name, 1, kind)?;
+            }
+            ("COLOR_SCALARS", [_, components]) => {
+                let tuples = self.tuples()?;
+                self.array("COLOR_SCALARS", tuples, self.count(components)?, "unsigned_char")?;
+            }
+            ("LOOKUP_TABLE", [_, count]) => {
+                self.array("LOOKUP_TABLE", self.count(count)?, 4, "unsigned_char")?;
+            }
+            _ => {
+                let line: String = words.join(" ").chars().take(60).collect();
+                return Err(self.fault(format!("{line:?} is no section of a legacy .vtk file")));
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<Layout, ReadFault> {
+        let end = self.scan.at();
+        let points = self.points.ok_or_else(|| malformed(end, "the file ends without POINTS"))?;
+        let typed = self.cells.iter().filter(|cells| cells.kind == CellKind::Typed);
+        let cells: usize = typed.map(|cells| cells.corners.cells()).sum();
+        let types = self.cell_types.as_ref().map_or(0, |types| types.tuples);
+        if cells != types {
+            return Err(malformed(end, format!("the file has {cells} CELLS, but {types} CELL_TYPES")));
+        }
+        Ok(Layout {
+            ascii: self.ascii,
+            points,
+            attributes: self.attributes,
+            normals: self.normals,
+            cells: self.cells,
+            cell_types: self.cell_types,
+        })
+    }
+
+    fn count(&self, word: &str) -> Result<usize, ReadFault> {
+        word.parse().map_err(|_| self.fault(format!("{word:?} is no count")))
+    }
+
+    fn point_data(&self, count: &str) -> Result<usize, ReadFault> {
+        let count = self.count(count)?;
+        match &self.points {
+            Some(points) if points.tuples == count => Ok(count),
+            Some(points) => {
+                Err(self.fault(format!("POINT_DATA of {count}, but POINTS of {}", points.tuples)))
+            }
+            None => Err(self.fault("POINT_DATA stand before POINTS".into())),
+        }
+    }
+
+    fn tuples(&self) -> Result<usize, ReadFault> {
+        match self.owner {
+            Some(Owner::Points(count) | Owner::Cells(count)) => Ok(count),
+            None => Err(self.fault("an attribute before POINT_DATA or CELL_DATA".into())),
+        }
+    }
+
+    /// Passes an array that the attribute section in hand has one tuple of for each of its points or cells.
+    /// Returns its number, if it is one of the points' attributes.
+    fn attribute(&mut self, name: &str, components: usize, kind: &str) -> Result<Option<usize>, ReadFault> {
+        let tuples = self.tuples()?;
+        let array = self.array(&decoded(name), tuples, components, kind)?;
+        Ok(self.keep(array))
+    }
+
+    fn field_array(&mut self) -> Result<(), ReadFault> {
+        let words = self.words_of("an array of FIELD")?;
+        match *words {
+            ["NULL_ARRAY"] => Ok(()),
+            [name, components, tuples, kind] => {
+                let (name, tuples) = (decoded(name), self.count(tuples)?);
+                match self.owner {
+                    Some(Owner::Points(points)) if tuples != points => {
+                        Err(self.fault(format!("{name} has {tuples} tuples for {points} points")))
+                    }
+                    _ => {
+                        let array = self.array(&name, tuples, self.count(components)?, kind)?;
+                        self.keep(array);
+                        Ok(())
+                    }
+                }
+            }
+            _ => Err(self.fault("expected an array of FIELD: name, components, tuples, type".into())),
+        }
+    }
+
+    fn keep(&mut self, array: Option<Array>) -> Option<usize> {
+        let array = array.filter(|array| array.components > 0)?;
+        matches!(self.owner, Some(Owner::Points(_))).then(|| {
+            self.attributes.push(array);
+            self.attributes.len() - 1
+        })
+    }
+
+    fn cells(&mut self, kind: CellKind, count: &str, size: &str) -> Result<(), ReadFault> {
+        let corners = self.corners(count, size)?;
+        self.cells.push(Cells { kind, corners });
+        Ok(())
+    }
+
+    fn corners(&mut self, count: &str, size: &str) -> Result<Corners, ReadFault> {
+        let (count, size) = (self.count(count)?, self.count(size)?);
+        if !self.offsets {
+            return Ok(Corners::Counted { cells: count, stream: self.numbers("cells", size, 1, "int")? });
+        }
+        let offsets = self.cell_array("OFFSETS", count)?;
+        let connectivity = self.cell_array("CONNECTIVITY", size)?;
+        Ok(Corners::Offsets { offsets, connectivity })
+    }
+
+    fn cell_array(&mut self, keyword: &str, count: usize) -> Result<Array, ReadFault> {
+        let words = self.words_of(keyword)?;
+        match *words {
+            [word, kind] if is(word, keyword) => self.numbers(keyword, count, 1, kind),
+            _ => Err(self.fault(format!("expected {keyword} and a type"))),
+        }
+    }
+
+    /// Passes an array that must be of numbers.
+    fn numbers(
+        &mut self,
+        name: &str,
+        tuples: usize,
+        components: usize,
+        kind: &str,
+    ) -> Result<Array, ReadFault> {
+        let array = self.array(name, tuples, components, kind)?;
+        array.ok_or_else(|| self.fault(format!("{name} of type {kind}")))
+    }
+
+    /// Passes the array that starts here, or nothing of it is there; returns it if it is of numbers.
+    fn array(
+        &mut self,
+        name: &str,
+        tuples: usize,
+        components: usize,
+        kind: &str,
+    ) -> Result<Option<Array>, ReadFault> {
+        if components > MOST_COMPONENTS {
+            return Err(self.fault(format!("{name} has {components} components; we read {MOST_COMPONENTS}")));
+        }
+        self.components = components;
+        let values = tuples.saturating_mul(components);
+        let scalar = match kind.to_ascii_lowercase().as_str() {
+            "bit" if self.ascii => None,
+            "bit" => return self.scan.skip(values.div_ceil(8), name).map(|()| None),
+            "string" => return self.strings(values, name).map(|()| None),
+            kind => Some(scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?),
+        };
+        let at = self.scan.at();
+        match scalar {
+            Some(scalar) if !self.ascii => self.scan.skip(values.saturating_mul(scalar.size()), name)?,
+            _ => {
+                self.scan.expect_numbers(values, name)?;
+                for index in 0..values {
+                    self.scan.skip_whitespace();
+                    if self.scan.word().is_empty() {
+                        let what = format!("the file ends where value {index} of {name} should follow");
+                        return Err(self.scan.fault(self.scan.at(), what));
+                    }
+                }
+            }
+        }
+        Ok(scalar.map(|scalar| Array { name: name.to_owned(), at, tuples, components, scalar }))
+    }
+
+    /// Passes strings: lines of text, or bytes behind a length whose first two bits tell its own.
+    fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
+        for _ in 0..count {
+            if self.ascii {
+                if !self.scan.skip_line() {
+                    return Err(self.fault(format!("the file ends within the strings of {name}")));
+                }
+                continue;
+            }
+            let rest = self.scan.rest();
+            let wide = rest.first().map_or(1, |first| 8 >> (first >> 6));
+            self.scan.skip(wide, name)?;
+            let length = rest[..wide].iter().fold(0, |length, &byte| length << 8 | u64::from(byte));
+            let length = length & (u64::MAX >> (64 - 8 * wide + 2));
+            self.scan.skip(usize::try_from(length).unwrap_or(usize::MAX), name)?;
+        }
+        Ok(())
+    }
+
+    /// Passes the lines up to an empty one; the names of components, a line each, may be empty themselves.
+    fn metadata(&mut self) -> Result<(), ReadFault> {
+        loop {
+            match self.scan.line()?.map(str::trim) {
+                Some("") => return Ok(()),
+                Some("COMPONENT_NAMES") => (0..self.components).for_each(|_| _ = self.scan.skip_line()),
+                Some(_) => {}
+                None => return Err(self.fault("METADATA do not end with an empty line".into())),
+            }
+        }
+    }
+}
+
+impl Array {
+    /// How many numbers there are. They were found to be in the file, so this cannot overflow.
+    pub fn values(&self) -> usize {
+        self.tuples * self.components
+    }
+}
+
+impl Corners {
+    /// The number of cells.
+    pub fn cells(&self) -> usize {
+        match self {
+            Self::Counted { cells, .. } => *cells,
+            Self::Offsets { offsets, .. } => offsets.tuples.saturating_sub(1),
+        }
+    }
+}
+
+fn is(word: &str, keyword: &str) -> bool {
+    word.eq_ignore_ascii_case(keyword)
+}
+
+/// A name as its program knows it: `%20` is a space.
+fn decoded(name: &str) -> String {
+    let mut bytes = Vec::with_capacity(name.len());
+    let mut rest = name.as_bytes();
+    while let [first, tail @ ..] = rest {
+        let code = name_code(rest);
+        bytes.push(code.unwrap_or(*first));
+        rest = if code.is_some() { &rest[3..] } else { tail };
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn name_code(bytes: &[u8]) -> Option<u8> {
+    let digits = bytes.strip_prefix(b"%")?.get(..2)?;
+    u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
+}
+
+fn scalar_named(name: &str) -> Option<Scalar> {
+    Some(match name {
+        "char" | "signed_char" => Scalar::I8,
+        "unsigned_char" => Scalar::U8,
+        "short" => Scalar::I16,
+        "unsigned_short" => Scalar::U16,
+        // Ids are stored as int, whatever their width in memory.
+        "int" | "vtkidtype" => Scalar::I32,
+        "unsigned_int" => Scalar::U32,
+        "long" | "vtktypeint64" => Scalar::I64,
+        "unsigned_long" | "vtktypeuint64" => Scalar::U64,
+        "float" => Scalar::F32,
+        "double" => Scalar::F64,
+        _ => return None,
+    })
+}

@@ -1,0 +1,185 @@
+//! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
+
+use crate::io::bytes::Bytes;
+use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::scan::{Scanner, malformed};
+use crate::io::vertices::{Triangles, Vertices, columns, integer};
+use crate::io::{ParticleFile, ReadFault};
+use crate::mesh::Mesh;
+use crate::particles::AttributeInfo;
+
+use super::layout::{Array, CellKind, Cells, Corners, Layout};
+
+/// Reads the points as particles: binary arrays stay where they are, text becomes columns of f64.
+///
+/// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program knows. Strings,
+/// bits, colours, and what cells carry are passed over.
+///
+/// # Errors
+/// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`] (in a text
+/// file [`ReadFault::Line`]) for what is no section, or sections that disagree, and [`ReadFault::Unsupported`]
+/// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`.
+pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+    let layout = Layout::parse(&bytes)?;
+    let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
+    Ok(vertices(&bytes, &layout)?.into_particles(bytes, format))
+}
+
+/// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
+///
+/// # Errors
+/// As [`read_particles`].
+pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
+    let layout = Layout::parse(bytes)?;
+    if layout.cells.iter().any(|cells| cells.kind != CellKind::Typed && cells.corners.cells() > 0) {
+        return Ok(true);
+    }
+    for kind in layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types)) {
+        if !is_thin(kind?) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of more than
+/// three corners are fanned from their first. Vertices and lines are ignored.
+///
+/// # Errors
+/// As [`read_particles`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
+/// [`ReadFault::Unsupported`] for cells with a volume.
+pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
+    let layout = Layout::parse(bytes)?;
+    let mut triangles = Triangles::new(layout.points.tuples)?;
+    let mut types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
+    for cells in &layout.cells {
+        visit(bytes, layout.ascii, cells, |cell, at, corners| {
+            let kind = match cells.kind {
+                CellKind::Polygons => POLYGON,
+                CellKind::Strips => TRIANGLE_STRIP,
+                CellKind::Typed => types.next().unwrap_or(Ok(0))?,
+            };
+            match (kind, corners) {
+                (kind, _) if is_thin(kind) => Ok(()),
+                (TRIANGLE_STRIP, _) => triangles.strip(cell, at, corners),
+                (PIXEL, &[a, b, c, d]) => triangles.polygon(cell, at, &[a, b, d, c]),
+                (TRIANGLE | POLYGON | QUAD, _) => triangles.polygon(cell, at, corners),
+                _ => Err(ReadFault::Unsupported(format!(
+                    "cell {cell} is of type {kind}; a mesh has cells of types {TRIANGLE} to {QUAD}"
+                ))),
+            }
+        })?;
+    }
+    Ok(vertices(bytes, &layout)?.into_mesh(bytes, triangles.triangles))
+}
+
+const TRIANGLE: i64 = 5;
+const TRIANGLE_STRIP: i64 = 6;
+const POLYGON: i64 = 7;
+const PIXEL: i64 = 8;
+const QUAD: i64 = 9;
+
+/// Whether cells of this type have neither area nor volume: nothing, vertices and lines.
+fn is_thin(kind: i64) -> bool {
+    (0..TRIANGLE).contains(&kind)
+}
+
+fn vertices(bytes: &[u8], layout: &Layout) -> Result<Vertices, ReadFault> {
+    let mut decoded = Vec::new();
+    let mut place = |array: &Array| -> Result<Vec<Column>, ReadFault> {
+        let Array { at, components, scalar, .. } = *array;
+        if !layout.ascii {
+            return Ok(columns(at, components * scalar.size(), components, scalar, Endian::Big));
+        }
+        let offset = decoded.len();
+        decode(bytes, array, &mut decoded)?;
+        Ok(columns(offset, components * Scalar::F64.size(), components, Scalar::F64, Endian::Little))
+    };
+    let position = place(&layout.points)?;
+    let attribute = |array: &Array| {
+        let info = AttributeInfo { name: array.name.clone(), components: array.components };
+        Ok((info, place(array)?))
+    };
+    let attributes = layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
+    Ok(Vertices {
+        decoded: layout.ascii.then_some(decoded),
+        count: layout.points.tuples,
+        position: [position[0], position[1], position[2]],
+        attributes,
+        normals: layout.normals,
+    })
+}
+
+/// Appends an array of text as little-endian f64.
+fn decode(bytes: &[u8], array: &Array, out: &mut Vec<u8>) -> Result<(), ReadFault> {
+    let mut scan = Scanner::new(bytes, array.at);
+    out.reserve(array.values() * Scalar::F64.size());
+    for _ in 0..array.values() {
+        scan.skip_whitespace();
+        out.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+    }
+    Ok(())
+}
+
+type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
+
+fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> Integers<'a> {
+    let Array { at, scalar, .. } = *array;
+    if ascii {
+        let mut scan = Scanner::new(bytes, at);
+        return Box::new((0..array.values()).map(move |_| {
+            scan.skip_whitespace();
+            scan.number()
+        }));
+    }
+    let stored = bytes[at..at + array.values() * scalar.size()].chunks_exact(scalar.size());
+    Box::new(stored.map(move |stored| {
+        let value = integer(scalar, Endian::Big, stored);
+        value.ok_or_else(|| malformed(at, format!("{} are no integers", array.name)))
+    }))
+}
+
+/// Visits every one of `cells`: its number, the place of the array that lists it, and its corners.
+fn visit(
+    bytes: &[u8],
+    ascii: bool,
+    cells: &Cells,
+    mut each: impl FnMut(usize, usize, &[i64]) -> Result<(), ReadFault>,
+) -> Result<(), ReadFault> {
+    let (stream, mut ends, count) = match &cells.corners {
+        Corners::Counted { cells, stream } => (stream, None, *cells),
+        Corners::Offsets { offsets, connectivity } => {
+            let mut ends = integers(bytes, ascii, offsets);
+            if ends.next().transpose()?.is_some_and(|first| first != 0) {
+                return Err(malformed(offsets.at, "the first of OFFSETS is not 0"));
+            }
+            (connectivity, Some(ends), cells.corners.cells())
+        }
+    };
+    let mut values = integers(bytes, ascii, stream);
+    let mut next = |cell| {
+        let short =
+            || Err(malformed(stream.at, format!("cell {cell} of {count} ends beyond {}", stream.name)));
+        values.next().unwrap_or_else(short)
+    };
+    let mut corners = Vec::new();
+    let mut start = 0;
+    for cell in 0..count {
+        let length = match &mut ends {
+            None => Some(next(cell)?),
+            Some(ends) => {
+                let end = ends.next().unwrap_or(Ok(start))?;
+                end.checked_sub(std::mem::replace(&mut start, end))
+            }
+        };
+        let length = length.filter(|length| *length >= 0);
+        let length =
+            length.ok_or_else(|| malformed(stream.at, format!("cell {cell} has less than no corner")))?;
+        corners.clear();
+        for _ in 0..length {
+            corners.push(next(cell)?);
+        }
+        each(cell, stream.at, &corners)?;
+    }
+    Ok(())
+}

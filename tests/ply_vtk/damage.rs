@@ -1,0 +1,113 @@
+//! Damaged and lying files of either format.
+
+use meniscus::io::{CoordinateWidth, ReadFault};
+
+use super::{
+    ENCODINGS, Format, PLY, VTK, attributes, dual, ply_with_face, positions, some_mesh, splish, toolkit,
+};
+
+/// All three readers, and every number of what they accept.
+fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
+    let particles = format.particles(bytes).map(|file| {
+        positions(&file);
+        attributes(&file);
+    });
+    [particles, (format.read_mesh)(bytes).map(|_| ()), (format.has_faces)(bytes).map(|_| ())]
+}
+
+#[test]
+fn a_truncated_ply_is_refused_at_every_prefix() {
+    for encoding in ENCODINGS {
+        let file = ply_with_face(encoding);
+        let rows_end = match encoding {
+            "ascii" => file.len() - "\n3 0 1 2\n".len(),
+            _ => file.len() - 13,
+        };
+        let faces_end = file.len() - usize::from(encoding == "ascii");
+        for cut in 0..file.len() {
+            let [particles, mesh, _] = read_all(PLY, &file[..cut]);
+            assert_eq!(particles.is_ok(), cut >= rows_end, "{encoding}: particles of {cut} bytes");
+            assert_eq!(mesh.is_ok(), cut >= faces_end, "{encoding}: mesh of {cut} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
+    for ascii in [true, false] {
+        for file in [splish(ascii), dual(ascii), toolkit(ascii)] {
+            for cut in 0..file.bytes.len() {
+                let may_end = file.ends.contains(&cut);
+                let [particles, mesh, _] = read_all(VTK, &file.bytes[..cut]);
+                let end = String::from_utf8_lossy(&file.bytes[cut.saturating_sub(40)..cut]).into_owned();
+                assert_eq!(particles.is_ok(), may_end, "ascii {ascii}, {cut} bytes, ending in {end:?}");
+                assert_eq!(mesh.is_ok(), may_end, "ascii {ascii}, {cut} bytes, ending in {end:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_flipped_byte_makes_a_reader_panic() {
+    let mesh = some_mesh();
+    let mut files: Vec<(Format, Vec<u8>)> = ENCODINGS.map(|encoding| (PLY, ply_with_face(encoding))).to_vec();
+    for ascii in [true, false] {
+        files.extend([splish(ascii), dual(ascii), toolkit(ascii)].map(|file| (VTK, file.bytes)));
+    }
+    files.extend([PLY, VTK].map(|format| (format, format.written(&mesh, CoordinateWidth::F32))));
+    for (format, mut bytes) in files {
+        for at in 0..bytes.len() {
+            let original = bytes[at];
+            for flip in [1, 2, 4, 8, 16, 32, 64, 128, 255, original ^ b'\n', original ^ b' ', original ^ b'9']
+            {
+                bytes[at] = original ^ flip;
+                let _ = read_all(format, &bytes);
+            }
+            bytes[at] = original;
+        }
+    }
+}
+
+#[test]
+fn counts_that_the_file_cannot_hold_are_refused_before_any_memory_is_taken() {
+    let huge =
+        ["2147483647", "4294967295", "9223372036854775808", "18446744073709551615", "99999999999999999999"];
+    let mut refused = 0;
+    let mut refuse = |format: Format, file: &[u8], from: &str, to: &str| {
+        let at = file.windows(from.len()).position(|w| w == from.as_bytes()).expect(from);
+        let file = [&file[..at], to.as_bytes(), &file[at + from.len()..]].concat();
+        let [particles, mesh, _] = read_all(format, &file);
+        assert!(particles.is_err() || mesh.is_err(), "{from:?} as {to:?}");
+        refused += 1;
+    };
+    for count in huge {
+        for encoding in ENCODINGS {
+            let file = ply_with_face(encoding);
+            refuse(PLY, &file, "vertex 3", &format!("vertex {count}"));
+            refuse(PLY, &file, "face 1", &format!("face {count}"));
+            let fixed = format!("element a {count}\nproperty int b\nelement vertex");
+            refuse(PLY, &file, "element vertex", &fixed);
+            let lists = format!("element a {count}\nproperty list char int b\nelement vertex");
+            refuse(PLY, &file, "element vertex", &lists);
+        }
+        for ascii in [true, false] {
+            let file = splish(ascii).bytes;
+            for line in ["POINTS 2 ", "CELLS 2 ", "CELLS 2 4", "CELL_TYPES 2", "POINT_DATA 2", "FieldData 2"]
+            {
+                let (head, _) = line.trim_end().rsplit_once(' ').unwrap();
+                let end = if line.ends_with(' ') { " " } else { "" };
+                refuse(VTK, &file, line, &format!("{head} {count}{end}"));
+            }
+            refuse(VTK, &file, "velocity 3 2", &format!("velocity {count} 2"));
+            refuse(VTK, &file, "velocity 3 2", &format!("velocity 3 {count}"));
+            refuse(VTK, &file, "id unsigned_int 1", &format!("id unsigned_int {count}"));
+            let file = toolkit(ascii).bytes;
+            refuse(VTK, &file, "CELLS 3 2", &format!("CELLS {count} 2"));
+            refuse(VTK, &file, "CELLS 3 2", &format!("CELLS 3 {count}"));
+            refuse(VTK, &file, "names 1 2", &format!("names 1 {count}"));
+            refuse(VTK, &file, "bits 1 2", &format!("bits 1 {count}"));
+            refuse(VTK, &file, "table 1", &format!("table {count}"));
+        }
+    }
+    assert_eq!(refused, huge.len() * (3 * 4 + 2 * 14));
+}

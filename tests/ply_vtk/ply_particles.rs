@@ -1,0 +1,160 @@
+//! Particles from .ply files.
+
+use meniscus::io::{ReadFault, ply};
+use meniscus::particles::{Particles, velocity_attribute};
+
+use super::{ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions};
+
+#[test]
+fn ply_scalars_of_every_type_and_encoding_are_read_to_the_bit() {
+    let properties = [
+        ("uint8", "a", 200.0),
+        ("float", "z", f64::from(0.1f32)),
+        ("int8", "b", -100.0),
+        ("char", "c", -1.0),
+        ("uchar", "d", 255.0),
+        ("short", "e", -32_000.0),
+        ("double", "x", 0.1),
+        ("ushort", "f", 65_000.0),
+        ("int16", "g", -2.0),
+        ("uint16", "h", 3.0),
+        ("int", "i", -2e9),
+        ("uint", "j", 4e9),
+        ("int32", "k", 5.0),
+        ("uint32", "l", 6.0),
+        ("float64", "m", -1e30),
+        ("float32", "y", f64::from(-1e-30f32)),
+    ];
+    let lines: String =
+        properties.iter().map(|(kind, name, _)| format!("property {kind} {name}\n")).collect();
+    for encoding in ENCODINGS {
+        let rows = [1.0, 0.5].map(|scale| {
+            properties
+                .map(|(kind, _, value)| (kind, if kind.contains("loat") { value * scale } else { value }))
+        });
+        let header = format!("element vertex 2\n{lines}");
+        let file = PlyBuilder::new(encoding, &header).row(&rows[0]).row(&rows[1]).bytes;
+        let file = PLY.particles(&file).unwrap();
+        let at = |row: usize, name| rows[row][properties.iter().position(|p| p.1 == name).unwrap()].1;
+        let wanted = [0, 1].map(|row| ["x", "y", "z"].map(|axis| at(row, axis)));
+        assert_eq!(positions(&file), wanted, "{encoding}");
+        for name in "a b c d e f g h i j k l m".split(' ') {
+            let wanted = [0, 1].map(|row| at(row, name) as f32);
+            assert_eq!(attribute(&file, name), wanted, "{encoding}: {name}");
+        }
+    }
+}
+
+#[test]
+fn ply_properties_of_a_vector_are_one_attribute() {
+    let spelled =
+        [["vx", "vy", "vz"], ["velocity_x", "velocity_y", "velocity_z"], ["vel_x", "vel_y", "vel_z"]];
+    for [a, b, c] in spelled {
+        let names = ["x", "y", "z", c, "id", a, "nx", "ny", "b_0", "b_1", b, "nz", "c_0", "d_1"];
+        let lines: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+        let row: Vec<_> = (0..names.len()).map(|i| ("float", i as f64)).collect();
+        let file =
+            PlyBuilder::new("binary_big_endian", &format!("element vertex 1\n{lines}")).row(&row).bytes;
+        let wanted = [
+            ("velocity", vec![5.0, 10.0, 3.0]),
+            ("id", vec![4.0]),
+            ("normal", vec![6.0, 7.0, 11.0]),
+            ("b", vec![8.0, 9.0]),
+            ("c_0", vec![12.0]),
+            ("d_1", vec![13.0]),
+        ];
+        let file = PLY.particles(&file).unwrap();
+        let wanted = wanted.map(|(name, values)| (name.to_owned(), values.len(), values));
+        assert_eq!(attributes(&file), wanted, "{a}");
+        assert_eq!(velocity_attribute(file.particles.attributes()), Some(0));
+    }
+    let lines = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty float vx\n";
+    let file = PlyBuilder::new("ascii", lines).row(&[("float", 1.0); 4]).bytes;
+    assert_eq!(attribute(&PLY.particles(&file).unwrap(), "vx"), [1.0]);
+}
+
+#[test]
+fn ply_elements_around_the_vertices_are_passed() {
+    let header = "comment a comment \u{e9}\nelement camera 2\nproperty float fov\nproperty uchar flag\n\
+                  element nothing 5\n\
+                  element strand 2\nproperty short s\nproperty list uchar float weights\nobj_info anything\n\
+                  element vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                  element edge 1\nproperty int a\nelement face 2\n\
+                  property uchar flags\nproperty list uint8 uint32 vertex_index\nproperty list uchar float uv\n";
+    for encoding in ENCODINGS {
+        let file = PlyBuilder::new(encoding, header)
+            .row(&[("float", 1.5), ("uchar", 1.0)])
+            .row(&[("float", 2.5), ("uchar", 2.0)])
+            .row(&[("short", 7.0), ("uchar", 2.0), ("float", 0.25), ("float", 0.75)])
+            .row(&[("short", 8.0), ("uchar", 0.0)])
+            .row(&[("float", 10.0), ("float", 20.0), ("float", 30.0)])
+            .row(&[("int", 5.0)])
+            .row(&[
+                ("uchar", 1.0),
+                ("uchar", 3.0),
+                ("uint", 0.0),
+                ("uint", 0.0),
+                ("uint", 0.0),
+                ("uchar", 0.0),
+            ])
+            .row(&[
+                ("uchar", 1.0),
+                ("uchar", 2.0),
+                ("uint", 0.0),
+                ("uint", 0.0),
+                ("uchar", 1.0),
+                ("float", 0.5),
+            ])
+            .bytes;
+        assert_eq!(positions(&PLY.particles(&file).unwrap()), [[10.0, 20.0, 30.0]], "{encoding}");
+        assert_eq!(ply::read_mesh(&file).unwrap().triangles, [[0, 0, 0]], "{encoding}: a line has no area");
+    }
+}
+
+#[test]
+fn ply_headers_may_have_line_ends_of_either_kind() {
+    for encoding in ENCODINGS {
+        let file = ply_with_face(encoding);
+        let end = file.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let body = if encoding == "ascii" {
+            String::from_utf8(file[end..].to_vec()).unwrap().replace('\n', "\r\n").into_bytes()
+        } else {
+            file[end..].to_vec()
+        };
+        let header = String::from_utf8(file[..end].to_vec()).unwrap().replace('\n', "\r\n");
+        let file = [header.as_bytes(), &body].concat();
+        assert_eq!(positions(&PLY.particles(&file).unwrap())[2], TRIANGLE[2], "{encoding}");
+        assert_eq!(ply::read_mesh(&file).unwrap().triangles, [[0, 1, 2]], "{encoding}");
+    }
+}
+
+#[test]
+fn ply_files_that_we_do_not_read_are_refused_with_the_reason() {
+    let xyz = "property float x\nproperty float y\nproperty float z\n";
+    let header = |lines: &str| format!("ply\nformat ascii 1.0\n{lines}end_header\n");
+    let refused = [
+        (header(&format!("element vertex 0\n{xyz}property list uchar int n\n")), "a list (n)"),
+        (header("element vertex 0\nproperty float x\nproperty float y\n"), "no property `z`"),
+        (header("element point 0\n"), "no element `vertex`"),
+        (header(&format!("element vertex 1\n{xyz}")) + "1.25 2\n", "line 8: the line ends where a number"),
+        (header(&format!("element vertex 1\n{xyz}")) + "1 2 3 4\n", "line 8: there are more values"),
+        (header(&format!("element vertex 1\n{xyz}")) + "\n1 two 3\n", "line 9: \"two\" stands where"),
+        (header("element vertex -1\n"), "line 3: \"-1\" is no count"),
+        (header("property float x\n"), "line 3: a property of no element"),
+        (header("element vertex 1\nproperty quad x\n"), "line 4: \"property quad x\" is no property"),
+        ("ply\nformat ascii 2.0\n".into(), "line 2"),
+        ("ply\nformat text 1.0\n".into(), "line 2: format \"text\""),
+        ("ply\nend_header\n".into(), "line 2: the header names no format"),
+        ("plyer\n".into(), "line 1"),
+    ];
+    for (text, reason) in refused {
+        let fault = PLY.particles(text.as_bytes()).expect_err(&text).to_string();
+        assert!(fault.contains(reason), "{text}: {fault}");
+    }
+    let strips = header(&format!(
+        "element vertex 0\n{xyz}element tristrips 1\nproperty list int int vertex_indices\n"
+    ));
+    assert!(matches!(ply::has_faces(strips.as_bytes()), Err(ReadFault::Unsupported(_))));
+    let plain = header(&format!("element vertex 0\n{xyz}element face 1\nproperty int a\n"));
+    assert!(matches!(ply::has_faces(plain.as_bytes()), Err(ReadFault::Malformed { .. })));
+}
