@@ -3,10 +3,14 @@
 pub mod bytes;
 pub mod columns;
 pub mod encode;
+pub mod obj;
+pub mod output;
 pub mod ply;
 pub mod scan;
+pub mod stl;
 mod vertices;
 pub mod vtk;
+pub mod vtp;
 
 use std::path::{Path, PathBuf};
 
