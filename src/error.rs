@@ -7,7 +7,8 @@ use thiserror::Error;
 use crate::brick::BinError;
 use crate::frame::FrameError;
 use crate::grid::DomainError;
-use crate::io::{ReadError, WriteError, WriteFault};
+use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
+use crate::mesh::compare::CompareError;
 use crate::units::UnitError;
 
 /// Anything that can go wrong between a particle file and a mesh file.
@@ -35,6 +36,14 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with them.
         fault: FrameError,
+    },
+    /// A mesh that cannot be compared.
+    #[error("{}: {fault}", path.display())]
+    Mesh {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: CompareError,
     },
     /// The spacing is not given, not in the file, and cannot be estimated.
     #[error(
@@ -66,6 +75,7 @@ impl Error {
     pub fn cause(&self) -> Cause {
         match self {
             Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
+            Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Frame { fault: FrameError::OverBudget(_) | FrameError::TooManyVertices(_), .. } => {
                 Cause::Request
             }
@@ -78,6 +88,7 @@ impl Error {
                 ..
             }
             | Self::NoSpacing { .. }
+            | Self::Mesh { .. }
             | Self::Read(_) => Cause::Input,
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,

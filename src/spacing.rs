@@ -14,8 +14,8 @@ use crate::particles::{Bounds, Particles, bounds, fold_positions};
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 /// Interior cells that make an estimate worth having.
 const ENOUGH_CELLS: usize = 8;
-/// Up to this many particles, several placements of the counting grid are averaged.
-const SMALL: usize = 1 << 20;
+/// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged.
+const MANY: usize = 1 << 18;
 
 /// Estimates the spacing; `None` where there is no inside, as in a few particles or mere spray.
 #[must_use]
@@ -23,13 +23,13 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;
     let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
-    let mut cell = (volume / finite as f64).cbrt();
+    let mut cell = (TARGETS[0] * volume / finite as f64).cbrt();
     if !(cell.is_finite() && cell > 0.0) {
         return None;
     }
     TARGETS.iter().find_map(|&target| {
         cell = cell_for(particles, target, cell, lo)?;
-        let placements = if particles.len() <= SMALL { 8 } else { 1 };
+        let placements = (MANY / particles.len().max(1)).clamp(1, 8) as u32;
         // Shifts by multiples of the golden ratio's powers spread evenly.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);

@@ -7,6 +7,7 @@ mod common {
 use common::shapes::{cone, cuboid, moved, sphere, torus, union};
 use meniscus::mesh::Mesh;
 use meniscus::mesh::check::{Found, check};
+use meniscus::mesh::compare::{CompareError, Side, compare};
 use meniscus::mesh::measure::measure;
 
 fn once<T>(place: T) -> Found<T> {
@@ -230,4 +231,119 @@ fn the_worst_triangle_is_named_with_its_angle() {
     mesh.triangles.push([0, 1, 4]);
     let quality = measure(&mesh).quality;
     assert_eq!((quality.worst_triangle, quality.worst_angle, quality.flat), (Some(2), Some(0.), 1));
+}
+
+fn scaled(mesh: &Mesh, by: f64) -> Mesh {
+    let mut mesh = mesh.clone();
+    mesh.positions.iter_mut().flatten().for_each(|x| *x *= by);
+    mesh
+}
+
+#[test]
+fn a_mesh_is_no_distance_from_itself() {
+    for mesh in [cuboid([0.; 3], [1.; 3]), sphere(1., 3), torus(40, 20)] {
+        let same = compare(&mesh, &mesh).unwrap();
+        assert!(same.hausdorff < 1e-15 && same.bias.abs() < 1e-15, "{same:?}");
+        assert_eq!((same.from_mesh.samples, same.from_mesh.vertices), (100_000, mesh.positions.len()));
+    }
+}
+
+#[test]
+fn an_offset_sphere_lies_apart_by_the_offset_with_its_sign() {
+    let ball = sphere(1., 5);
+    for offset in [0.01, -0.01] {
+        let found = compare(&ball, &scaled(&ball, 1. + offset)).unwrap();
+        // A sphere of chords: the facets' middles lie up to 0.0006 inside of the sphere.
+        assert!((found.hausdorff - 0.01).abs() < 1e-5, "{found:?}");
+        assert!((found.bias - offset).abs() < 2e-5, "{found:?}");
+        for way in [&found.from_mesh, &found.from_reference] {
+            assert!((way.mean - 0.01).abs() < 2e-5 && way.rms >= way.mean, "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn distances_far_from_the_origin_are_those_near_it() {
+    let (ball, larger) = (sphere(1., 4), sphere(1.25, 4));
+    let by = [1e6, -2e6, 4e6];
+    let near = compare(&ball, &larger).unwrap();
+    let far = compare(&moved(&ball, by), &moved(&larger, by)).unwrap();
+    assert!((near.hausdorff - far.hausdorff).abs() < 1e-8 && (near.bias - far.bias).abs() < 1e-8);
+    assert!((far.from_mesh.farthest[2] - by[2]).abs() < 1.3);
+}
+
+#[test]
+fn the_greatest_distance_is_seen_from_the_side_that_has_it() {
+    // A spike on the mesh: far from the reference, while the reference lies near the mesh.
+    let reference = sphere(1., 4);
+    let mut mesh = reference.clone();
+    mesh.positions[0] = [3., 0., 0.];
+    let found = compare(&reference, &mesh).unwrap();
+    assert_eq!(found.from_mesh.max, 2.);
+    assert_eq!(found.from_mesh.farthest, [3., 0., 0.]);
+    assert!(found.from_reference.max < 0.2 && found.hausdorff == 2.);
+}
+
+#[test]
+fn signs_hold_where_the_nearest_point_is_an_edge_or_a_corner() {
+    // Seen from outside, most of a great sphere is nearest to the corners of a small box, and points near
+    // a corner's bisector lie behind the planes of some of its faces but not of the corner.
+    let small = cuboid([-0.1; 3], [0.1, 0.1, 0.3]);
+    let found = compare(&small, &sphere(2., 4)).unwrap();
+    assert!((found.bias - found.from_mesh.mean).abs() < 1e-12, "{found:?}");
+    // And a small box inside of a great notched one lies inside, though nearest to the notch's edge.
+    let notch = [[0., 0., 0.], [4., 0., 0.], [4., 4., 0.], [2., 0.5, 0.], [0., 4., 0.]];
+    let found = compare(&prism(&notch, 8.), &cuboid([1.8, 0.2, 3.], [2.2, 0.3, 5.])).unwrap();
+    assert!((found.bias + found.from_mesh.mean).abs() < 1e-12, "{found:?}");
+}
+
+/// The outline, counter-clockwise and star-shaped seen from its fourth corner, drawn out along z.
+fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
+    let n = outline.len() as u32;
+    let mut mesh = Mesh { positions: outline.to_vec(), ..Mesh::default() };
+    mesh.positions.extend(outline.iter().map(|p| [p[0], p[1], height]));
+    for i in 0..n {
+        let j = (i + 1) % n;
+        mesh.triangles.extend([[i, j, n + j], [i, n + j, n + i]]);
+        if i != 3 && j != 3 {
+            mesh.triangles.extend([[3, j, i], [n + 3, n + i, n + j]]);
+        }
+    }
+    assert!(check(&mesh).is_closed_oriented_manifold(), "{}", check(&mesh));
+    mesh
+}
+
+#[test]
+fn comparisons_do_not_depend_on_the_number_of_threads() {
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| compare(&torus(50, 20), &torus(43, 27))).unwrap()
+    };
+    assert_eq!(on(1), on(3));
+}
+
+#[test]
+fn one_triangle_can_be_compared_to_another() {
+    let flat = |z| Mesh {
+        positions: vec![[0., 0., z], [1., 0., z], [0., 1., z]],
+        triangles: vec![[0, 1, 2]],
+        ..Mesh::default()
+    };
+    let found = compare(&flat(0.), &flat(-0.25)).unwrap();
+    assert_eq!((found.hausdorff, found.bias, found.from_reference.rms), (0.25, -0.25, 0.25));
+}
+
+#[test]
+fn what_is_no_surface_cannot_be_compared() {
+    let ball = sphere(1., 1);
+    let empty = Mesh { positions: ball.positions.clone(), ..Mesh::default() };
+    assert_eq!(compare(&empty, &ball), Err(CompareError::NoSurface(Side::Reference)));
+    assert_eq!(compare(&ball, &scaled(&ball, 0.)), Err(CompareError::NoSurface(Side::Mesh)));
+    for x in [f64::NAN, f64::INFINITY, 1e100] {
+        let mut bad = ball.clone();
+        bad.positions[5][1] = x;
+        assert_eq!(compare(&ball, &bad), Err(CompareError::NotFinite { side: Side::Mesh, vertex: 5 }));
+        bad.triangles.retain(|t| !t.contains(&5));
+        assert!(compare(&ball, &bad).is_ok());
+    }
 }

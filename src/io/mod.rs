@@ -9,11 +9,15 @@ pub mod encode;
 pub mod input;
 pub mod names;
 pub mod npy;
+pub mod obj;
+pub mod output;
 pub mod ply;
 pub mod scan;
 pub mod scene;
+pub mod stl;
 mod vertices;
 pub mod vtk;
+pub mod vtp;
 pub mod xyz;
 
 use std::path::{Path, PathBuf};

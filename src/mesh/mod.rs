@@ -2,6 +2,7 @@
 
 mod block;
 pub mod check;
+pub mod compare;
 pub mod measure;
 pub mod stars;
 

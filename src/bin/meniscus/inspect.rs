@@ -6,7 +6,7 @@ use clap::Args;
 use meniscus::error::Error;
 use meniscus::io::output::read_mesh;
 use meniscus::mesh::check::{self, Report};
-use meniscus::mesh::compare;
+use meniscus::mesh::compare::{self, Comparison, Distances, Side};
 use meniscus::mesh::measure::{Measures, measure};
 use serde::Serialize;
 
@@ -54,7 +54,7 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
             measures: measure(&mesh),
         };
         if !options.json {
-            print(&format!("{}\n{}{}", path.display(), checked.report, checked.measures))?;
+            print(&format!("{}\n{}\n{}", path.display(), checked.report, describe(&checked.measures)))?;
         }
         all.push(checked);
     }
@@ -65,15 +65,49 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     Ok(if good { Verdict::Good } else { Verdict::Bad })
 }
 
+fn describe(measures: &Measures) -> String {
+    let Measures { bounds, area, volume, components, euler_characteristic, genus, quality } = measures;
+    let known = |value: Option<String>| value.unwrap_or_else(|| "unknown".to_owned());
+    let lines = [
+        ("box", known(bounds.map(|[lo, hi]| format!("{lo:?} to {hi:?}")))),
+        ("area", area.to_string()),
+        ("volume", known(volume.map(|v| v.to_string()))),
+        ("components", components.to_string()),
+        ("genus", known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})")))),
+        ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
+        ("mean of least", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
+        ("worst aspect", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),
+        ("flat triangles", quality.flat.to_string()),
+    ];
+    lines.map(|(name, value)| format!("  {name:<16} {value}")).join("\n")
+}
+
 /// Measures the distances between two meshes.
 pub fn compare(options: &CompareOptions) -> Result<Verdict, Error> {
     let reference = read_mesh(&options.reference)?;
     let mesh = read_mesh(&options.mesh)?;
-    let comparison = compare::compare(&reference, &mesh).map_err(|e| Error::Request(e.to_string()))?;
+    let comparison = compare::compare(&reference, &mesh).map_err(|fault| {
+        let path = match fault.side() {
+            Side::Reference => options.reference.clone(),
+            Side::Mesh => options.mesh.clone(),
+        };
+        Error::Mesh { path, fault }
+    })?;
     if options.json {
         print_json(&comparison)?;
     } else {
-        print(&comparison.to_string())?;
+        let Comparison { hausdorff, bias, from_mesh, from_reference } = &comparison;
+        let way = |name: &str, d: &Distances| {
+            format!(
+                "{name:<15} mean {:.6}, RMS {:.6}, greatest {:.6} at {:?}",
+                d.mean, d.rms, d.max, d.farthest
+            )
+        };
+        print(&format!(
+            "Hausdorff       {hausdorff:.6}\nbias            {bias:+.6}\n{}\n{}",
+            way("from mesh", from_mesh),
+            way("from reference", from_reference),
+        ))?;
     }
     Ok(Verdict::Good)
 }

@@ -156,7 +156,6 @@ impl Notes {
 struct Request {
     sigma: Sigma,
     indicator: Indicator,
-    format: MeshFormat,
     cell: Cell,
 }
 
@@ -196,7 +195,14 @@ impl Options {
                 return Err(error.into());
             }
         }
-        let format = MeshFormat::of(&self.output)?;
+        if self.threads == Some(0) {
+            return Err(Error::Request("--threads must be at least 1".into()));
+        }
+        Ok(Request { sigma, indicator, cell })
+    }
+
+    /// What is asked for and the format cannot hold.
+    fn validate_format(&self, format: MeshFormat) -> Result<(), Error> {
         let refuse = |what: &str| {
             Err(Error::Request(format!("{}: {format} cannot hold {what}", self.output.display())))
         };
@@ -206,10 +212,7 @@ impl Options {
         if self.attributes.as_ref().is_some_and(|a| a != &["none"]) && !format.holds_attributes() {
             return refuse("vertex attributes");
         }
-        if self.threads == Some(0) {
-            return Err(Error::Request("--threads must be at least 1".into()));
-        }
-        Ok(Request { sigma, indicator, format, cell })
+        Ok(())
     }
 
     fn replace(&self) -> Replace {
@@ -245,6 +248,7 @@ impl Options {
         &self,
         request: &Request,
         file: &ParticleFile,
+        format: MeshFormat,
         cell_size: f64,
         budget: MemoryBudget,
     ) -> Result<Sampling, Error> {
@@ -258,7 +262,7 @@ impl Options {
             indicator: request.indicator,
             invalid: if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
             side: BrickSide::default(),
-            carried: self.carried(file, request.format)?,
+            carried: self.carried(file, format)?,
             budget,
         })
     }
@@ -275,13 +279,10 @@ pub fn run(options: Options) -> Result<Verdict, Error> {
     let budget = options.memory.map_or_else(default_budget, |size| MemoryBudget(size.as_u64()));
     let stats = options.stats.as_deref().map(open_stats).transpose()?;
     refuse_same_file(&options.input, &options.output)?;
-    let output = if options.dry_run {
-        None
-    } else {
-        let output = MeshOutput::prepare(&options.output, options.replace())?;
-        remove_on_interrupt(output.temporary());
-        Some(output)
-    };
+    let output = MeshOutput::prepare(&options.output, options.replace())?;
+    remove_on_interrupt(output.temporary());
+    let format = output.format();
+    options.validate_format(format)?;
 
     let mut laps = Laps::default();
     let file = open_particles(&options.input)?;
@@ -290,10 +291,10 @@ pub fn run(options: Options) -> Result<Verdict, Error> {
     notes.say(format!("{}: {particles} particles, {}", options.input.display(), file.format));
     let cell_size = cell_size(&request.cell, &options.input, &file, &notes)?;
     laps.lap("spacing");
-    let sampling = options.sampling(&request, &file, cell_size, budget)?;
+    let sampling = options.sampling(&request, &file, format, cell_size, budget)?;
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
 
-    let Some(output) = output else {
+    if options.dry_run {
         let (census, estimate) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
         crate::print(&format!(
             "would reconstruct {} particles with cells of {cell_size} into {}\nmemory: about {} ({} particles, {} field, {} mesh at most) of {} allowed",
@@ -306,7 +307,7 @@ pub fn run(options: Options) -> Result<Verdict, Error> {
             ByteSize(budget.0),
         ))?;
         return Ok(Verdict::Good);
-    };
+    }
 
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
     // Its pages are of no more use.
@@ -328,7 +329,7 @@ pub fn run(options: Options) -> Result<Verdict, Error> {
     let mean_count = frame.mean_count();
     drop(frame);
 
-    let width = coordinate_width(&surface, cell_size, request.format, &notes);
+    let width = coordinate_width(&surface, cell_size, format, &notes);
     let bytes = output.write(&surface.mesh, width)?;
     remove_on_interrupt(None);
     laps.lap("write");

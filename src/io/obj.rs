@@ -1,0 +1,165 @@
+//! Wavefront .obj: text, a line each for a vertex (`v`), a normal (`vn`) and a face (`f`, numbered from 1).
+//!
+//! There is no place for attributes, and a normal belongs to a face's corner, not to a vertex: [`read_mesh`]
+//! keeps normals that are numbered as their vertices are, as [`write_mesh`] does, and no others.
+
+use std::fmt;
+use std::io::{self, Write};
+
+use crate::mesh::Mesh;
+
+use super::encode::write_chunks;
+use super::scan::Scanner;
+use super::vertices::assert_complete;
+use super::{CoordinateWidth, ReadFault};
+
+/// What a line may start with that says nothing of the surface's shape.
+const IGNORED: [&[u8]; 14] = [
+    b"vt", b"vp", b"p", b"l", b"o", b"g", b"s", b"mg", b"mtllib", b"usemtl", b"usemap", b"maplib", b"lod",
+    b"bevel",
+];
+
+/// Writes vertices, normals and triangles. A number has as many digits as make it that f32 or f64 again.
+///
+/// # Errors
+/// Those of `out`.
+///
+/// # Panics
+/// If normals are not of the vertices' number.
+pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> io::Result<()> {
+    assert_complete(mesh);
+    write_chunks(out, mesh.positions.len(), |range, out| {
+        for &[x, y, z] in &mesh.positions[range] {
+            match width {
+                CoordinateWidth::F32 => {
+                    put(out, format_args!("v {} {} {}\n", x as f32, y as f32, z as f32));
+                }
+                CoordinateWidth::F64 => put(out, format_args!("v {x} {y} {z}\n")),
+            }
+        }
+    })?;
+    if let Some(normals) = &mesh.normals {
+        write_chunks(out, normals.len(), |range, out| {
+            for [x, y, z] in &normals[range] {
+                put(out, format_args!("vn {x} {y} {z}\n"));
+            }
+        })?;
+    }
+    write_chunks(out, mesh.triangles.len(), |range, out| {
+        for triangle in &mesh.triangles[range] {
+            let [a, b, c] = triangle.map(|vertex| u64::from(vertex) + 1);
+            match mesh.normals {
+                Some(_) => put(out, format_args!("f {a}//{a} {b}//{b} {c}//{c}\n")),
+                None => put(out, format_args!("f {a} {b} {c}\n")),
+            }
+        }
+    })
+}
+
+fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
+    out.write_fmt(line).expect("memory takes whatever is written to it");
+}
+
+/// Reads vertices, normals that are numbered as their vertices are, and faces, fanned from their first corner.
+///
+/// Texture coordinates, groups, materials, points and lines are passed over.
+///
+/// # Errors
+/// [`ReadFault::Line`] for a line that does not parse, a face of less than three corners or with a corner that is
+/// not among the vertices so far; [`ReadFault::Unsupported`] for more vertices than a mesh can have.
+pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
+    let mut scan = Scanner::new(bytes, 0);
+    let mut reading = Reading { numbered_alike: true, ..Reading::default() };
+    loop {
+        scan.skip_blanks();
+        let at = scan.at();
+        match scan.word() {
+            b"v" => reading.positions.push(vector(&mut scan)?),
+            b"vn" => reading.normals.push(vector(&mut scan)?),
+            b"f" => reading.face(&mut scan, at)?,
+            word if word.is_empty() || word[0] == b'#' || IGNORED.contains(&word) => {}
+            word => {
+                let shown = String::from_utf8_lossy(&word[..word.len().min(40)]);
+                return Err(scan.fault(at, format!("{shown:?} starts no line of an .obj file")));
+            }
+        }
+        if !scan.skip_line() {
+            return Ok(reading.into_mesh());
+        }
+    }
+}
+
+/// Three numbers on the rest of this line.
+pub(super) fn vector<T: std::str::FromStr>(scan: &mut Scanner) -> Result<[T; 3], ReadFault> {
+    let mut next = || {
+        scan.skip_blanks();
+        scan.number()
+    };
+    Ok([next()?, next()?, next()?])
+}
+
+#[derive(Default)]
+struct Reading {
+    positions: Vec<[f64; 3]>,
+    normals: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+    /// Whether every corner so far has a normal of its vertex's number.
+    numbered_alike: bool,
+    corners: Vec<u32>,
+}
+
+impl Reading {
+    fn face(&mut self, scan: &mut Scanner, line: usize) -> Result<(), ReadFault> {
+        self.corners.clear();
+        loop {
+            scan.skip_blanks();
+            let at = scan.at();
+            let word = scan.word();
+            if word.is_empty() || word[0] == b'#' {
+                break;
+            }
+            let corner = self.corner(word).map_err(|what| scan.fault(at, what))?;
+            let corner = u32::try_from(corner).map_err(|_| {
+                ReadFault::Unsupported(format!("vertex {corner} is used; a mesh has less than 2^32"))
+            })?;
+            self.corners.push(corner);
+        }
+        match &self.corners[..] {
+            [apex, rim @ ..] if rim.len() > 1 => {
+                self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
+                Ok(())
+            }
+            few => Err(scan.fault(line, format!("a face of {} corners", few.len()))),
+        }
+    }
+
+    /// The vertex of a corner `vertex`, `vertex/texture`, `vertex//normal` or `vertex/texture/normal`.
+    fn corner(&mut self, word: &[u8]) -> Result<usize, String> {
+        let mut parts = word.split(|&byte| byte == b'/');
+        let vertex = resolve(parts.next().unwrap_or_default(), "vertex", self.positions.len())?;
+        let normal = parts.nth(1).map(|part| resolve(part, "normal", self.normals.len())).transpose()?;
+        self.numbered_alike &= normal == Some(vertex);
+        Ok(vertex)
+    }
+
+    fn into_mesh(self) -> Mesh {
+        let own =
+            self.numbered_alike && !self.normals.is_empty() && self.normals.len() == self.positions.len();
+        Mesh {
+            positions: self.positions,
+            triangles: self.triangles,
+            normals: own.then_some(self.normals),
+            attributes: Vec::new(),
+        }
+    }
+}
+
+/// A number from 1 on, or from the end on if it is negative, as an index into the `count` so far.
+fn resolve(number: &[u8], what: &str, count: usize) -> Result<usize, String> {
+    let shown = || String::from_utf8_lossy(&number[..number.len().min(40)]).into_owned();
+    let parsed: Option<i64> = std::str::from_utf8(number).ok().and_then(|number| number.parse().ok());
+    let parsed = parsed.ok_or_else(|| format!("{:?} is no number of a {what}", shown()))?;
+    let distance = usize::try_from(parsed.unsigned_abs()).unwrap_or(usize::MAX);
+    let index = if parsed < 0 { count.checked_sub(distance) } else { distance.checked_sub(1) };
+    index.filter(|&index| index < count).ok_or_else(|| format!("{what} {parsed} of the {count} so far"))
+}

@@ -1,0 +1,165 @@
+//! .stl: triangles each for itself, by the coordinates of their corners; written in binary, read also as text.
+//!
+//! The format has no vertices that triangles could share, so the reader takes corners for one vertex whose
+//! coordinates are equal to the bit. This is the one place where positions name vertices: a mesh that touches itself
+//! comes back joined there. Coordinates are f32 in binary, and there is no place for anything else.
+
+use std::io::{self, Write};
+
+use glam::DVec3;
+use hashbrown::HashMap;
+
+use crate::mesh::Mesh;
+
+use super::encode::write_chunks;
+use super::obj::vector;
+use super::scan::{Scanner, malformed};
+use super::{CoordinateWidth, ReadFault};
+
+/// Whatever it says, it must not start with "solid", which is how text does.
+const TITLE: &[u8; 80] = b"binary STL, written by meniscus                                                 ";
+
+/// Title and number of triangles.
+const HEADER: usize = TITLE.len() + 4;
+
+/// Normal, three corners, and two bytes without a meaning.
+const RECORD: usize = 50;
+
+/// Writes the triangles in binary, with their normals (zero where there is no area). The width is always f32.
+///
+/// # Errors
+/// [`io::ErrorKind::InvalidInput`] for more than 2^32 - 1 triangles, before anything is written; those of `out`.
+///
+/// # Panics
+/// If a triangle names a missing vertex.
+pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, _width: CoordinateWidth) -> io::Result<()> {
+    let count = u32::try_from(mesh.triangles.len()).map_err(|_| {
+        let what = format!("{} triangles; an .stl file holds at most {}", mesh.triangles.len(), u32::MAX);
+        io::Error::new(io::ErrorKind::InvalidInput, what)
+    })?;
+    out.write_all(TITLE)?;
+    out.write_all(&count.to_le_bytes())?;
+    write_chunks(out, mesh.triangles.len(), |range, out| {
+        for triangle in &mesh.triangles[range] {
+            let corners = triangle.map(|vertex| mesh.positions[vertex as usize]);
+            let [a, b, c] = corners.map(DVec3::from);
+            let normal = (b - a).cross(c - a).normalize_or_zero().to_array();
+            for vector in [normal].iter().chain(&corners) {
+                out.extend(vector.map(|x| (x as f32).to_le_bytes()).as_flattened());
+            }
+            out.extend([0; 2]);
+        }
+    })
+}
+
+/// Reads triangles, binary or text, and joins corners of equal coordinates. Normals are passed over.
+///
+/// # Errors
+/// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file of another length than its number of
+/// triangles asks for, [`ReadFault::Line`] for text that is no .stl.
+pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
+    // Some binary files start with "solid" as well, but no text has the length that its bytes 80 to 83 ask for.
+    match records(bytes) {
+        Ok(records) => joined(records.flat_map(corners)),
+        Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),
+        Err(fault) => Err(fault),
+    }
+}
+
+/// The triangles of a binary file, as they are.
+fn records(bytes: &[u8]) -> Result<impl Iterator<Item = &[u8; RECORD]>, ReadFault> {
+    let have = bytes.len() as u64;
+    let truncated = |what: &str, needed: u64| ReadFault::Truncated { what: what.to_owned(), needed, have };
+    let (header, body) =
+        bytes.split_first_chunk::<HEADER>().ok_or_else(|| truncated("the header", HEADER as u64))?;
+    let [.., a, b, c, d] = *header;
+    let count = u32::from_le_bytes([a, b, c, d]);
+    let needed = HEADER as u64 + u64::from(count) * RECORD as u64;
+    match needed.cmp(&have) {
+        std::cmp::Ordering::Greater => Err(truncated(&format!("a list of {count} triangles"), needed)),
+        std::cmp::Ordering::Less => {
+            Err(malformed(needed as usize, format!("more bytes after the last of {count} triangles")))
+        }
+        std::cmp::Ordering::Equal => Ok(body.as_chunks().0.iter()),
+    }
+}
+
+fn corners(record: &[u8; RECORD]) -> [[f64; 3]; 3] {
+    let number = |index: usize| {
+        let bytes: [u8; 4] = std::array::from_fn(|i| record[4 * index + i]);
+        f64::from(f32::from_le_bytes(bytes))
+    };
+    [3, 6, 9].map(|first| [0, 1, 2].map(|axis| number(first + axis)))
+}
+
+/// The corners of a text file's triangles, three after three. One statement a line.
+fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
+    let mut scan = Scanner::new(bytes, 0);
+    let mut corners = Vec::new();
+    let mut inside = Inside::Nothing;
+    loop {
+        scan.skip_whitespace();
+        let at = scan.at();
+        let word = scan.word();
+        inside = match (inside, &word.to_ascii_lowercase()[..]) {
+            (Inside::Nothing, b"") => return Ok(corners),
+            (Inside::Nothing, b"solid") => Inside::Solid,
+            (Inside::Solid, b"endsolid") => Inside::Nothing,
+            (Inside::Solid, b"facet" | b"endfacet") => Inside::Solid,
+            (Inside::Solid, b"outer") => Inside::Loop { first: corners.len() },
+            (Inside::Loop { first }, b"endloop") if corners.len() == first + 3 => Inside::Solid,
+            (Inside::Loop { first }, b"vertex") if corners.len() < first + 3 => {
+                corners.push(vector(&mut scan)?);
+                inside
+            }
+            _ => {
+                let shown = String::from_utf8_lossy(&word[..word.len().min(40)]);
+                return Err(scan.fault(at, format!("{shown:?} {}", inside.complaint())));
+            }
+        };
+        scan.skip_line();
+    }
+}
+
+/// Where in a text file we are.
+#[derive(Clone, Copy)]
+enum Inside {
+    Nothing,
+    Solid,
+    /// Around a triangle whose first corner has this number.
+    Loop {
+        first: usize,
+    },
+}
+
+impl Inside {
+    fn complaint(self) -> &'static str {
+        match self {
+            Self::Nothing => "where a solid should start",
+            Self::Solid => "where a facet, or the end of the solid, should be",
+            Self::Loop { .. } => "in a loop, which should have three vertices and then end",
+        }
+    }
+}
+
+/// One vertex for all corners of equal coordinates, in the order of their first corners.
+fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
+    let mut mesh = Mesh::default();
+    let mut known = HashMap::new();
+    let mut triangle = Vec::with_capacity(3);
+    for position in corners {
+        let next = u32::try_from(mesh.positions.len()).map_err(|_| {
+            ReadFault::Unsupported("2^32 different corners are more than a mesh has".to_owned())
+        })?;
+        let vertex = *known.entry(position.map(f64::to_bits)).or_insert(next);
+        if vertex == next {
+            mesh.positions.push(position);
+        }
+        triangle.push(vertex);
+        if let [a, b, c] = triangle[..] {
+            mesh.triangles.push([a, b, c]);
+            triangle.clear();
+        }
+    }
+    Ok(mesh)
+}

@@ -1,0 +1,341 @@
+//! How far two surfaces lie apart.
+//!
+//! Each surface is sampled and every sample's distance to the other surface taken, exactly, to the nearest
+//! point on any of its triangles. Vertices count for the greatest distance only; means are over samples
+//! that are spread evenly by area. Samples and sums have a fixed order, so that the figures are the same
+//! on any number of threads.
+//!
+//! A distance's sign comes from the angle-weighted pseudo-normal at the nearest point, which tells inside
+//! from outside also where that point is an edge or a vertex (Baerentzen and Aanaes 2005).
+
+use std::ops::Range;
+
+use glam::DVec3;
+use parry3d_f64::bounding_volume::Aabb;
+use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy, BvhNode};
+use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::shape::{Triangle, TrianglePointLocation};
+use rayon::prelude::*;
+use serde::Serialize;
+use thiserror::Error;
+
+use super::Mesh;
+use super::stars::{Stars, is_sound};
+
+/// Samples spread over a surface: ten a triangle, within these bounds.
+const SAMPLES: [usize; 2] = [100_000, 2_000_000];
+
+/// Samples a task. Within a task, each sample's search starts from the last one's nearest triangle.
+const CHUNK: usize = 1 << 12;
+
+/// Products of four lengths must not overflow.
+const GREATEST_COORDINATE: f64 = 1e70;
+
+/// What [`compare`] found. Lengths are in the meshes' unit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// The greatest distance from any sample of either surface to the other.
+    pub hausdorff: f64,
+    /// Mean signed distance of the mesh from the reference, positive where the mesh lies outside of it.
+    pub bias: f64,
+    /// From samples of the mesh to the reference.
+    pub from_mesh: Distances,
+    /// From samples of the reference to the mesh.
+    pub from_reference: Distances,
+}
+
+/// Distances from samples of one surface to the other surface.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Distances {
+    /// The greatest, vertices included.
+    pub max: f64,
+    /// The sample that has it.
+    pub farthest: [f64; 3],
+    /// Mean by area.
+    pub mean: f64,
+    /// Root of the mean square by area.
+    pub rms: f64,
+    /// Samples spread by area.
+    pub samples: usize,
+    /// Vertices, which are samples for the greatest distance only.
+    pub vertices: usize,
+}
+
+/// Which of the two meshes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// The one compared to.
+    Reference,
+    /// The other.
+    Mesh,
+}
+
+/// Meshes between which there is no distance.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum CompareError {
+    /// No triangle has an area.
+    #[error("the {} has no triangle with an area", .0.name())]
+    NoSurface(Side),
+    /// A coordinate is no number, or so great that its powers overflow.
+    #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]
+    NotFinite {
+        /// Whose.
+        side: Side,
+        /// The first such vertex that a triangle uses.
+        vertex: u32,
+    },
+}
+
+impl CompareError {
+    /// Whose fault it is.
+    #[must_use]
+    pub fn side(&self) -> Side {
+        match *self {
+            Self::NoSurface(side) | Self::NotFinite { side, .. } => side,
+        }
+    }
+}
+
+impl Side {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Mesh => "mesh",
+        }
+    }
+}
+
+/// Measures how far `mesh` and `reference` lie apart, in both directions.
+///
+/// Triangles that name a missing vertex, or one twice, are left out. The reference need not be closed;
+/// the bias then speaks of the side that its triangles face.
+///
+/// # Errors
+/// Where either has no surface, or a vertex that is no point: see [`CompareError`].
+pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError> {
+    // Near the first vertex, positions have as many digits as they can.
+    let origin = reference.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
+    let (reference, mesh) =
+        (Surface::new(reference, origin, Side::Reference)?, Surface::new(mesh, origin, Side::Mesh)?);
+    let (from_mesh, bias) = mesh.distances_to(&reference, origin);
+    let (from_reference, _) = reference.distances_to(&mesh, origin);
+    Ok(Comparison { hausdorff: from_mesh.max.max(from_reference.max), bias, from_mesh, from_reference })
+}
+
+/// A mesh, ready to be sampled and searched.
+struct Surface {
+    positions: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+    stars: Stars,
+    tree: Bvh,
+    /// Area of the triangles up to and including each.
+    area_up_to: Vec<f64>,
+}
+
+impl Surface {
+    fn new(mesh: &Mesh, origin: DVec3, side: Side) -> Result<Self, CompareError> {
+        let sound = mesh.triangles.iter().copied().filter(|&t| is_sound(t, mesh.positions.len()));
+        let triangles: Vec<[u32; 3]> = sound.collect();
+        let far = |&&vertex: &&u32| {
+            let position = mesh.positions[vertex as usize];
+            !position.iter().all(|x| x.abs() <= GREATEST_COORDINATE)
+        };
+        if let Some(&vertex) = triangles.iter().flatten().find(far) {
+            return Err(CompareError::NotFinite { side, vertex });
+        }
+        let positions: Vec<DVec3> = mesh.positions.iter().map(|&p| DVec3::from(p) - origin).collect();
+        let corners = |t: &[u32; 3]| t.map(|vertex| positions[vertex as usize]);
+        let area_up_to: Vec<f64> = triangles
+            .iter()
+            .scan(0.0, |total, triangle| {
+                *total += scaled_normal(corners(triangle)).length() / 2.0;
+                Some(*total)
+            })
+            .collect();
+        if area_up_to.last().is_none_or(|&area| area == 0.0) {
+            return Err(CompareError::NoSurface(side));
+        }
+        let boxes = triangles.iter().map(|triangle| {
+            let [a, b, c] = corners(triangle);
+            Aabb::new(a.min(b).min(c), a.max(b).max(c))
+        });
+        let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
+        Ok(Self { stars: Stars::new(mesh), positions, triangles, tree, area_up_to })
+    }
+
+    fn corners(&self, triangle: usize) -> [DVec3; 3] {
+        self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
+    }
+
+    /// Distances of this surface's samples from `other`, and their signed mean.
+    fn distances_to(&self, other: &Self, origin: DVec3) -> (Distances, f64) {
+        let samples = (10 * self.triangles.len()).clamp(SAMPLES[0], SAMPLES[1]);
+        let area = in_chunks(samples, |range| other.summary(self.spread(range, samples)));
+        let vertices = in_chunks(self.positions.len(), |range| {
+            let used = range.filter(|&vertex| !self.stars.of(vertex).is_empty());
+            other.summary(used.map(|vertex| self.positions[vertex]))
+        });
+        let farthest = if vertices.max > area.max { vertices.farthest } else { area.farthest };
+        let count = samples as f64;
+        let distances = Distances {
+            max: area.max.max(vertices.max),
+            farthest: (farthest + origin).to_array(),
+            mean: area.sum / count,
+            rms: (area.sum_of_squares / count).sqrt(),
+            samples,
+            vertices: vertices.count,
+        };
+        (distances, area.signed_sum / count)
+    }
+
+    /// Samples number `range` of `samples`, each in the middle of an equal share of the area.
+    fn spread(&self, range: Range<usize>, samples: usize) -> impl Iterator<Item = DVec3> {
+        let total = self.area_up_to[self.triangles.len() - 1];
+        let mut triangle = 0;
+        range.map(move |number| {
+            let target = (number as f64 + 0.5) / samples as f64 * total;
+            if self.area_up_to[triangle] <= target {
+                triangle += self.area_up_to[triangle..].partition_point(|&area| area <= target);
+            }
+            let [a, b, c] = self.corners(triangle);
+            let [u, v] = spot(number);
+            a + (b - a) * u + (c - a) * v
+        })
+    }
+
+    /// What is to be known of the distances from `points` to this surface.
+    fn summary(&self, points: impl Iterator<Item = DVec3>) -> Summary {
+        let mut summary = Summary::default();
+        let mut near = None;
+        for point in points {
+            let nearest = self.nearest(point, near);
+            near = Some(nearest.triangle);
+            let distance = nearest.squared.sqrt();
+            let side = (point - nearest.at).dot(self.pseudo_normal(&nearest));
+            summary.note(point, distance, if side < 0.0 { -distance } else { distance });
+        }
+        summary
+    }
+
+    /// The nearest point of the surface; sooner found when a triangle `near` it is known.
+    fn nearest(&self, point: DVec3, near: Option<usize>) -> Nearest {
+        let on = |triangle: usize| {
+            let [a, b, c] = self.corners(triangle);
+            let (projection, location) =
+                Triangle::new(a, b, c).project_local_point_and_get_location(point, false);
+            let at = projection.point;
+            Nearest { triangle, squared: point.distance_squared(at), at, location }
+        };
+        let known = near.map(on);
+        let bound = known.as_ref().map_or(f64::INFINITY, |known| known.squared);
+        let box_cost = |node: &BvhNode, _| {
+            let outside = (node.mins() - point).max(point - node.maxs()).max(DVec3::ZERO);
+            outside.length_squared()
+        };
+        let triangle_cost = |triangle: u32, _| {
+            let nearest = on(triangle as usize);
+            Some((nearest.squared, nearest))
+        };
+        let found = self.tree.find_best(bound, box_cost, triangle_cost);
+        let nearer = found.map(|(_, (_, nearest))| nearest);
+        nearer.or(known).expect("there are triangles, and finite points are at a finite distance from each")
+    }
+
+    /// A vector that points outwards at the nearest point: the triangle's normal, on an edge the sum of
+    /// both unit normals, on a vertex that of all, weighted by the triangles' angles.
+    fn pseudo_normal(&self, nearest: &Nearest) -> DVec3 {
+        let [a, b, c] = self.triangles[nearest.triangle];
+        match nearest.location {
+            TrianglePointLocation::OnVertex(corner) => {
+                let vertex = [a, b, c][corner as usize];
+                self.around(vertex)
+                    .map(|[v, p, q]| (p - v).angle_between(q - v) * unit_normal([v, p, q]))
+                    .sum()
+            }
+            TrianglePointLocation::OnEdge(side, _) => {
+                let (from, to) = [(a, b), (b, c), (a, c)][side as usize];
+                let star = self.stars.of(from as usize).iter().zip(self.around(from));
+                star.filter(|(across, _)| across.contains(&to)).map(|(_, corners)| unit_normal(corners)).sum()
+            }
+            TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
+                scaled_normal(self.corners(nearest.triangle))
+            }
+        }
+    }
+
+    /// The corners of the triangles at `vertex`, itself the first of each.
+    fn around(&self, vertex: u32) -> impl Iterator<Item = [DVec3; 3]> {
+        let star = self.stars.of(vertex as usize).iter();
+        star.map(move |&[p, q]| [vertex, p, q].map(|vertex| self.positions[vertex as usize]))
+    }
+}
+
+/// Twice the triangle's area long.
+fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
+fn unit_normal(corners: [DVec3; 3]) -> DVec3 {
+    scaled_normal(corners).normalize_or_zero()
+}
+
+/// Where in its triangle a sample lies: the first two barycentric coordinates, from the sequence R2
+/// (Roberts 2018), whose points are spread evenly over a square, folded onto the triangle.
+fn spot(number: usize) -> [f64; 2] {
+    // The plastic number's inverse and its square.
+    let [u, v] =
+        [0.754_877_666_246_692_8, 0.569_840_290_998_053_3].map(|step| (0.5 + number as f64 * step).fract());
+    if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] }
+}
+
+/// The nearest point of a surface to some point.
+struct Nearest {
+    triangle: usize,
+    squared: f64,
+    at: DVec3,
+    location: TrianglePointLocation,
+}
+
+/// Distances, added up.
+#[derive(Default)]
+struct Summary {
+    count: usize,
+    max: f64,
+    farthest: DVec3,
+    sum: f64,
+    sum_of_squares: f64,
+    signed_sum: f64,
+}
+
+impl Summary {
+    fn note(&mut self, point: DVec3, distance: f64, signed: f64) {
+        if distance > self.max || self.count == 0 {
+            (self.max, self.farthest) = (distance, point);
+        }
+        self.count += 1;
+        self.sum += distance;
+        self.sum_of_squares += distance * distance;
+        self.signed_sum += signed;
+    }
+
+    fn append(self, later: Self) -> Self {
+        let farther = if later.max > self.max || self.count == 0 { &later } else { &self };
+        Self {
+            max: farther.max,
+            farthest: farther.farthest,
+            count: self.count + later.count,
+            sum: self.sum + later.sum,
+            sum_of_squares: self.sum_of_squares + later.sum_of_squares,
+            signed_sum: self.signed_sum + later.signed_sum,
+        }
+    }
+}
+
+/// Summarizes chunks of fixed length on all threads, and joins them in order.
+fn in_chunks(count: usize, summary: impl Fn(Range<usize>) -> Summary + Sync) -> Summary {
+    let chunks: Vec<Summary> = (0..count.div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|chunk| summary(chunk * CHUNK..((chunk + 1) * CHUNK).min(count)))
+        .collect();
+    chunks.into_iter().fold(Summary::default(), Summary::append)
+}
