@@ -289,11 +289,7 @@ fn vtp_files_that_are_not_read_say_why() {
     for (right, wrong, expected) in [
         ("PolyData\" ", "UnstructuredGrid\" ", "UnstructuredGrid"),
         ("BigEndian\"", "BigEndian\" compressor=\"vtkZLibDataCompressor\"", "compressed by vtkZLib"),
-        (
-            "Name=\"id\" format=\"ascii\"",
-            "Name=\"id\" format=\"binary\"",
-            "array id has format Some(\"binary\")",
-        ),
+        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"binary\"", "array id has format \"binary\""),
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
         ("7 8 9 10", "7 8 9", "array id is not of 1 numbers for each of 4 points"),
@@ -303,7 +299,9 @@ fn vtp_files_that_are_not_read_say_why() {
         ("2 3 3", "2 4 3", "face 0 names vertex 4, the file has 4"),
         ("<Points>", "<Other>", "expected `</Other>`"),
         ("NumberOfPoints=\"4\"", "NumberOfPoints=\"many\"", "NumberOfPoints is \"many\""),
-        (VTP_TEXT, "<html></html>", "no <VTKFile>"),
+        (VTP_TEXT, "<html></html>", "without </VTKFile>"),
+        (VTP_TEXT, "<a></a><!-- </VTKFile>", "at byte"),
+        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"appended\" offset=\"0\"", "no <AppendedData>"),
     ] {
         assert!(VTP_TEXT.contains(right));
         let fault = MeshFormat::Vtp.read(VTP_TEXT.replacen(right, wrong, 1).as_bytes()).unwrap_err();
@@ -320,6 +318,9 @@ fn a_truncated_file_is_refused_at_every_prefix() {
         for length in 0..if format == MeshFormat::Stl { bytes.len() } else { whole } {
             assert!(format.read(&bytes[..length]).is_err(), "{format:?}, {length} of {} bytes", bytes.len());
         }
+    }
+    for length in 0..VTP_TEXT.len() {
+        assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
     // These two do not say how much is to come: a file that ends between two sections or lines is whole.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {

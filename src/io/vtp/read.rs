@@ -80,6 +80,9 @@ struct Layout<'a> {
 
 impl<'a> Layout<'a> {
     fn parse(bytes: &'a [u8]) -> Result<Self, ReadFault> {
+        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+            return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+        }
         let mut xml = Reader::from_reader(bytes);
         let mut layout = Layout {
             bytes,
@@ -107,6 +110,9 @@ impl<'a> Layout<'a> {
                         section = None;
                     }
                     continue;
+                }
+                Event::Eof if layout.arrays.iter().any(|array| matches!(array.data, Data::Appended(_))) => {
+                    return Err(malformed(at, "no <AppendedData>"));
                 }
                 Event::Eof => break,
                 _ => continue,
@@ -191,7 +197,8 @@ impl<'a> Layout<'a> {
                 Data::Text(behind..behind + length)
             }
             other => {
-                let what = format!("array {name} has format {other:?}; save the data as appended, raw");
+                let shown = other.unwrap_or_default();
+                let what = format!("array {name} has format {shown:?}; save the data as appended, raw");
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -214,9 +221,6 @@ impl<'a> Layout<'a> {
             if let Data::Appended(offset) = &mut array.data {
                 *offset = offset.saturating_add(scan.at() as u64 + 1);
             }
-        }
-        if !self.bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-            return Err(malformed(self.bytes.len(), "the file ends without </VTKFile>"));
         }
         Ok(())
     }
