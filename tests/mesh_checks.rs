@@ -140,6 +140,11 @@ fn a_report_reads_as_lines_that_name_the_defect() {
     let text = check(&mesh).to_string();
     assert!(text.contains("closed: no\n"), "{text}");
     assert!(text.ends_with("edges with one triangle only: 3, the first [1, 5]\n"), "{text}");
+    let json = serde_json::to_value(check(&mesh)).unwrap();
+    assert_eq!(
+        (&json["vertices"], &json["boundary_edges"]["first"]),
+        (&8.into(), &serde_json::json!([1, 5]))
+    );
 }
 
 #[test]

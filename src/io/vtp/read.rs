@@ -80,6 +80,9 @@ struct Layout<'a> {
 
 impl<'a> Layout<'a> {
     fn parse(bytes: &'a [u8]) -> Result<Self, ReadFault> {
+        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+            return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+        }
         let mut xml = Reader::from_reader(bytes);
         let mut layout = Layout {
             bytes,
@@ -107,6 +110,9 @@ impl<'a> Layout<'a> {
                         section = None;
                     }
                     continue;
+                }
+                Event::Eof if layout.arrays.iter().any(|array| matches!(array.data, Data::Appended(_))) => {
+                    return Err(malformed(at, "no <AppendedData>"));
                 }
                 Event::Eof => break,
                 _ => continue,
@@ -191,7 +197,8 @@ impl<'a> Layout<'a> {
                 Data::Text(behind..behind + length)
             }
             other => {
-                let what = format!("array {name} has format {other:?}; save the data as appended, raw");
+                let shown = other.unwrap_or_default();
+                let what = format!("array {name} has format {shown:?}; save the data as appended, raw");
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -214,9 +221,6 @@ impl<'a> Layout<'a> {
             if let Data::Appended(offset) = &mut array.data {
                 *offset = offset.saturating_add(scan.at() as u64 + 1);
             }
-        }
-        if !self.bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-            return Err(malformed(self.bytes.len(), "the file ends without </VTKFile>"));
         }
         Ok(())
     }
@@ -302,32 +306,27 @@ impl<'a> Layout<'a> {
 
     /// Columns of an array with a value for every point; text is decoded first.
     fn columns(&self, array: &Array, decoded: &mut Vec<u8>) -> Result<Vec<Column>, ReadFault> {
-        let Array { name, scalar, components, .. } = array;
-        let expected = self.points.checked_mul(*components).filter(|_| *components > 0);
-        let (at, found, columns) = match &array.data {
+        let &Array { ref name, scalar, components, .. } = array;
+        let (at, count, (offset, scalar, endian)) = match &array.data {
             Data::Text(text) => {
                 let numbers: Vec<f64> = numbers(self.bytes, text)?;
                 let offset = decoded.len();
                 decoded.extend(numbers.iter().copied().flat_map(f64::to_le_bytes));
-                let columns = || columns(offset, 8 * components, *components, Scalar::F64, Endian::Little);
-                (text.start, Some(numbers.len()), expected.map(|_| columns()))
+                (text.start, Some(numbers.len()), (offset, Scalar::F64, Endian::Little))
             }
             Data::Appended(at) => {
                 let span = self.span(name, *at)?;
-                let found = Some(span.len() / scalar.size()).filter(|_| span.len() % scalar.size() == 0);
-                // Checked before a column is made for each: as many components as there are bytes, at most.
-                let fits = expected.filter(|&numbers| numbers == found.unwrap_or(0));
-                let stride = || scalar.size() * components;
-                let columns = || columns(span.start, stride(), *components, *scalar, self.endian);
-                (span.start, found, fits.map(|_| columns()))
+                let is_whole = span.len().is_multiple_of(scalar.size());
+                let count = is_whole.then_some(span.len() / scalar.size());
+                (span.start, count, (span.start, scalar, self.endian))
             }
         };
-        columns.filter(|_| found == expected).ok_or_else(|| {
-            malformed(
-                at,
-                format!("array {name} is not of {components} numbers for each of {} points", self.points),
-            )
-        })
+        if components == 0 || count.is_none() || count != self.points.checked_mul(components) {
+            let what =
+                format!("array {name} is not of {components} numbers for each of {} points", self.points);
+            return Err(malformed(at, what));
+        }
+        Ok(columns(offset, components * scalar.size(), components, scalar, endian))
     }
 }
 
