@@ -1,4 +1,5 @@
 //! What the program promises to whoever calls it: results, exit codes, and nothing left behind.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 
@@ -110,7 +111,9 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (vec!["ball.xyz", "-o", "out"], "out"),
         (vec!["ball.xyz", "-o", "out.stl", "--normals"], "normals"),
         (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
-        (vec!["ball.xyz", "-o", "ball.xyz"], "unknown extension"),
+        (vec!["ball.xyz", "-o", "other.xyz"], "unknown extension"),
+        (vec!["ball.abc", "-o", "out.ply"], "unknown extension"),
+        (vec![".", "-o", "out.ply"], "unknown extension"),
         (ball(&["--sigma", "0"]), "sigma"),
         (ball(&["--sigma", "nan"]), "sigma"),
         (ball(&["--iso", "1.5"]), "isovalue"),
@@ -225,14 +228,8 @@ fn bad_input_is_named_with_exit_3() {
         ("inf.xyz", &[], &["inf.xyz", "particle 77"]),
         ("far.xyz", &["--spacing", "0.5"], &["far.xyz", "particle 5 ", "cells"]),
         ("noise.bgeo", &[], &["noise.bgeo"]),
-        (".", &[], &["."]),
     ] {
-        assert_refused(
-            folder.path(),
-            &[&[file, "-o", "out.ply"], more].concat(),
-            if file == "." { 2 } else { 3 },
-            says,
-        );
+        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), 3, says);
     }
 }
 
@@ -350,7 +347,7 @@ fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_o
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         serde_json::from_slice(&run.stdout).unwrap()
     };
-    assert_eq!(compare("half.ply", "half.ply")["hausdorff"], 0.0);
+    assert!(compare("half.ply", "half.ply")["hausdorff"].as_f64().unwrap() < 1e-12);
     assert!(compare("half.ply", "large.ply")["bias"].as_f64().unwrap() > 0.2);
     assert!(compare("large.ply", "half.ply")["bias"].as_f64().unwrap() < -0.2);
 }

@@ -1,4 +1,5 @@
 //! The sparse pipeline against the method on one dense array.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 
@@ -72,9 +73,14 @@ fn the_sparse_field_is_the_dense_one_to_the_bit() {
             let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
             let dense = oracle(&frame, &sampling, &surfacing).integer(&particles);
             assert!(dense.values.iter().any(|&v| v > 20_000), "the scene has an inside");
-            for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+            for (side, threads) in [(BrickSide::Four, 1), (BrickSide::Eight, 2), (BrickSide::Sixteen, 1)] {
+                let mut shuffled = particles.clone();
+                shuffle(&mut shuffled, &mut Random::new(threads as u64));
                 let sampling = Sampling { side, ..sampling.clone() };
-                let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let frame = pool
+                    .install(|| Frame::sample(&shuffled[..], &sampling, &mut Laps::default()))
+                    .unwrap();
                 let what = format!("seed {seed}, {side:?}, {:?}, {surfacing:?}", sampling.indicator);
                 assert_same_field(&frame, &surfacing, &dense, &what);
             }

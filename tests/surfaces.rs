@@ -1,4 +1,5 @@
 //! Surfaces of known shape: closed, oriented, manifold, of the right genus and volume, with outward normals.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 

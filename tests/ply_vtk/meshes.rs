@@ -157,7 +157,11 @@ fn names_of_attributes_cannot_break_a_header() {
     assert_eq!(found, altered);
     let read = vtk::read_mesh(&VTK.written(&mesh, CoordinateWidth::F64)).unwrap();
     let found: Vec<_> = read.attributes.iter().map(|a| a.name.as_str()).collect();
-    assert_eq!(found, names.map(|name| if name.is_empty() { "_" } else { name }));
+    // Of two attributes with one name a reader keeps the first.
+    assert_eq!(
+        found,
+        ["a b", "x", "nx", "end_header\n", "_", "%20", "\u{e9}t\u{e9}", "METADATA", "NULL_ARRAY"]
+    );
     assert_eq!((read.positions, read.normals), (mesh.positions, mesh.normals));
 }
 

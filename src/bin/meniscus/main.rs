@@ -21,7 +21,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     /// Reconstruct the surface of a frame of particles.
-    Reconstruct(reconstruct::Options),
+    Reconstruct(Box<reconstruct::Options>),
     /// Say what a particle file or a mesh holds.
     Info(info::Options),
     /// Check that meshes are closed, oriented 2-manifolds, and measure them.
@@ -41,7 +41,7 @@ enum Verdict {
 fn main() -> ExitCode {
     let Arguments { command } = Arguments::parse();
     let verdict = match command {
-        Command::Reconstruct(options) => reconstruct::run(options),
+        Command::Reconstruct(options) => reconstruct::run(&options),
         Command::Info(options) => info::run(&options),
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),

@@ -31,16 +31,16 @@ pub struct Options {
     #[arg(short, long)]
     output: PathBuf,
     /// Distance between neighbouring particles [default: from the file or the scene beside it, else estimated].
-    #[arg(long, value_name = "LENGTH", conflicts_with = "radius")]
+    #[arg(long, value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true)]
     spacing: Option<f64>,
     /// Half of the spacing.
-    #[arg(long, value_name = "LENGTH")]
+    #[arg(long, value_name = "LENGTH", allow_negative_numbers = true)]
     radius: Option<f64>,
     /// Edge of a cell.
-    #[arg(long, value_name = "LENGTH", conflicts_with = "cell")]
+    #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
     cell_size: Option<f64>,
     /// Edge of a cell, times the spacing [default: 1.0].
-    #[arg(long, value_name = "RATIO")]
+    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     cell: Option<f64>,
     /// A corner of the grid's cells.
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, default_value = "0,0,0", allow_hyphen_values = true)]
@@ -52,13 +52,13 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = IndicatorName::Symmetry)]
     indicator: IndicatorName,
     /// Width of the Gaussian.
-    #[arg(long, value_name = "CELLS", default_value_t = 1.0)]
+    #[arg(long, value_name = "CELLS", default_value_t = 1.0, allow_negative_numbers = true)]
     sigma: f64,
     /// Where the surface is, between 0 and 1; auto: half of the field's interior plateau.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto")]
     iso: IsoOption,
     /// Mean number of particles in a full cell, for counting [default: measured].
-    #[arg(long, value_name = "VALUE")]
+    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     mu0: Option<f64>,
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
@@ -269,7 +269,7 @@ impl Options {
 }
 
 /// Runs the command.
-pub fn run(options: Options) -> Result<Verdict, Error> {
+pub fn run(options: &Options) -> Result<Verdict, Error> {
     let notes = Notes { quiet: options.quiet, verbose: options.verbose };
     let request = options.validate()?;
     if let Some(threads) = options.threads {
