@@ -115,6 +115,11 @@ fn obj_files_of_others_are_read() {
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2], [0, 1, 3]]);
     // One normal for four corners is no normal of theirs alone.
     assert_eq!(mesh.normals, None);
+    // Nor are as many normals as vertices their own, if corners name them in another order.
+    let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n";
+    let normals = |face| MeshFormat::Obj.read(format!("{triangle}{face}").as_bytes()).unwrap().normals;
+    assert_eq!(normals("f 1//1 2//3 3//2"), None);
+    assert_eq!(normals("f 1//1 2//2 3//3"), Some(vec![[0., 0., 1.], [0., 1., 0.], [1., 0., 0.]]));
 }
 
 #[test]

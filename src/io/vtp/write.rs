@@ -74,7 +74,7 @@ enum Numbers<'a> {
     Ends(IndexWidth),
 }
 
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum IndexWidth {
     I32,
     I64,
@@ -98,8 +98,7 @@ fn points(mesh: &Mesh, width: CoordinateWidth) -> Array<'_> {
 }
 
 fn polygons(mesh: &Mesh) -> [Array<'_>; 2] {
-    let greatest = mesh.positions.len().max(3 * mesh.triangles.len());
-    let width = if i32::try_from(greatest).is_ok() { IndexWidth::I32 } else { IndexWidth::I64 };
+    let width = IndexWidth::that_holds(mesh.positions.len().max(3 * mesh.triangles.len()));
     let triangles = &mesh.triangles[..];
     [
         Array {
@@ -162,6 +161,10 @@ impl Array<'_> {
 }
 
 impl IndexWidth {
+    fn that_holds(greatest: usize) -> Self {
+        if i32::try_from(greatest).is_ok() { Self::I32 } else { Self::I64 }
+    }
+
     fn put(self, out: &mut Vec<u8>, index: u64) {
         match self {
             Self::I32 => out.extend((index as u32).to_le_bytes()),
@@ -187,4 +190,20 @@ fn escaped(name: &str) -> String {
         }
     }
     escaped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::IndexWidth;
+
+    #[test]
+    fn indices_are_as_wide_as_the_greatest_one_needs() {
+        for (greatest, width, bytes) in [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
+        {
+            assert_eq!(IndexWidth::that_holds(greatest), width);
+            let mut out = Vec::new();
+            width.put(&mut out, greatest as u64);
+            assert_eq!(out, (greatest as u64).to_le_bytes()[..bytes]);
+        }
+    }
 }
