@@ -78,9 +78,8 @@ fn the_sparse_field_is_the_dense_one_to_the_bit() {
                 shuffle(&mut shuffled, &mut Random::new(threads as u64));
                 let sampling = Sampling { side, ..sampling.clone() };
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                let frame = pool
-                    .install(|| Frame::sample(&shuffled[..], &sampling, &mut Laps::default()))
-                    .unwrap();
+                let frame =
+                    pool.install(|| Frame::sample(&shuffled[..], &sampling, &mut Laps::default())).unwrap();
                 let what = format!("seed {seed}, {side:?}, {:?}, {surfacing:?}", sampling.indicator);
                 assert_same_field(&frame, &surfacing, &dense, &what);
             }
