@@ -234,6 +234,23 @@ fn bad_input_is_named_with_exit_3() {
 }
 
 #[test]
+fn a_lattice_on_the_cells_corners_is_warned_of_with_the_origin_that_helps() {
+    let folder = TempDir::new().unwrap();
+    let lattice = fill(10.0, 2.0, 0.0, 1, |p| p.length() < 5.0);
+    let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
+    fs::write(folder.path().join("lattice.xyz"), raw(&on_corners)).unwrap();
+    let notes = |more: &[&str]| {
+        let options = ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--overwrite"];
+        let run = meniscus(folder.path(), &[&options, more].concat());
+        assert!(run.status.success());
+        String::from_utf8(run.stderr).unwrap()
+    };
+    assert!(notes(&[]).contains("--origin 0.25,0.25,0.25"));
+    assert!(!notes(&["--origin", "0.25,0.25,0.25"]).contains("warning"));
+    assert!(!notes(&["--indicator", "counting"]).contains("warning"));
+}
+
+#[test]
 fn invalid_particles_are_dropped_and_counted_when_asked() {
     let folder = TempDir::new().unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);

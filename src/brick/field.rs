@@ -5,6 +5,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::grid::{BIN, BLOCK, CellBox, MortonKey, local_from_morton, local_morton};
+use crate::units::FULL;
 
 use super::Block;
 
@@ -120,6 +121,14 @@ impl DifField {
     #[must_use]
     pub fn full_cells(&self) -> u64 {
         self.pages.iter().map(|page| u64::from(page.full_count)).sum()
+    }
+
+    /// Mean of the DIF over the full cells, in 0 to 1.
+    #[must_use]
+    pub fn mean_of_full(&self) -> f64 {
+        let samples = |page: &Page| page.samples.iter().map(|&theta| u64::from(theta)).sum::<u64>();
+        let sum: u64 = self.pages.par_iter().map(samples).sum();
+        sum as f64 / (self.full_cells() as f64 * f64::from(FULL))
     }
 
     /// Bricks that hold particles.
