@@ -4,6 +4,7 @@ mod block;
 pub mod check;
 pub mod compare;
 pub mod measure;
+pub mod source;
 pub mod stars;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};

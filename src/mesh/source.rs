@@ -1,0 +1,98 @@
+//! A mesh handed out piece by piece, so that writing it needs no more memory than a few pieces.
+
+use std::borrow::Cow;
+use std::io;
+
+use crate::particles::AttributeInfo;
+
+use super::Mesh;
+
+/// Vertices or triangles of a piece of a mesh in memory.
+const PIECE: usize = 1 << 14;
+
+/// The vertices of a piece.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Vertices<'a> {
+    /// In the particles' unit of length.
+    pub positions: Cow<'a, [[f64; 3]]>,
+    /// One a vertex, or none at all.
+    pub normals: Cow<'a, [[f32; 3]]>,
+    /// For each attribute its values, all components of one vertex after the other.
+    pub attributes: Vec<Cow<'a, [f32]>>,
+}
+
+/// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the triangles;
+/// a piece can be asked for as often as one likes, by several threads.
+pub trait MeshSource: Sync {
+    /// Vertices of all pieces.
+    fn vertex_count(&self) -> u64;
+
+    /// Triangles of all pieces.
+    fn triangle_count(&self) -> u64;
+
+    /// Whether vertices have normals.
+    fn has_normals(&self) -> bool;
+
+    /// Further values on the vertices.
+    fn attributes(&self) -> Vec<AttributeInfo>;
+
+    /// How many pieces there are.
+    fn pieces(&self) -> usize;
+
+    /// The vertices of piece number `piece`, perhaps none.
+    ///
+    /// # Errors
+    /// Where pieces are kept in a file that cannot be read.
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>>;
+
+    /// The triangles of piece number `piece`, perhaps none, as indices into all vertices of the mesh.
+    ///
+    /// # Errors
+    /// Where pieces are kept in a file that cannot be read.
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
+}
+
+impl MeshSource for Mesh {
+    fn vertex_count(&self) -> u64 {
+        self.positions.len() as u64
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.triangles.len() as u64
+    }
+
+    fn has_normals(&self) -> bool {
+        self.normals.is_some()
+    }
+
+    fn attributes(&self) -> Vec<AttributeInfo> {
+        let info =
+            |a: &super::VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
+        self.attributes.iter().map(info).collect()
+    }
+
+    fn pieces(&self) -> usize {
+        self.positions.len().max(self.triangles.len()).div_ceil(PIECE)
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let range = range(piece, self.positions.len());
+        let attribute = |a: &'_ super::VertexAttribute| -> std::ops::Range<usize> {
+            range.start * a.components..range.end * a.components
+        };
+        Ok(Vertices {
+            positions: Cow::Borrowed(&self.positions[range.clone()]),
+            normals: self.normals.as_ref().map_or(Cow::default(), |n| Cow::Borrowed(&n[range.clone()])),
+            attributes: self.attributes.iter().map(|a| Cow::Borrowed(&a.values[attribute(a)])).collect(),
+        })
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let triangles = &self.triangles[range(piece, self.triangles.len())];
+        Ok(triangles.iter().map(|t| t.map(u64::from)).collect())
+    }
+}
+
+fn range(piece: usize, len: usize) -> std::ops::Range<usize> {
+    (piece * PIECE).min(len)..((piece + 1) * PIECE).min(len)
+}
