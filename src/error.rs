@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-use crate::brick::BinError;
 use crate::frame::FrameError;
 use crate::grid::DomainError;
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
@@ -76,13 +75,12 @@ impl Error {
         match self {
             Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
-            Self::Frame { fault: FrameError::OverBudget(_) | FrameError::TooManyVertices(_), .. } => {
-                Cause::Request
-            }
+            Self::Frame { fault: FrameError::OverBudget(_), .. } => Cause::Request,
+            Self::Frame { fault: FrameError::Scratch { .. }, .. } => Cause::Output,
             Self::Frame {
                 fault:
                     FrameError::NoParticles(_)
-                    | FrameError::Bin(BinError::NotFinite { .. } | BinError::TooFar { .. })
+                    | FrameError::Bin(_)
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. },
                 ..

@@ -1,118 +1,158 @@
-//! What a frame will take of memory, known before it is taken.
-//!
-//! After the particles are counted by bin, and before anything is stored for them.
+//! What a frame will take of memory and disk, known once its particles are counted by bin and before
+//! anything is stored for them; and how to share a budget that is smaller than that.
 
 use bytesize::ByteSize;
-use hashbrown::HashMap;
 use thiserror::Error;
 
 use crate::brick::BrickSide;
-use crate::grid::{BIN, Grid, MortonKey};
+use crate::grid::BIN;
 use crate::units::MemoryBudget;
 
-/// Bytes of a binned particle.
+/// Bytes that the program takes before there is any data, and that each thread works in.
+const PROGRAM: u64 = 6 << 20;
+const THREAD: u64 = 2 << 20;
+/// Bytes a bin takes in tables, however little it holds.
+const BIN_BYTES: u64 = 320;
+/// Bytes of a binned particle, without attributes.
 const RECORD: u64 = 8;
-/// Bytes of a vertex in the finished mesh: its position, two triangles, and the samples of its edge.
-const VERTEX: u64 = 24 + 2 * 12 + 8;
+/// Bytes of a vertex before it is written: the samples of its edge, and its share of a tile.
+const VERTEX: u64 = 8;
 /// Vertices around a particle that is alone.
 const VERTICES_A_PARTICLE: u64 = 60;
 /// Vertices in a bin full of wrinkled surface: a plane through it has 16^2 times one to two.
 const VERTICES_A_BIN: u64 = 2000;
-/// Bytes of a bin's bookkeeping: keys, offsets and hash table entries.
-const BIN_OVERHEAD: u64 = 160;
 
-/// Bytes at the peak, by what they are for.
+/// The smallest budget that is worth a try.
+pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
+
+/// Bytes, by what they are for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
+    /// The program, its threads, and an input that had to be unpacked.
+    pub program: u64,
+    /// Tables of bins.
+    pub index: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// The DIF.
+    /// The DIF, at the most.
     pub field: u64,
-    /// The surface, at the most.
-    pub mesh: u64,
+    /// The surface before it is written, at the most.
+    pub surface: u64,
+    /// Whether particles are needed until the surface is done, for their attributes.
+    pub carried: bool,
 }
 
-/// A frame that would take more memory than it may.
+/// How a frame is brought under its budget.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Plan {
+    /// Everything fits; nothing touches the disk.
+    InCore,
+    /// What exceeds its share goes to scratch files.
+    OutOfCore(Shares),
+}
+
+/// Bytes that may be resident at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shares {
+    /// Of particles being sorted.
+    pub particles: u64,
+    /// Of the DIF.
+    pub field: u64,
+    /// Of the surface.
+    pub surface: u64,
+}
+
+/// A frame that cannot be brought under its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "a cell size of {cell_size} needs about {} of memory, and {} may be used; \
-     a cell size of {fitting_cell_size} needs {}; or allow more with --memory",
-    ByteSize(*needed), ByteSize(*budget), ByteSize(*fitting)
+    "with a cell size of {cell_size} the tables of bins alone need more than the {} of memory that may be \
+     used; a cell size of {fitting_cell_size} fits; or allow more with --memory",
+    ByteSize(*budget)
 )]
 pub struct OverBudget {
     /// What was asked for.
     pub cell_size: f64,
-    /// Estimated bytes at the peak.
-    pub needed: u64,
     /// Bytes that may be used.
     pub budget: u64,
-    /// The smallest doubling of the cell size that fits, or does not get any better.
+    /// The smallest doubling of the cell size that fits.
     pub fitting_cell_size: f64,
-    /// Estimated bytes with that.
-    pub fitting: u64,
+}
+
+/// How many bins the tables may list, at the most, under a budget.
+#[must_use]
+pub fn bin_limit(budget: MemoryBudget) -> usize {
+    usize::try_from(budget.0 / 2 / BIN_BYTES).unwrap_or(usize::MAX)
 }
 
 impl Estimate {
-    /// For particles counted by bin.
+    /// For particles counted by bin, with so many attribute components each, and an input of which
+    /// `input_bytes` are in memory all the time.
     #[must_use]
     pub fn of(
-        counts: impl Iterator<Item = (MortonKey, usize)>,
+        counts: impl Iterator<Item = usize>,
         side: BrickSide,
         carried_components: usize,
+        input_bytes: u64,
     ) -> Self {
         let brick_bytes = 2 * side.cells().pow(3) as u64;
         let bricks_a_bin = (BIN / side.cells()).pow(3) as u64;
-        let mut estimate = Self::default();
-        for (_, count) in counts {
+        let components = 4 * carried_components as u64;
+        let mut estimate = Self {
+            program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + input_bytes,
+            carried: carried_components > 0,
+            ..Self::default()
+        };
+        for count in counts {
             let count = count as u64;
-            estimate.particles += count * (RECORD + 4 * carried_components as u64);
-            estimate.field += BIN_OVERHEAD + count.min(bricks_a_bin) * brick_bytes;
-            estimate.mesh += VERTEX * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+            estimate.index += BIN_BYTES;
+            estimate.particles += count * (RECORD + components);
+            estimate.field += count.min(bricks_a_bin) * brick_bytes;
+            estimate.surface += (VERTEX + components) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
         }
         estimate
     }
 
-    /// Everything, in bytes. Particles without attributes are gone before the mesh is made.
+    /// For pages with so many full cells each, of which the DIF is in a file.
     #[must_use]
-    pub fn total(&self) -> u64 {
-        self.particles + self.field + self.mesh
+    pub fn of_surface(full_cells: impl Iterator<Item = usize>) -> Self {
+        Self { particles: 0, ..Self::of(full_cells, BrickSide::default(), 0, 0) }
     }
 
-    /// Compares with what may be used.
-    ///
-    /// # Errors
-    /// [`OverBudget`], with the cell size to use instead.
-    pub fn check(
-        &self,
-        budget: MemoryBudget,
-        counts: impl Iterator<Item = (MortonKey, usize)>,
-        grid: &Grid,
-    ) -> Result<(), OverBudget> {
-        let needed = self.total();
-        if needed <= budget.0 {
-            return Ok(());
+    /// The peak with everything in memory.
+    #[must_use]
+    pub fn in_core(&self) -> u64 {
+        let beside_the_surface = if self.carried { self.particles } else { 0 };
+        self.program + self.index + self.field + self.particles.max(self.surface + beside_the_surface)
+    }
+
+    /// Disk that scratch files take under a plan, at the most.
+    #[must_use]
+    pub fn scratch(&self, plan: Plan) -> u64 {
+        let Plan::OutOfCore(shares) = plan else { return 0 };
+        let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
+        self.particles * if self.carried { 2 } else { 1 }
+            + beyond(self.field, shares.field)
+            + beyond(self.surface, shares.surface)
+    }
+
+    /// How to keep to `budget`.
+    #[must_use]
+    pub fn plan(&self, budget: MemoryBudget) -> Plan {
+        if self.in_core() <= budget.0 {
+            return Plan::InCore;
         }
-        let per_particle = self.particles;
-        let mut bins: HashMap<glam::IVec3, usize> = counts.map(|(key, n)| (key.coord(), n)).collect();
-        let mut cell = grid.cell_size();
-        let mut fitting = needed;
-        while fitting > budget.0 && bins.len() > 1 {
-            let mut coarser: HashMap<glam::IVec3, usize> = HashMap::new();
-            for (coord, count) in bins {
-                *coarser.entry(coord >> 1).or_default() += count;
+        let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
+        Plan::OutOfCore(Shares { particles: left / 2, field: left / 4, surface: left / 4 })
+    }
+
+    /// The peak under a plan.
+    #[must_use]
+    pub fn peak(&self, plan: Plan) -> u64 {
+        match plan {
+            Plan::InCore => self.in_core(),
+            Plan::OutOfCore(Shares { particles, field, surface }) => {
+                self.program + self.index + particles.max(surface) + field
             }
-            bins = coarser;
-            cell *= 2.0;
-            let counts = bins.iter().map(|(&coord, &n)| (MortonKey::of(coord), n));
-            let coarse = Self { particles: per_particle, ..Self::of(counts, BrickSide::default(), 0) };
-            fitting = coarse.total();
         }
-        Err(OverBudget {
-            cell_size: grid.cell_size(),
-            needed,
-            budget: budget.0,
-            fitting_cell_size: cell,
-            fitting,
-        })
     }
 }

@@ -1,26 +1,34 @@
-//! One frame, in core: particles to DIF, DIF to surface.
+//! One frame, within its memory budget: particles to DIF, DIF to surface.
 
-use std::time::Instant;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles};
-use crate::estimate::{Estimate, OverBudget};
+use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, PageInfo};
+use crate::estimate::{Estimate, OverBudget, Plan, Shares, bin_limit};
 use crate::grid::{CellBox, Domain, Grid};
-use crate::mesh::{BlockMesh, Mesh};
+use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
+use crate::laps::Laps;
+use crate::mesh::BlockMesh;
+use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::Plateau;
 use crate::recipe::Recipe;
 use crate::stage::attribute::{FixedPoint, vertex_values};
 use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::dual_mc::{contour, normals};
-use crate::stage::indicator::{Indicator, build_field};
-use crate::stitch::{TooManyVertices, stitch};
+use crate::stage::indicator::{Indicator, count_table, indicate};
+use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma, UnitError};
 
+/// Bins whose pages are made at once, and blocks that are meshed at once.
+const BATCH: usize = 1024;
+
 /// A frame that cannot be reconstructed.
-#[derive(Debug, Clone, PartialEq, Error)]
+#[derive(Debug, Error)]
 pub enum FrameError {
     /// There is nothing to build a surface from.
     #[error("no particles to reconstruct: {}", explain(.0))]
@@ -28,21 +36,30 @@ pub enum FrameError {
     /// A particle that the grid cannot hold.
     #[error(transparent)]
     Bin(#[from] BinError),
-    /// It would not fit in memory.
+    /// It cannot be brought under its budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
     /// mu0 could not be measured.
     #[error("cannot measure mu0 on this frame: {0}")]
     MeanCount(#[source] UnitError),
     /// The field exceeds the isovalue nowhere.
-    #[error("the surface is empty: the field is nowhere above the isovalue {:.4}; use a lower --iso, a smaller --sigma, or --detail", iso.value())]
+    #[error(
+        "the surface is empty: the field is nowhere above the isovalue {:.4}; \
+         use a lower --iso, a smaller --sigma, or --detail",
+        iso.value()
+    )]
     NoSurface {
         /// What was asked for, or measured.
         iso: Isovalue,
     },
-    /// Too large for one indexed mesh.
-    #[error(transparent)]
-    TooManyVertices(#[from] TooManyVertices),
+    /// What exceeds the memory budget could not be put into scratch files.
+    #[error("scratch files in {}: {fault}", folder.display())]
+    Scratch {
+        /// Where they are.
+        folder: PathBuf,
+        /// What went wrong.
+        fault: io::Error,
+    },
 }
 
 fn explain(census: &Census) -> String {
@@ -51,6 +68,21 @@ fn explain(census: &Census) -> String {
         Census { not_finite, too_far, outside, .. } => {
             format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
         }
+    }
+}
+
+/// What a frame may take of the machine.
+#[derive(Debug, Clone)]
+pub struct Resources {
+    /// Memory that may be resident at once.
+    pub budget: MemoryBudget,
+    /// The folder for what exceeds it.
+    pub scratch: PathBuf,
+}
+
+impl Resources {
+    fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {
+        |fault| FrameError::Scratch { folder: self.scratch.clone(), fault }
     }
 }
 
@@ -70,7 +102,7 @@ pub struct Sampling {
     /// The numbers of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
     /// What the frame may take.
-    pub budget: MemoryBudget,
+    pub resources: Resources,
 }
 
 /// How a surface is drawn through a frame.
@@ -102,31 +134,54 @@ pub enum Normals {
     Gradient,
 }
 
-/// Seconds since the last lap, by name, in order.
-#[derive(Debug, Clone)]
-pub struct Laps {
-    last: Instant,
-    seconds: Vec<(&'static str, f64)>,
+/// What reconstructing `particles` would take, without doing it.
+///
+/// # Errors
+/// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+pub fn estimate(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+) -> Result<(Census, Estimate), FrameError> {
+    let (plan, estimate) = count(particles, sampling)?;
+    Ok((plan.census(), estimate))
 }
 
-impl Default for Laps {
-    fn default() -> Self {
-        Self { last: Instant::now(), seconds: Vec::new() }
+/// Counts the particles, and refuses what cannot be done with them.
+fn count<'a>(
+    particles: &(impl Particles + ?Sized),
+    sampling: &'a Sampling,
+) -> Result<(BinPlan<'a>, Estimate), FrameError> {
+    let Sampling { grid, domain, invalid, resources, .. } = sampling;
+    let limit = bin_limit(resources.budget);
+    let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
+        Err(BinError::TooManyBins { .. }) => {
+            return Err(FrameError::OverBudget(OverBudget {
+                cell_size: grid.cell_size(),
+                budget: resources.budget.0,
+                fitting_cell_size: fitting_cell_size(particles, sampling, limit),
+            }));
+        }
+        plan => plan?,
+    };
+    if plan.census().binned == 0 {
+        return Err(FrameError::NoParticles(plan.census()));
     }
+    let attributes = particles.attributes();
+    let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
+    let estimate = Estimate::of(plan.counts(), sampling.side, components, particles.resident_bytes());
+    Ok((plan, estimate))
 }
 
-impl Laps {
-    /// Ends a lap.
-    pub fn lap(&mut self, stage: &'static str) {
-        let now = Instant::now();
-        self.seconds.push((stage, (now - self.last).as_secs_f64()));
-        self.last = now;
-    }
-
-    /// All laps so far.
-    #[must_use]
-    pub fn seconds(&self) -> &[(&'static str, f64)] {
-        &self.seconds
+/// The smallest doubling of the cell size with which the tables of bins fit.
+fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, limit: usize) -> f64 {
+    let mut cell = sampling.grid.cell_size();
+    loop {
+        cell *= 2.0;
+        let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
+        // Walls keep particles out; without them there are only more bins.
+        if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, limit).is_ok() {
+            return cell;
+        }
     }
 }
 
@@ -140,52 +195,85 @@ fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<Attribu
     carried.iter().map(name).collect()
 }
 
-/// What reconstructing `particles` would take, without doing it.
-///
-/// # Errors
-/// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
-pub fn estimate(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-) -> Result<(Census, Estimate), FrameError> {
-    let (plan, estimate) = plan(particles, sampling)?;
-    Ok((plan.census(), estimate))
+/// Where the DIF goes as it is made.
+enum FieldSink {
+    Memory(Vec<(PageInfo, Box<[u16]>)>),
+    File { writer: FrameWriter<File>, full_cells: u64 },
 }
 
-/// Counts the particles, and refuses what cannot be done with them.
-fn plan<'a>(
-    particles: &(impl Particles + ?Sized),
-    sampling: &'a Sampling,
-) -> Result<(BinPlan<'a>, Estimate), FrameError> {
-    let Sampling { grid, domain, .. } = sampling;
-    let plan = BinPlan::count(particles, grid, domain.as_ref(), sampling.invalid)?;
-    if plan.census().binned == 0 {
-        return Err(FrameError::NoParticles(plan.census()));
+impl FieldSink {
+    fn new(plan: Plan, estimate: &Estimate, folder: &Path) -> io::Result<Self> {
+        match plan {
+            Plan::OutOfCore(shares) if estimate.field > shares.field => {
+                let writer = FrameWriter::create(tempfile::tempfile_in(folder)?)?;
+                Ok(Self::File { writer, full_cells: 0 })
+            }
+            _ => Ok(Self::Memory(Vec::new())),
+        }
     }
-    let attributes = particles.attributes();
-    let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-    let estimate = Estimate::of(plan.counts(), sampling.side, components);
-    estimate.check(sampling.budget, plan.counts(), grid)?;
-    Ok((plan, estimate))
+
+    /// Takes the pages of all `bins`.
+    fn take(&mut self, bins: &Bins, indicator: Indicator, side: BrickSide) -> io::Result<()> {
+        let end = bins.keys().len();
+        for first in (0..end).step_by(BATCH) {
+            let pages = indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
+            match self {
+                Self::Memory(kept) => kept.extend(pages),
+                Self::File { writer, full_cells } => {
+                    *full_cells += full_count(&pages);
+                    writer.push(&pages)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Cells that hold particles.
+    fn full_cells(&self) -> u64 {
+        match self {
+            Self::Memory(pages) => full_count(pages),
+            Self::File { full_cells, .. } => *full_cells,
+        }
+    }
+
+    /// The DIF, whose indicator is known by now.
+    fn finish(self, facts: &FrameFacts, plan: Plan) -> io::Result<DifField> {
+        match (self, plan) {
+            (Self::File { writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
+                frame_from_file(writer.finish(facts)?, field)
+            }
+            (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
+            (Self::Memory(pages), _) => {
+                let dif = DifField::in_memory(facts.side, pages);
+                Ok(match facts.indicator {
+                    Indicator::Counting { mean: Some(mean) } => dif.with_decode(&count_table(mean)),
+                    _ => dif,
+                })
+            }
+        }
+    }
+}
+
+fn full_count(pages: &[(PageInfo, Box<[u16]>)]) -> u64 {
+    pages.iter().map(|(info, _)| u64::from(info.full_count)).sum()
 }
 
 /// The DIF of a frame, and what else its surface needs.
 #[derive(Debug)]
 pub struct Frame {
-    grid: Grid,
-    domain: Option<Domain>,
-    indicator: Indicator,
+    facts: FrameFacts,
     dif: DifField,
-    census: Census,
     /// Kept only where attributes are carried.
     carried: Option<(Bins, Vec<(AttributeInfo, FixedPoint)>)>,
+    plan: Plan,
+    resources: Resources,
 }
 
 /// A surface, and what was found on the way.
 #[derive(Debug)]
 pub struct Surface {
     /// Closed, oriented, a 2-manifold.
-    pub mesh: Mesh,
+    pub mesh: Stitched,
     /// Given or measured.
     pub iso: Isovalue,
     /// The field's interior, measured whether or not the isovalue was given.
@@ -196,31 +284,62 @@ impl Frame {
     /// Computes the DIF of `particles`, which are read twice.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget can hold, and
+    /// scratch files that fail.
     pub fn sample(
         particles: &(impl Particles + ?Sized),
         sampling: &Sampling,
         laps: &mut Laps,
     ) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, .. } = sampling;
-        let (plan, _) = plan(particles, sampling)?;
-        let census = plan.census();
-        let bins = plan.fill(particles, &sampling.carried);
-        laps.lap("bin");
+        let Sampling { grid, domain, indicator, side, carried, resources, .. } = sampling;
+        let (bin_plan, estimate) = count(particles, sampling)?;
+        laps.lap("count");
+        let census = bin_plan.census();
+        let plan = estimate.plan(resources.budget);
+        let in_scratch = resources.scratch_error();
+        let mut sink = FieldSink::new(plan, &estimate, &resources.scratch).map_err(&in_scratch)?;
 
-        let (dif, mean) =
-            build_field(&bins, sampling.indicator, sampling.side).map_err(FrameError::MeanCount)?;
-        let indicator = match sampling.indicator {
-            Indicator::Symmetry => Indicator::Symmetry,
-            Indicator::Counting { .. } => Indicator::Counting { mean },
+        let bins = match plan {
+            Plan::InCore => {
+                let bins = bin_plan.fill(particles, carried);
+                laps.lap("bin");
+                sink.take(&bins, *indicator, *side).map_err(&in_scratch)?;
+                bins
+            }
+            Plan::OutOfCore(shares) => {
+                spill(bin_plan, particles, sampling, shares, &mut sink, laps).map_err(&in_scratch)?
+            }
         };
-        let infos = carried_infos(particles.attributes(), &sampling.carried);
-        let carried = (!infos.is_empty()).then(|| {
-            let fixed = (0..infos.len()).map(|i| FixedPoint::of(&bins, i)).collect::<Vec<_>>();
-            (bins, infos.into_iter().zip(fixed).collect())
-        });
+        let infos = carried_infos(particles.attributes(), carried);
+        let fixed = (0..infos.len()).map(|i| FixedPoint::of(&bins, i)).collect::<io::Result<Vec<_>>>();
+        let fixed = fixed.map_err(&in_scratch)?;
+        let carried = (!infos.is_empty()).then(|| (bins, infos.into_iter().zip(fixed).collect()));
+
+        let indicator = match *indicator {
+            Indicator::Counting { mean: None } => {
+                let mean = MeanCount::measured(census.binned as u64, sink.full_cells());
+                Indicator::Counting { mean: Some(mean.map_err(FrameError::MeanCount)?) }
+            }
+            known => known,
+        };
+        let facts = FrameFacts { grid: *grid, domain: *domain, indicator, side: *side, census };
+        let dif = sink.finish(&facts, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
-        Ok(Self { grid: *grid, domain: *domain, indicator, dif, census, carried })
+        Ok(Self { facts, dif, carried, plan, resources: resources.clone() })
+    }
+
+    /// Joins a DIF that was read from a frame file to what the file says of it.
+    #[must_use]
+    pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
+        let estimate = Estimate::of_surface(dif.infos().iter().map(|info| info.full_count as usize));
+        let plan = estimate.plan(resources.budget);
+        Self { facts, dif, carried: None, plan, resources }
+    }
+
+    /// What the frame was made with.
+    #[must_use]
+    pub fn facts(&self) -> &FrameFacts {
+        &self.facts
     }
 
     /// The sparse DIF.
@@ -229,16 +348,10 @@ impl Frame {
         &self.dif
     }
 
-    /// What became of the particles.
-    #[must_use]
-    pub fn census(&self) -> Census {
-        self.census
-    }
-
     /// `mu0`, where the indicator counts.
     #[must_use]
     pub fn mean_count(&self) -> Option<MeanCount> {
-        match self.indicator {
+        match self.facts.indicator {
             Indicator::Symmetry => None,
             Indicator::Counting { mean } => mean,
         }
@@ -247,8 +360,8 @@ impl Frame {
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
     #[must_use]
     pub fn recipe(&self, surfacing: &Surfacing) -> (Recipe, Plateau) {
-        let smoothing = Smoothing::new(self.indicator, surfacing.sigma);
-        let plateau = Plateau::of(&self.dif, &smoothing, self.domain.as_ref());
+        let smoothing = Smoothing::new(self.facts.indicator, surfacing.sigma);
+        let plateau = Plateau::of(&self.dif, &smoothing, self.facts.domain.as_ref());
         let iso = surfacing.iso.unwrap_or(plateau.isovalue());
         let detail = match surfacing.detail {
             Detail::Smoothed => None,
@@ -260,40 +373,58 @@ impl Frame {
     /// The final field on `cells`.
     #[must_use]
     pub fn field(&self, recipe: &Recipe, cells: CellBox) -> Block {
-        let domain = self.domain.as_ref();
+        let domain = self.facts.domain.as_ref();
         recipe.field(&recipe.gather(&self.dif, cells, domain), domain)
     }
 
     /// The surface of the frame.
     ///
     /// # Errors
-    /// [`FrameError::NoSurface`] and [`FrameError::TooManyVertices`].
+    /// [`FrameError::NoSurface`], and [`FrameError::Scratch`] where scratch files fail.
     pub fn surface(&self, surfacing: &Surfacing, laps: &mut Laps) -> Result<Surface, FrameError> {
         let (recipe, plateau) = self.recipe(surfacing);
         let iso = recipe.iso;
         laps.lap("plateau");
-        let blocks: Vec<BlockMesh> = self
-            .regions(&recipe)
-            .into_par_iter()
-            .filter_map(|region| self.block_mesh(&recipe, region, surfacing.normals))
-            .collect();
+        let attributes: Vec<_> = self.carried_infos().map(|(info, _)| info.clone()).collect();
+        let components = attributes.iter().map(|info| info.components).collect();
+        let mut spool = Spool::in_memory(surfacing.normals == Normals::Gradient, components);
+        self.mesh_blocks(&recipe, surfacing.normals, &mut spool).map_err(self.resources.scratch_error())?;
         laps.lap("mesh");
-
-        let carried = self.carried.as_ref().map_or(&[][..], |(_, carried)| carried);
-        let attributes: Vec<_> = carried.iter().map(|(info, _)| info.clone()).collect();
-        let mesh = stitch(&blocks, &self.grid, self.domain.as_ref(), iso, &attributes)?;
-        laps.lap("stitch");
-        if mesh.triangles.is_empty() {
+        if spool.is_empty() {
             return Err(FrameError::NoSurface { iso });
         }
+        let mesh = Stitched::new(spool, self.facts.grid, self.facts.domain, iso, attributes);
         Ok(Surface { mesh, iso, plateau })
+    }
+
+    fn carried_infos(&self) -> impl Iterator<Item = &(AttributeInfo, FixedPoint)> {
+        self.carried.iter().flat_map(|(_, infos)| infos)
+    }
+
+    /// Meshes all blocks in Morton order into `spool`.
+    fn mesh_blocks(&self, recipe: &Recipe, normals: Normals, spool: &mut Spool) -> io::Result<()> {
+        for regions in self.regions(recipe).chunks(BATCH) {
+            let blocks: Vec<Option<BlockMesh>> = regions
+                .par_iter()
+                .map(|&region| self.block_mesh(recipe, region, normals))
+                .collect::<io::Result<_>>()?;
+            for block in blocks.into_iter().flatten() {
+                spool.push(block)?;
+            }
+            if let Plan::OutOfCore(shares) = self.plan
+                && spool.bytes() > shares.surface
+            {
+                spool.move_to_file(&self.resources.scratch)?;
+            }
+        }
+        Ok(())
     }
 
     /// The parts of blocks in which dual cells can be mixed, in Morton order.
     fn regions(&self, recipe: &Recipe) -> Vec<CellBox> {
         // A dual cell reaches one cell up from its lowest corner.
         let regions = self.dif.regions(recipe.reach() + 1, recipe.reach());
-        let within = self.domain.map(|domain| domain.cells().grown(1, 0));
+        let within = self.facts.domain.map(|domain| domain.cells().grown(1, 0));
         regions
             .into_iter()
             .map(|(_, cells)| within.map_or(cells, |within| cells.intersection(&within)))
@@ -302,8 +433,13 @@ impl Frame {
     }
 
     /// The surface through one region of a block; `None` where there is none.
-    fn block_mesh(&self, recipe: &Recipe, region: CellBox, with_normals: Normals) -> Option<BlockMesh> {
-        let domain = self.domain.as_ref();
+    fn block_mesh(
+        &self,
+        recipe: &Recipe,
+        region: CellBox,
+        with_normals: Normals,
+    ) -> io::Result<Option<BlockMesh>> {
+        let domain = self.facts.domain.as_ref();
         let walls = domain.map(Domain::cells);
         let dual = region.tiled().grown(0, 1);
         let cells = match with_normals {
@@ -313,26 +449,50 @@ impl Frame {
         let dif = recipe.gather(&self.dif, cells, domain);
         let inside_walls = walls.is_none_or(|walls| walls.covers(&dual));
         if !recipe.iso.may_cut(dif.samples(), inside_walls) {
-            return None;
+            return Ok(None);
         }
         let field = recipe.field(&dif, domain);
         let mut mesh = contour(&field, region, recipe.iso, walls);
         if mesh.tiles.is_empty() {
-            return None;
+            return Ok(None);
         }
         if with_normals == Normals::Gradient {
             mesh.normals = normals(&field, &mesh, recipe.iso, walls);
         }
         if let Some((bins, infos)) = &self.carried {
-            mesh.attributes = infos
-                .iter()
-                .enumerate()
-                .map(|(i, (info, fixed))| {
-                    let attribute = (i, info.components, *fixed);
-                    vertex_values(bins, attribute, &recipe.smoothing, &mesh, recipe.iso, walls)
-                })
-                .collect();
+            for (i, (info, fixed)) in infos.iter().enumerate() {
+                let attribute = (i, info.components, *fixed);
+                let values = vertex_values(bins, attribute, &recipe.smoothing, &mesh, recipe.iso, walls)?;
+                mesh.attributes.push(values);
+            }
         }
-        Some(mesh)
+        Ok(Some(mesh))
     }
+}
+
+/// Bins the particles through a scratch file, run by run into `sink`. The bins that are returned are in a
+/// scratch file of their own where attributes are carried, and empty where not.
+fn spill(
+    plan: BinPlan,
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    shares: Shares,
+    sink: &mut FieldSink,
+    laps: &mut Laps,
+) -> io::Result<Bins> {
+    let Sampling { indicator, side, carried, resources, .. } = sampling;
+    let runs = plan.runs(particles, carried, shares.particles);
+    // The field is not there yet, so its share is free for buffers.
+    let buffer_bytes = shares.field as usize;
+    let spilled = plan.spill(particles, carried, runs, &resources.scratch, buffer_bytes)?;
+    laps.lap("bin");
+    let mut sorted = spilled.sorted_store(&resources.scratch)?;
+    for run in 0..spilled.runs().len() {
+        let bins = spilled.load(run)?;
+        sink.take(&bins, *indicator, *side)?;
+        if !carried.is_empty() {
+            sorted.push(&bins)?;
+        }
+    }
+    Ok(sorted.finish())
 }

@@ -12,8 +12,9 @@
 //!
 //! ```
 //! use meniscus::brick::{BrickSide, InvalidParticles};
-//! use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surfacing};
+//! use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 //! use meniscus::grid::Grid;
+//! use meniscus::laps::Laps;
 //! use meniscus::mesh::check::check;
 //! use meniscus::stage::indicator::Indicator;
 //! use meniscus::units::Sigma;
@@ -30,13 +31,13 @@
 //!     invalid: InvalidParticles::Refuse,
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),
-//!     budget: meniscus::memory::default_budget(),
+//!     resources: Resources { budget: meniscus::memory::default_budget(), scratch: std::env::temp_dir() },
 //! };
 //! let surfacing =
 //!     Surfacing { sigma: Sigma::new(1.0)?, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
 //! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
 //! let surface = frame.surface(&surfacing, &mut Laps::default())?;
-//! assert!(check(&surface.mesh).is_closed_oriented_manifold());
+//! assert!(check(&surface.mesh.to_mesh()?).is_closed_oriented_manifold());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -46,11 +47,13 @@ pub mod estimate;
 pub mod frame;
 pub mod grid;
 pub mod io;
+pub mod laps;
 pub mod memory;
 pub mod mesh;
 pub mod particles;
 pub mod plateau;
 pub mod recipe;
+pub mod scratch;
 pub mod spacing;
 pub mod stage;
 pub mod stitch;

@@ -1,5 +1,7 @@
 //! What the pipeline asks of particles: to be read by range, from several threads, as often as it likes.
 
+use std::ops::Range;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -30,6 +32,16 @@ pub trait Particles: Sync {
     /// # Panics
     /// If `first + out.len()` exceeds [`len`](Self::len).
     fn positions(&self, first: usize, out: &mut [[f64; 3]]);
+
+    /// Bytes of memory that the particles occupy as long as they are there; none where a file is mapped.
+    fn resident_bytes(&self) -> u64 {
+        0
+    }
+
+    /// Says that the particles of a range will not be read soon: a mapped file can give its pages back.
+    fn release(&self, range: Range<usize>) {
+        let _ = range;
+    }
 
     /// The attributes that [`attribute`](Self::attribute) serves, positions excluded.
     fn attributes(&self) -> &[AttributeInfo] {

@@ -5,12 +5,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 19] = [
+const ROOMS: [&str; 21] = [
     "units",
     "particles",
     "grid",
     "spacing",
     "memory",
+    "scratch",
+    "laps",
     "brick",
     "mesh",
     "stage/indicator",

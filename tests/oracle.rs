@@ -8,8 +8,9 @@ use common::scene::Random;
 use common::{reconstruct, sampling, shuffle, splashes, surfacing, tank};
 use glam::IVec3;
 use meniscus::brick::BrickSide;
-use meniscus::frame::{Detail, Frame, Laps, Sampling, Surfacing};
+use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
 use meniscus::grid::BLOCK;
+use meniscus::laps::Laps;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
 

@@ -1,11 +1,19 @@
 //! Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
 
 mod bin;
+mod bins;
 mod block;
 mod field;
+mod page;
+mod spill;
+mod store;
 mod sums;
 
-pub use bin::{BinError, BinPlan, Bins, Census, InvalidParticles};
+pub use bin::{BinError, BinPlan, Census, InvalidParticles};
+pub use bins::{BinContents, Bins};
 pub use block::Block;
-pub use field::{BrickSide, DifField, Page};
+pub use field::DifField;
+pub use page::{BrickSide, PageInfo};
+pub use spill::{SortedStore, SpilledBins};
+pub use store::{PageSource, Samples};
 pub use sums::CellSums;

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
@@ -23,6 +23,43 @@ pub enum Bytes {
     Mapped(Mmap),
     /// Unpacked, or not mappable.
     Owned(Vec<u8>),
+}
+
+/// Bytes that may give memory back.
+pub trait ByteStore: Deref<Target = [u8]> + Sync {
+    /// Bytes of memory that cannot be given back.
+    fn resident_bytes(&self) -> u64 {
+        0
+    }
+
+    /// Gives the memory of a range back; reading it again brings it back.
+    fn release(&self, range: Range<usize>) {
+        let _ = range;
+    }
+}
+
+impl ByteStore for &[u8] {}
+
+impl ByteStore for Bytes {
+    fn resident_bytes(&self) -> u64 {
+        match self {
+            Self::Mapped(_) => 0,
+            Self::Owned(vec) => vec.len() as u64,
+        }
+    }
+
+    fn release(&self, range: Range<usize>) {
+        #[cfg(unix)]
+        if let Self::Mapped(map) = self {
+            // SAFETY: the map is of a file and never written: pages that are dropped are read again.
+            // That the system may refuse is no matter.
+            let _ = unsafe {
+                map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, range.start, range.len())
+            };
+        }
+        #[cfg(not(unix))]
+        let _ = range;
+    }
 }
 
 impl Deref for Bytes {

@@ -4,11 +4,11 @@
 //! decodes into little-endian columns first. Nothing else differs between formats.
 
 use std::collections::HashSet;
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 
 use crate::particles::{AttributeInfo, Particles};
 
-use super::bytes::Bytes;
+use super::bytes::{ByteStore, Bytes};
 
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -162,7 +162,7 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     }
 }
 
-impl<B: Deref<Target = [u8]> + Sync> Particles for ColumnStore<B> {
+impl<B: ByteStore> Particles for ColumnStore<B> {
     fn len(&self) -> usize {
         match &self.rows {
             Rows::All(count) => *count,
@@ -172,6 +172,24 @@ impl<B: Deref<Target = [u8]> + Sync> Particles for ColumnStore<B> {
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         self.read(&self.position, first, out.as_flattened_mut());
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        self.bytes.resident_bytes()
+    }
+
+    fn release(&self, range: Range<usize>) {
+        // Rows that were chosen lie scattered.
+        let Rows::All(_) = self.rows else { return };
+        let columns = self.position.iter().chain(self.columns.iter().flatten());
+        let mut windows: Vec<Range<usize>> =
+            columns.map(|c| c.offset + range.start * c.stride..c.offset + range.end * c.stride).collect();
+        windows.sort_unstable_by_key(|window| window.start);
+        let len = self.bytes.len();
+        for group in windows.chunk_by(|a, b| b.start < a.end) {
+            let end = group.iter().map(|window| window.end).max().unwrap_or_default();
+            self.bytes.release(group[0].start..end.min(len));
+        }
     }
 
     fn attributes(&self) -> &[AttributeInfo] {

@@ -30,10 +30,11 @@ pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
 }
 
 /// A tile that the surface passes through.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct Tile {
     /// Its Morton index in the block.
-    pub index: u16,
+    pub index: u32,
     /// The number of its first vertex, counted in the block.
     pub first_vertex: u32,
     /// For each corner (x + 2 y + 4 z) of the dual cells that the tile owns: is it inside the fluid?
@@ -44,7 +45,7 @@ impl Tile {
     /// The lowest cell of the tile, in the block at `block`.
     #[must_use]
     pub fn corner(&self, block: IVec3) -> IVec3 {
-        block * BLOCK + local_from_morton(self.index.into()) * TILE
+        block * BLOCK + local_from_morton(self.index as usize) * TILE
     }
 
     /// The cells whose dual edge along `axis` crosses the surface.

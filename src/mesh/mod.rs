@@ -5,6 +5,7 @@ pub mod check;
 pub mod compare;
 pub mod measure;
 pub mod source;
+pub mod spool;
 pub mod stars;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};

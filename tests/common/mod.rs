@@ -7,11 +7,13 @@ pub mod scene;
 
 use glam::{DVec3, IVec3};
 use meniscus::brick::{BrickSide, InvalidParticles};
-use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surface, Surfacing};
+use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, Grid};
+use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
 use meniscus::stage::indicator::Indicator;
-use meniscus::units::{MemoryBudget, Sigma};
+use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 use scene::Random;
 
 /// Settings that tests start from: cells of edge 1 at the origin, the defaults of the command line.
@@ -23,7 +25,7 @@ pub fn sampling() -> Sampling {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
-        budget: MemoryBudget(8 << 30),
+        resources: Resources { budget: MemoryBudget(8 << 30), scratch: std::env::temp_dir() },
     }
 }
 
@@ -31,15 +33,22 @@ pub fn surfacing() -> Surfacing {
     Surfacing { sigma: Sigma::new(1.0).unwrap(), iso: None, detail: Detail::Smoothed, normals: Normals::None }
 }
 
+/// A surface, all of it in memory.
+pub struct Reconstructed {
+    pub mesh: Mesh,
+    pub iso: Isovalue,
+}
+
 pub fn reconstruct(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     surfacing: &Surfacing,
-) -> (Frame, Surface) {
+) -> (Frame, Reconstructed) {
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).unwrap();
     let surface = frame.surface(surfacing, &mut laps).unwrap();
-    (frame, surface)
+    let mesh = surface.mesh.to_mesh().unwrap();
+    (frame, Reconstructed { mesh, iso: surface.iso })
 }
 
 /// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a cell.

@@ -9,12 +9,15 @@ use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::brick::{BinPlan, Block, BrickSide, InvalidParticles};
-use meniscus::frame::{Detail, Frame, Laps, Normals, Sampling, Surfacing};
+use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
+use meniscus::laps::Laps;
+use meniscus::mesh::source::MeshSource;
+use meniscus::mesh::spool::Spool;
 use meniscus::stage::blur::{Kernel, blur};
 use meniscus::stage::dual_mc::contour;
-use meniscus::stage::indicator::{Indicator, build_field};
-use meniscus::stitch::stitch;
+use meniscus::stage::indicator::{Indicator, indicate};
+use meniscus::stitch::Stitched;
 use meniscus::units::{MemoryBudget, Sigma};
 use rayon::prelude::*;
 
@@ -52,14 +55,15 @@ fn main() {
 
     let grid = Grid::new(DVec3::ZERO, 1.0).expect("a valid grid");
     let bin = || {
-        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse)
+        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, usize::MAX)
             .expect("valid particles")
             .fill(&particles[..], &[])
     };
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
     for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
-        let (seconds, _) = best_seconds(3, || build_field(&bins, indicator, BrickSide::Eight));
+        let (seconds, _) =
+            best_seconds(3, || indicate(&bins, 0..bins.keys().len(), indicator, BrickSide::Eight));
         let name = match indicator {
             Indicator::Symmetry => "symmetry",
             Indicator::Counting { .. } => "counting",
@@ -85,7 +89,7 @@ fn main() {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
-        budget: MemoryBudget(u64::MAX),
+        resources: Resources { budget: MemoryBudget(u64::MAX), scratch: std::env::temp_dir() },
     };
     let surfacing = Surfacing {
         sigma: Sigma::new(1.0).expect("a valid sigma"),
@@ -104,7 +108,9 @@ fn main() {
     let (seconds, mesh) = best_seconds(3, || {
         let surfaces: Vec<_> =
             fields.par_iter().map(|(cells, field)| contour(field, *cells, recipe.iso, None)).collect();
-        stitch(&surfaces, &grid, None, recipe.iso, &[]).expect("few enough vertices")
+        let mut spool = Spool::in_memory(false, Vec::new());
+        surfaces.into_iter().try_for_each(|surface| spool.push(surface)).expect("nothing is written");
+        Stitched::new(spool, grid, None, recipe.iso, Vec::new()).to_mesh().expect("few enough vertices")
     });
     row("marching cubes and stitching", mesh.triangles.len() as f64, "M triangles/s", seconds);
     drop((frame, fields, mesh));
@@ -115,9 +121,9 @@ fn main() {
         let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
         (laps, surface)
     });
-    row("whole frame, memory to memory", count, "M particles/s", seconds);
+    row("whole frame, before writing", count, "M particles/s", seconds);
     for (stage, seconds) in laps.seconds() {
         println!("  {stage:<32} {:>35.1} ms", seconds * 1e3);
     }
-    println!("  {} vertices, {} triangles", surface.mesh.positions.len(), surface.mesh.triangles.len());
+    println!("  {} vertices, {} triangles", surface.mesh.vertex_count(), surface.mesh.triangle_count());
 }

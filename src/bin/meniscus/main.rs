@@ -3,7 +3,10 @@
 mod info;
 mod inspect;
 mod interrupt;
+mod pack;
 mod reconstruct;
+mod run;
+mod sampling;
 
 use std::process::ExitCode;
 
@@ -22,7 +25,9 @@ struct Arguments {
 enum Command {
     /// Reconstruct the surface of a frame of particles.
     Reconstruct(Box<reconstruct::Options>),
-    /// Say what a particle file or a mesh holds.
+    /// Sample a frame once, to be reconstructed later with other filters or isovalues.
+    Pack(Box<pack::Options>),
+    /// Say what a particle file, a packed frame or a mesh holds.
     Info(info::Options),
     /// Check that meshes are closed, oriented 2-manifolds, and measure them.
     Check(inspect::CheckOptions),
@@ -42,6 +47,7 @@ fn main() -> ExitCode {
     let Arguments { command } = Arguments::parse();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),
+        Command::Pack(options) => pack::run(&options),
         Command::Info(options) => info::run(&options),
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),

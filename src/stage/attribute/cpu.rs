@@ -1,5 +1,7 @@
 //! See the room's `mod.rs` for the formulas.
 
+use std::io;
+
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Block};
@@ -17,16 +19,20 @@ pub struct FixedPoint {
 
 impl FixedPoint {
     /// The finest step at which the attribute's greatest magnitude takes no more than 30 bits.
-    #[must_use]
-    pub fn of(bins: &Bins, attribute: usize) -> Self {
+    ///
+    /// # Errors
+    /// Where particles are in a scratch file that cannot be read.
+    pub fn of(bins: &Bins, attribute: usize) -> io::Result<Self> {
         let greatest = (0..bins.keys().len())
             .into_par_iter()
-            .flat_map_iter(|bin| bins.attribute(attribute, bin).flatten())
-            .filter(|x| x.is_finite())
-            .map(|x| f64::from(x.abs()))
-            .reduce(|| 0.0, f64::max);
-        let exponent = if greatest > 0.0 { 29 - greatest.log2().floor() as i32 } else { 0 };
-        Self { steps_per_unit: 2f64.powi(exponent) }
+            .map(|bin| {
+                let contents = bins.contents(bin)?;
+                let finite = contents.attributes[attribute].iter().filter(|x| x.is_finite());
+                Ok(finite.fold(0.0, |greatest: f32, x| greatest.max(x.abs())))
+            })
+            .try_reduce(|| 0.0, |a, b: f32| io::Result::Ok(a.max(b)))?;
+        let exponent = if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
+        Ok(Self { steps_per_unit: 2f64.powi(exponent) })
     }
 
     fn steps(self, value: f32) -> i64 {
@@ -39,7 +45,9 @@ impl FixedPoint {
 }
 
 /// An attribute of the particles on the vertices of a block, all components of one vertex after the other.
-#[must_use]
+///
+/// # Errors
+/// Where particles are in a scratch file that cannot be read.
 pub fn vertex_values(
     bins: &Bins,
     (attribute, components, fixed): (usize, usize, FixedPoint),
@@ -47,7 +55,7 @@ pub fn vertex_values(
     mesh: &BlockMesh,
     iso: Isovalue,
     walls: Option<CellBox>,
-) -> Vec<f32> {
+) -> io::Result<Vec<f32>> {
     let edges: Vec<_> = mesh
         .tiles
         .iter()
@@ -61,10 +69,10 @@ pub fn vertex_values(
         .flatten()
         .fold(CellBox::EMPTY, |used, &cell| used.union(&CellBox { lo: cell, hi: cell + 1 }));
     if used.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let reach = smoothing.reach();
-    let mut sums = sums(bins, attribute, components, fixed, used.grown(reach, reach));
+    let mut sums = sums(bins, attribute, components, fixed, used.grown(reach, reach))?;
     for sum in &mut sums {
         if let Some(walls) = walls {
             sum.repeat_edges(walls);
@@ -89,7 +97,7 @@ pub fn vertex_values(
             sums.iter().map(|sum| sum.samples()[index[0]] * shares[0] + sum.samples()[index[1]] * shares[1]),
         );
     }
-    values
+    Ok(values)
 }
 
 /// Per cell the sum of each component over its particles, and last the number of particles.
@@ -99,11 +107,13 @@ fn sums(
     components: usize,
     fixed: FixedPoint,
     cells: CellBox,
-) -> Vec<Block<f32>> {
+) -> io::Result<Vec<Block<f32>>> {
     let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); components + 1];
     for coord in cells.cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
-        for ((local, _), tuple) in bins.particles(bin).zip(bins.attribute(attribute, bin)) {
+        let contents = bins.contents(bin)?;
+        let tuples = contents.attributes[attribute].chunks_exact(components);
+        for ((local, _), tuple) in contents.particles().zip(tuples) {
             let local =
                 glam::IVec3::new(local as i32 % BIN, local as i32 / BIN % BIN, local as i32 / (BIN * BIN));
             let cell = coord * BIN + local;
@@ -123,5 +133,5 @@ fn sums(
         }
         block
     };
-    sums.into_iter().enumerate().map(float).collect()
+    Ok(sums.into_iter().enumerate().map(float).collect())
 }

@@ -28,7 +28,7 @@ pub fn contour(field: &Block, region: CellBox, iso: Isovalue, walls: Option<Cell
     for index in local {
         let corner = block * BLOCK + local_from_morton(index) * TILE;
         let tile = Tile {
-            index: index as u16,
+            index: index as u32,
             first_vertex: mesh.ends.len() as u32,
             corners: signs.corners(corner),
         };

@@ -1,10 +1,13 @@
 //! See the room's `mod.rs` for the formulas.
 
+use std::io;
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-use crate::brick::{Bins, BrickSide, CellSums, DifField, Page};
+use crate::brick::{Bins, BrickSide, CellSums, PageInfo};
 use crate::grid::{BIN, FRACTIONS};
-use crate::units::{FULL, MeanCount, UnitError};
+use crate::units::{FULL, MeanCount};
 
 use super::Indicator;
 
@@ -44,70 +47,40 @@ fn nearest_root(square: u32) -> u32 {
     root + u32::from(square - root * root > root)
 }
 
-/// Eq. 6 for every number of particles.
-#[derive(Debug, Clone)]
-pub struct CountTable {
-    /// theta(N) for N up to mu0; beyond, it is 1.
-    theta: Vec<u16>,
+/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
+#[must_use]
+pub fn count_table(mean: MeanCount) -> Vec<u16> {
+    let mean = mean.particles();
+    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
 }
 
-impl CountTable {
-    /// For a given `mu0`.
-    #[must_use]
-    pub fn new(mean: MeanCount) -> Self {
-        let mean = mean.particles();
-        let theta = (0..=mean.floor() as u32)
-            .map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16)
-            .collect();
-        Self { theta }
-    }
-
-    /// theta for `n` particles.
-    #[must_use]
-    pub fn theta(&self, n: u16) -> u16 {
-        self.theta.get(usize::from(n)).copied().unwrap_or(FULL)
-    }
-}
-
-/// The DIF of all bins, and the `mu0` that it was computed with.
+/// The pages of a range of bins: theta by symmetry; the numbers of particles for counting, whose mu0 is known
+/// when all bins are done, and turns them into theta by [`count_table`].
 ///
 /// # Errors
-/// [`UnitError::MeanCount`] where mu0 has to be measured and cells hold more than 65535 particles each.
-pub fn build_field(
+/// Where particles are in a scratch file that cannot be read.
+pub fn indicate(
     bins: &Bins,
+    range: Range<usize>,
     indicator: Indicator,
     side: BrickSide,
-) -> Result<(DifField, Option<MeanCount>), UnitError> {
-    let theta = |(n, s): (u64, [u64; 3])| match indicator {
+) -> io::Result<Vec<(PageInfo, Box<[u16]>)>> {
+    let value = |(n, s): (u64, [u64; 3])| match indicator {
         Indicator::Symmetry => symmetry(n, s),
-        // Counts first: mu0 is known when all are.
         Indicator::Counting { .. } => n.min(FULL.into()) as u16,
     };
-    let keys = bins.keys();
-    let pages = (0..keys.len())
+    range
         .into_par_iter()
         .map_init(
             || (CellSums::default(), vec![0; BIN.pow(3) as usize]),
             |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
-                sums.accumulate(bins.particles(bin));
-                dense.iter_mut().zip(sums.iter()).for_each(|(to, cell)| *to = theta(cell));
-                Page::from_dense(keys[bin].coord(), dense, side)
+                sums.accumulate(bins.contents(bin)?.particles());
+                dense.iter_mut().zip(sums.iter()).for_each(|(to, cell)| *to = value(cell));
+                let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, side);
+                Ok(page.expect("a bin holds particles"))
             },
         )
-        .collect();
-    let mut field = DifField::new(side, keys.to_vec(), pages);
-    let mean = match indicator {
-        Indicator::Symmetry => None,
-        Indicator::Counting { mean: Some(mean) } => Some(mean),
-        Indicator::Counting { mean: None } => {
-            Some(MeanCount::measured(bins.census().binned as u64, field.full_cells())?)
-        }
-    };
-    if let Some(mean) = mean {
-        let table = CountTable::new(mean);
-        field.map(|count| table.theta(count));
-    }
-    Ok((field, mean))
+        .collect()
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@
 
 mod cpu;
 
-pub use cpu::{CountTable, build_field, symmetry};
+pub use cpu::{count_table, indicate, symmetry};
 
 use crate::units::MeanCount;
 

@@ -1,0 +1,70 @@
+//! `meniscus pack`: particles to a DIF frame, to be reconstructed later with other filters or isovalues.
+
+use std::path::PathBuf;
+
+use bytesize::ByteSize;
+use clap::Args;
+use meniscus::error::Error;
+use meniscus::frame::{Frame, FrameError};
+use meniscus::io::input::open_particles;
+use meniscus::io::output::{Replace, WholeFile};
+use meniscus::laps::Laps;
+use meniscus::particles::Particles;
+
+use crate::Verdict;
+use crate::interrupt::remove_on_interrupt;
+use crate::reconstruct::{is_frame, refuse_same_file};
+use crate::run::RunOptions;
+use crate::sampling::{SamplingOptions, report_frame};
+
+#[derive(Args)]
+pub struct Options {
+    /// The particles: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not.
+    input: PathBuf,
+    /// The frame: .mnf.
+    #[arg(short, long)]
+    output: PathBuf,
+    #[command(flatten)]
+    sampling: SamplingOptions,
+    #[command(flatten)]
+    run: RunOptions,
+}
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let notes = options.run.notes();
+    let request = options.sampling.validate()?;
+    if !is_frame(&options.output) {
+        return Err(Error::Request(format!("{}: packed frames are .mnf files", options.output.display())));
+    }
+    let resources = options.run.resources(&options.output)?;
+    refuse_same_file(&options.input, &options.output)?;
+    let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
+    let output = WholeFile::prepare(&options.output, replace)?;
+    remove_on_interrupt(output.temporary());
+
+    let mut laps = Laps::default();
+    let file = open_particles(&options.input)?;
+    laps.lap("open");
+    notes.say(format!("{}: {} particles, {}", options.input.display(), file.particles.len(), file.format));
+    let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
+    laps.lap("spacing");
+    let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
+    let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
+    report_frame(&frame, &notes);
+    let bytes = output.write(|out| frame.pack(out))?;
+    remove_on_interrupt(None);
+    laps.lap("write");
+    notes.say(format!(
+        "{}: {} full cells in {} bricks, {} in {:.2} s",
+        options.output.display(),
+        frame.dif().full_cells(),
+        frame.dif().bricks(),
+        ByteSize(bytes),
+        laps.total(),
+    ));
+    for (stage, seconds) in laps.seconds() {
+        notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
+    }
+    Ok(Verdict::Good)
+}

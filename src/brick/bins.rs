@@ -1,0 +1,118 @@
+//! Particles in order of their bins: in memory, or in a scratch file.
+
+use std::borrow::Cow;
+use std::io;
+
+use crate::grid::{BIN, FRACTION_BITS, MortonKey, Placed};
+use crate::scratch::Scratch;
+
+/// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
+const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
+/// Bits of a packed particle; the rest of its 64 are free.
+pub(super) const RECORD_BITS: u32 = 3 * AXIS_BITS;
+
+/// A packed particle: where it is in its bin.
+pub(super) type Record = u64;
+
+/// Particles in order of their bins.
+#[derive(Debug)]
+pub struct Bins {
+    pub(super) keys: Vec<MortonKey>,
+    /// Where each bin's particles begin, and where the last one's end.
+    pub(super) first: Vec<usize>,
+    /// Components of each attribute.
+    pub(super) components: Vec<usize>,
+    pub(super) store: Store,
+}
+
+/// Where the particles are kept, records and attributes each on their own.
+#[derive(Debug)]
+pub(super) enum Store {
+    Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
+    File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
+}
+
+/// The particles of one bin.
+#[derive(Debug)]
+pub struct BinContents<'a> {
+    records: Cow<'a, [Record]>,
+    /// For each attribute, all components of one particle after the other.
+    pub attributes: Vec<Cow<'a, [f32]>>,
+}
+
+impl BinContents<'_> {
+    /// Each particle's cell in the bin (x fastest), and its offset in the cell.
+    pub fn particles(&self) -> impl Iterator<Item = (usize, [u32; 3])> + '_ {
+        self.records.iter().map(|&record| unpack(record))
+    }
+}
+
+impl Bins {
+    /// The bins that hold particles, in Morton order.
+    #[must_use]
+    pub fn keys(&self) -> &[MortonKey] {
+        &self.keys
+    }
+
+    /// The particles of bin number `bin`, in no particular order.
+    ///
+    /// # Errors
+    /// Where they are in a scratch file that cannot be read.
+    pub fn contents(&self, bin: usize) -> io::Result<BinContents<'_>> {
+        let range = self.first[bin]..self.first[bin + 1];
+        match &self.store {
+            Store::Memory { records, attributes } => Ok(BinContents {
+                records: Cow::Borrowed(&records[range.clone()]),
+                attributes: attributes
+                    .iter()
+                    .zip(&self.components)
+                    .map(|(values, n)| Cow::Borrowed(&values[range.start * n..range.end * n]))
+                    .collect(),
+            }),
+            Store::File { scratch, records_at, attributes_at } => {
+                let mut records = vec![0; range.len()];
+                let first = range.start as u64;
+                scratch.read_at(records_at + 8 * first, bytemuck::cast_slice_mut(&mut records))?;
+                let mut attributes = Vec::new();
+                for (at, &n) in attributes_at.iter().zip(&self.components) {
+                    let mut values = vec![0_f32; n * range.len()];
+                    scratch.read_at(at + 4 * n as u64 * first, bytemuck::cast_slice_mut(&mut values))?;
+                    attributes.push(Cow::Owned(values));
+                }
+                Ok(BinContents { records: Cow::Owned(records), attributes })
+            }
+        }
+    }
+}
+
+pub(super) fn pack(placed: &Placed) -> Record {
+    let axis = |a: usize| {
+        let local = (placed.cell[a] & (BIN - 1)) as u64;
+        local << FRACTION_BITS | u64::from(placed.offset[a])
+    };
+    axis(0) | axis(1) << AXIS_BITS | axis(2) << (2 * AXIS_BITS)
+}
+
+fn unpack(record: Record) -> (usize, [u32; 3]) {
+    let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
+    let [x, y, z] = axis.map(|bits| (bits >> FRACTION_BITS) as usize);
+    let bin = BIN as usize;
+    (x + bin * (y + bin * z), axis.map(|bits| bits & ((1 << FRACTION_BITS) - 1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::*;
+
+    #[test]
+    fn packing_keeps_cell_and_offset_at_both_ends_of_a_bin() {
+        for (cell, offset) in [(IVec3::ZERO, [0; 3]), (IVec3::new(-1, 31, -16), [8191, 1, 4096])] {
+            let (local, offsets) = unpack(pack(&Placed { cell, offset }));
+            let wrapped = cell & 15;
+            assert_eq!(local, (wrapped.x + 16 * wrapped.y + 256 * wrapped.z) as usize);
+            assert_eq!(offsets, offset.map(u32::from));
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Scratch files: room for what exceeds the memory budget, gone with the process however it ends.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// An unnamed file. It is written and read by position, by several threads at once; it is never mapped, so a
+/// full disk is an error and nothing else.
+#[derive(Debug)]
+pub struct Scratch {
+    file: File,
+    end: AtomicU64,
+}
+
+impl Scratch {
+    /// A new one in `folder`, without a name: nothing is left to be removed, not even after a crash.
+    ///
+    /// # Errors
+    /// The system's refusal to create a file there.
+    pub fn in_folder(folder: &Path) -> io::Result<Self> {
+        Ok(Self { file: tempfile::tempfile_in(folder)?, end: AtomicU64::new(0) })
+    }
+
+    /// Sets `bytes` aside and returns where they begin.
+    pub fn reserve(&self, bytes: u64) -> u64 {
+        self.end.fetch_add(bytes, Ordering::Relaxed)
+    }
+
+    /// Bytes set aside so far.
+    pub fn len(&self) -> u64 {
+        self.end.load(Ordering::Relaxed)
+    }
+
+    /// Whether nothing was set aside.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Writes all of `bytes` from position `at` on.
+    ///
+    /// # Errors
+    /// The system's, such as a full disk.
+    pub fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        #[cfg(unix)]
+        return std::os::unix::fs::FileExt::write_all_at(&self.file, bytes, at);
+        #[cfg(not(unix))]
+        return serial::at(&self.file, at, |file| io::Write::write_all(file, bytes));
+    }
+
+    /// Fills `bytes` from position `at` on.
+    ///
+    /// # Errors
+    /// The system's, and [`io::ErrorKind::UnexpectedEof`] past what was written.
+    pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        #[cfg(unix)]
+        return std::os::unix::fs::FileExt::read_exact_at(&self.file, bytes, at);
+        #[cfg(not(unix))]
+        return serial::at(&self.file, at, |file| io::Read::read_exact(file, bytes));
+    }
+
+    /// Writes `bytes` at the end and returns where they begin.
+    ///
+    /// # Errors
+    /// As [`write_at`](Self::write_at).
+    pub fn append(&self, bytes: &[u8]) -> io::Result<u64> {
+        let at = self.reserve(bytes.len() as u64);
+        self.write_at(at, bytes)?;
+        Ok(at)
+    }
+}
+
+/// Where a file has one position for all threads, they take turns.
+#[cfg(not(unix))]
+mod serial {
+    use std::fs::File;
+    use std::io::{self, Seek, SeekFrom};
+    use std::sync::{Mutex, PoisonError};
+
+    static TURN: Mutex<()> = Mutex::new(());
+
+    pub fn at(mut file: &File, at: u64, work: impl FnOnce(&mut &File) -> io::Result<()>) -> io::Result<()> {
+        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        file.seek(SeekFrom::Start(at))?;
+        work(&mut file)
+    }
+}
