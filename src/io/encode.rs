@@ -1,59 +1,121 @@
-//! Long runs of records, encoded on all threads and written in order.
+//! A mesh's pieces, encoded on all threads and written in order.
 
 use std::io::{self, Write};
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Records a chunk: some hundred KiB of bytes, so that a chunk is still in a core's cache when it is written.
-const CHUNK: usize = 16 << 10;
+use crate::mesh::source::{MeshSource, Vertices};
 
-/// Writes records 0 to `count` to `out`, in order: `encode` appends those of a range to a buffer.
+/// Writes what `encode` appends to a buffer for pieces 0 to `pieces`, in order.
 ///
-/// While this thread writes one batch of chunks, the pool encodes the next, so no more is held than two
-/// chunks a thread in each. The bytes depend on `encode` alone, not on the number of threads.
+/// While this thread writes one batch of pieces, the pool encodes the next, so no more is held than two
+/// pieces a thread in each. The bytes depend on `encode` alone, not on the number of threads.
 ///
 /// # Errors
-/// The first error of `out`; nothing is written after it.
-pub fn write_chunks(
+/// The first error of `encode` or `out`, in the order of the pieces; nothing is written after it.
+pub fn write_pieces(
     out: &mut dyn Write,
-    count: usize,
-    encode: impl Fn(Range<usize>, &mut Vec<u8>) + Sync,
+    pieces: usize,
+    encode: impl Fn(usize, &mut Vec<u8>) -> io::Result<()> + Sync,
 ) -> io::Result<()> {
-    let chunks = count.div_ceil(CHUNK);
-    let batch = (2 * rayon::current_num_threads()).min(chunks);
-    let mut ready = vec![Vec::new(); batch];
-    let mut next = ready.clone();
-    let encode = &encode;
-    let mut written = 0;
-    for first in (0..chunks).step_by(batch.max(1)) {
-        written =
-            encode_while(&mut next, first..chunks, count, encode, || write_all(out, &ready[..written]))?;
-        std::mem::swap(&mut ready, &mut next);
-    }
-    write_all(out, &ready[..written])
+    in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
-/// Encodes as many of `chunks` as there are `buffers`, on the pool, while `meanwhile` runs on this thread.
+/// As [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in order.
+pub(super) fn in_order<T: Send>(
+    pieces: usize,
+    make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
+    mut take: impl FnMut(&[T]) -> io::Result<()>,
+) -> io::Result<()> {
+    let batch = (2 * rayon::current_num_threads()).min(pieces);
+    let buffers = || -> Vec<_> { (0..batch).map(|_| (Vec::new(), Ok(()))).collect() };
+    let (mut ready, mut next) = (buffers(), buffers());
+    let mut made = 0;
+    for first in (0..pieces).step_by(batch.max(1)) {
+        made = make_while(&mut next, first..pieces, &make, || take_all(&mut ready[..made], &mut take))?;
+        std::mem::swap(&mut ready, &mut next);
+    }
+    take_all(&mut ready[..made], &mut take)
+}
+
+/// What was made of a piece, and whether that is all of it.
+type Made<T> = (Vec<T>, io::Result<()>);
+
+/// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this thread.
 /// Returns how many.
-fn encode_while(
-    buffers: &mut [Vec<u8>],
-    chunks: Range<usize>,
-    count: usize,
-    encode: &(impl Fn(Range<usize>, &mut Vec<u8>) + Sync),
+fn make_while<T: Send>(
+    buffers: &mut [Made<T>],
+    pieces: Range<usize>,
+    make: &(impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync),
     meanwhile: impl FnOnce() -> io::Result<()>,
 ) -> io::Result<usize> {
-    let encoded = chunks.len().min(buffers.len());
+    let made = pieces.len().min(buffers.len());
     rayon::in_place_scope(|scope| {
-        for (chunk, buffer) in chunks.zip(buffers) {
+        for (piece, (buffer, result)) in pieces.zip(buffers) {
             scope.spawn(move |_| {
                 buffer.clear();
-                encode(chunk * CHUNK..((chunk + 1) * CHUNK).min(count), buffer);
+                *result = make(piece, buffer);
             });
         }
         meanwhile()
     })?;
-    Ok(encoded)
+    Ok(made)
 }
 
-fn write_all(out: &mut dyn Write, buffers: &[Vec<u8>]) -> io::Result<()> {
-    buffers.iter().try_for_each(|buffer| out.write_all(buffer))
+fn take_all<T>(made: &mut [Made<T>], take: &mut impl FnMut(&[T]) -> io::Result<()>) -> io::Result<()> {
+    made.iter_mut().try_for_each(|(buffer, result)| {
+        std::mem::replace(result, Ok(()))?;
+        take(buffer)
+    })
+}
+
+/// Writes what `encode` makes of the vertices, piece after piece.
+///
+/// # Panics
+/// If a piece's arrays differ in length, or the pieces are not all vertices: no file can be made of that.
+pub(super) fn write_vertices(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    encode: impl Fn(&Vertices, &mut Vec<u8>) + Sync,
+) -> io::Result<()> {
+    let attributes = mesh.attributes();
+    let count = AtomicU64::new(0);
+    write_pieces(out, mesh.pieces(), |piece, out| {
+        let vertices = mesh.vertices(piece)?;
+        let len = vertices.positions.len();
+        let normals = if mesh.has_normals() { len } else { 0 };
+        assert_eq!(vertices.normals.len(), normals, "one normal a vertex, or none at all");
+        assert_eq!(vertices.attributes.len(), attributes.len(), "all attributes in every piece");
+        for (info, values) in attributes.iter().zip(&vertices.attributes) {
+            assert_eq!(Some(values.len()), len.checked_mul(info.components), "{info:?} on {len} vertices");
+        }
+        count.fetch_add(len as u64, Ordering::Relaxed);
+        encode(&vertices, out);
+        Ok(())
+    })?;
+    assert_eq!(count.into_inner(), mesh.vertex_count(), "all vertices are in the pieces");
+    Ok(())
+}
+
+/// Writes what `encode` makes of the triangles, piece after piece.
+///
+/// # Panics
+/// If a triangle names a missing vertex, or the pieces are not all triangles.
+pub(super) fn write_triangles(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    encode: impl Fn(&[[u64; 3]], &mut Vec<u8>) + Sync,
+) -> io::Result<()> {
+    let vertices = mesh.vertex_count();
+    let count = AtomicU64::new(0);
+    write_pieces(out, mesh.pieces(), |piece, out| {
+        let triangles = mesh.triangles(piece)?;
+        let greatest = triangles.as_flattened().iter().max();
+        assert!(greatest.is_none_or(|&v| v < vertices), "vertex {greatest:?} is named of {vertices}");
+        count.fetch_add(triangles.len() as u64, Ordering::Relaxed);
+        encode(&triangles, out);
+        Ok(())
+    })?;
+    assert_eq!(count.into_inner(), mesh.triangle_count(), "all triangles are in the pieces");
+    Ok(())
 }

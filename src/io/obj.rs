@@ -7,10 +7,10 @@ use std::fmt;
 use std::io::{self, Write};
 
 use crate::mesh::Mesh;
+use crate::mesh::source::MeshSource;
 
-use super::encode::write_chunks;
+use super::encode::{write_triangles, write_vertices};
 use super::scan::Scanner;
-use super::vertices::assert_complete;
 use super::{CoordinateWidth, ReadFault};
 
 /// What a line may start with that says nothing of the surface's shape.
@@ -22,14 +22,13 @@ const IGNORED: [&[u8]; 14] = [
 /// Writes vertices, normals and triangles. A number has as many digits as make it that f32 or f64 again.
 ///
 /// # Errors
-/// Those of `out`.
+/// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// If normals are not of the vertices' number.
-pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> io::Result<()> {
-    assert_complete(mesh);
-    write_chunks(out, mesh.positions.len(), |range, out| {
-        for &[x, y, z] in &mesh.positions[range] {
+/// As [`MeshFormat::write`](super::output::MeshFormat::write).
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    write_vertices(out, mesh, |vertices, out| {
+        for &[x, y, z] in &*vertices.positions {
             match width {
                 CoordinateWidth::F32 => {
                     put(out, format_args!("v {} {} {}\n", x as f32, y as f32, z as f32));
@@ -38,19 +37,21 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> i
             }
         }
     })?;
-    if let Some(normals) = &mesh.normals {
-        write_chunks(out, normals.len(), |range, out| {
-            for [x, y, z] in &normals[range] {
+    let has_normals = mesh.has_normals();
+    if has_normals {
+        write_vertices(out, mesh, |vertices, out| {
+            for [x, y, z] in &*vertices.normals {
                 put(out, format_args!("vn {x} {y} {z}\n"));
             }
         })?;
     }
-    write_chunks(out, mesh.triangles.len(), |range, out| {
-        for triangle in &mesh.triangles[range] {
-            let [a, b, c] = triangle.map(|vertex| u64::from(vertex) + 1);
-            match mesh.normals {
-                Some(_) => put(out, format_args!("f {a}//{a} {b}//{b} {c}//{c}\n")),
-                None => put(out, format_args!("f {a} {b} {c}\n")),
+    write_triangles(out, mesh, |triangles, out| {
+        for triangle in triangles {
+            let [a, b, c] = triangle.map(|vertex| vertex + 1);
+            if has_normals {
+                put(out, format_args!("f {a}//{a} {b}//{b} {c}//{c}\n"));
+            } else {
+                put(out, format_args!("f {a} {b} {c}\n"));
             }
         }
     })

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
 use crate::mesh::Mesh;
+use crate::mesh::source::MeshSource;
 
 use super::bytes::open_bytes;
 use super::{CoordinateWidth, ReadError, ReadFault, WriteError, WriteFault};
@@ -38,6 +39,9 @@ impl fmt::Display for MeshFormat {
 }
 
 impl MeshFormat {
+    /// All that there are.
+    const ALL: [Self; 5] = [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl];
+
     /// The extensions, for messages.
     pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp and .stl";
 
@@ -72,14 +76,67 @@ impl MeshFormat {
         self != Self::Stl
     }
 
-    /// Writes all of `mesh` that the format has a place for.
+    /// Whether its writer, given a mesh in pieces, holds the positions of all vertices in memory, 24 bytes each.
+    /// All others hold a few pieces a thread.
+    #[must_use]
+    pub fn holds_whole_mesh(self) -> bool {
+        self == Self::Stl
+    }
+
+    /// The most vertices and triangles that it can number.
+    fn most(self) -> [u64; 2] {
+        const I32: u64 = i32::MAX as u64;
+        const I64: u64 = i64::MAX as u64;
+        match self {
+            // Indices are u32.
+            Self::Ply => [1 << 32, u64::MAX],
+            Self::Obj => [u64::MAX; 2],
+            // Every triangle takes four of the numbers that are counted in an i32.
+            Self::Vtk => [I32, I32 / 4],
+            // The last triangle's end is three times their number.
+            Self::Vtp => [I64, I64 / 3],
+            Self::Stl => [u64::MAX, u32::MAX as u64],
+        }
+    }
+
+    fn can_number(self, vertices: u64, triangles: u64) -> bool {
+        let [most_vertices, most_triangles] = self.most();
+        vertices <= most_vertices && triangles <= most_triangles
+    }
+
+    /// Makes sure that the format can number so many vertices and triangles.
     ///
     /// # Errors
-    /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for more than the format can number.
+    /// [`io::ErrorKind::InvalidInput`] if not, which says what it can, and which formats can number these.
+    pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
+        if self.can_number(vertices, triangles) {
+            return Ok(());
+        }
+        let limits = self.most().into_iter().zip(["vertices", "triangles"]);
+        let limits: Vec<_> = limits
+            .filter(|(most, _)| *most < u64::MAX)
+            .map(|(most, what)| format!("{most} {what}"))
+            .collect();
+        let able = Self::ALL.into_iter().filter(|format| format.can_number(vertices, triangles));
+        let able: Vec<_> = able.map(|format| format.to_string()).collect();
+        let what = format!(
+            "{vertices} vertices and {triangles} triangles are too many for {self}, which numbers at most {}; \
+             write {}",
+            limits.join(" and "),
+            able.join(" or "),
+        );
+        Err(io::Error::new(io::ErrorKind::InvalidInput, what))
+    }
+
+    /// Writes all of `mesh` that the format has a place for, by several passes over its pieces.
+    ///
+    /// # Errors
+    /// Those of `mesh` and `out`, and those of [`check_counts`](Self::check_counts) before anything is written.
     ///
     /// # Panics
-    /// If normals or attributes are not of the vertices' number, or a triangle names a missing vertex.
-    pub fn write(self, out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> io::Result<()> {
+    /// If normals or attributes are not of the vertices' number, the pieces not of the mesh's, or a triangle names
+    /// a missing vertex.
+    pub fn write(self, out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
         match self {
             Self::Ply => ply::write_mesh(out, mesh, width),
             Self::Obj => obj::write_mesh(out, mesh, width),
@@ -193,12 +250,12 @@ impl MeshOutput {
     /// Writes `mesh`, waits until it is on disk, and gives the file its name. Returns its size in bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system refuses, [`WriteFault::Exists`] if the name was taken meanwhile, and
+    /// [`WriteFault::Io`] where the system or `mesh` refuses, [`WriteFault::Exists`] if the name was taken meanwhile, and
     /// [`WriteFault::Unsupported`] for more than the format can number.
     ///
     /// # Panics
     /// As [`MeshFormat::write`].
-    pub fn write(self, mesh: &Mesh, width: CoordinateWidth) -> Result<u64, WriteError> {
+    pub fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
         let Self { path, format, target } = self;
         let written = match target {
             Target::Direct => OpenOptions::new()
@@ -251,7 +308,7 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
 fn write_counted(
     file: &mut File,
     format: MeshFormat,
-    mesh: &Mesh,
+    mesh: &dyn MeshSource,
     width: CoordinateWidth,
 ) -> io::Result<u64> {
     let mut counted = Counted { out: BufWriter::new(file), bytes: 0 };
@@ -283,5 +340,94 @@ impl<W: Write> Write for Counted<W> {
 
     fn flush(&mut self) -> io::Result<()> {
         self.out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::source::Vertices;
+    use crate::particles::AttributeInfo;
+
+    /// Only its counts are there.
+    struct Huge {
+        vertices: u64,
+        triangles: u64,
+    }
+
+    impl MeshSource for Huge {
+        fn vertex_count(&self) -> u64 {
+            self.vertices
+        }
+        fn triangle_count(&self) -> u64 {
+            self.triangles
+        }
+        fn has_normals(&self) -> bool {
+            true
+        }
+        fn attributes(&self) -> Vec<AttributeInfo> {
+            Vec::new()
+        }
+        fn pieces(&self) -> usize {
+            1
+        }
+        fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
+            panic!("vertices are asked for")
+        }
+        fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
+            panic!("triangles are asked for")
+        }
+    }
+
+    #[test]
+    fn a_mesh_that_a_format_cannot_number_is_refused_before_anything_is_written_or_read() {
+        let mesh = Huge { vertices: 1 << 33, triangles: 1 << 34 };
+        for (format, limit) in [
+            (MeshFormat::Ply, "at most 4294967296 vertices;"),
+            (MeshFormat::Vtk, "at most 2147483647 vertices and 536870911 triangles;"),
+            (MeshFormat::Stl, "at most 4294967295 triangles;"),
+        ] {
+            let mut out = Vec::new();
+            let fault = format.write(&mut out, &mesh, CoordinateWidth::F32).unwrap_err();
+            assert_eq!((fault.kind(), out.len()), (io::ErrorKind::InvalidInput, 0), "{format}");
+            let message = fault.to_string();
+            assert!(message.contains("8589934592 vertices and 17179869184 triangles"), "{message}");
+            assert!(message.contains(limit) && message.ends_with("write .obj or .vtp"), "{message}");
+        }
+        for format in [MeshFormat::Obj, MeshFormat::Vtp] {
+            format.check_counts(mesh.vertices, mesh.triangles).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_refused_mesh_leaves_no_file_and_names_the_formats_that_can() {
+        let folder = tempfile::tempdir().unwrap();
+        let output = MeshOutput::prepare(&folder.path().join("a.vtk"), Replace::Refuse).unwrap();
+        let mesh = Huge { vertices: 1 << 31, triangles: 1 << 31 };
+        let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
+        assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
+        assert!(fault.to_string().ends_with("write .ply or .obj or .vtp or .stl"), "{fault}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_largest_mesh_that_a_format_can_number_is_not_refused_and_one_more_is() {
+        const U32: u64 = u32::MAX as u64;
+        for (format, vertices, triangles) in [
+            (MeshFormat::Ply, Some(U32 + 1), None),
+            (MeshFormat::Vtk, Some(0x7fff_ffff), Some(0x1fff_ffff)),
+            (MeshFormat::Vtp, Some(i64::MAX as u64), Some(i64::MAX as u64 / 3)),
+            (MeshFormat::Stl, None, Some(U32)),
+            (MeshFormat::Obj, None, None),
+        ] {
+            let most = [vertices, triangles].map(|most| most.unwrap_or(u64::MAX));
+            format.check_counts(most[0], most[1]).unwrap();
+            if let Some(vertices) = vertices {
+                format.check_counts(vertices + 1, 0).unwrap_err();
+            }
+            if let Some(triangles) = triangles {
+                format.check_counts(0, triangles + 1).unwrap_err();
+            }
+        }
     }
 }

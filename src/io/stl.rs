@@ -3,16 +3,22 @@
 //! The format has no vertices that triangles could share, so the reader takes corners for one vertex whose
 //! coordinates are equal to the bit. This is the one place where positions name vertices: a mesh that touches itself
 //! comes back joined there. Coordinates are f32 in binary, and there is no place for anything else.
+//!
+//! For want of vertices it is also the one format whose writer holds more than a few pieces of a mesh: the positions
+//! of all vertices, 24 bytes each, unless they are in memory already.
 
+use std::borrow::Cow;
 use std::io::{self, Write};
 
 use glam::DVec3;
 use hashbrown::HashMap;
 
 use crate::mesh::Mesh;
+use crate::mesh::source::MeshSource;
 
-use super::encode::write_chunks;
+use super::encode::{in_order, write_triangles};
 use super::obj::vector;
+use super::output::MeshFormat;
 use super::scan::{Scanner, malformed};
 use super::{CoordinateWidth, ReadFault};
 
@@ -28,20 +34,20 @@ const RECORD: usize = 50;
 /// Writes the triangles in binary, with their normals (zero where there is no area). The width is always f32.
 ///
 /// # Errors
-/// [`io::ErrorKind::InvalidInput`] for more than 2^32 - 1 triangles, before anything is written; those of `out`.
+/// Those of `mesh` and `out`; before anything is written those of [`MeshFormat::check_counts`], and
+/// [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
 ///
 /// # Panics
-/// If a triangle names a missing vertex.
-pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, _width: CoordinateWidth) -> io::Result<()> {
-    let count = u32::try_from(mesh.triangles.len()).map_err(|_| {
-        let what = format!("{} triangles; an .stl file holds at most {}", mesh.triangles.len(), u32::MAX);
-        io::Error::new(io::ErrorKind::InvalidInput, what)
-    })?;
+/// As [`MeshFormat::write`].
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, _width: CoordinateWidth) -> io::Result<()> {
+    MeshFormat::Stl.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
+    let positions =
+        mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
     out.write_all(TITLE)?;
-    out.write_all(&count.to_le_bytes())?;
-    write_chunks(out, mesh.triangles.len(), |range, out| {
-        for triangle in &mesh.triangles[range] {
-            let corners = triangle.map(|vertex| mesh.positions[vertex as usize]);
+    out.write_all(&(mesh.triangle_count() as u32).to_le_bytes())?;
+    write_triangles(out, mesh, |triangles, out| {
+        for triangle in triangles {
+            let corners = triangle.map(|vertex| positions[vertex as usize]);
             let [a, b, c] = corners.map(DVec3::from);
             let normal = (b - a).cross(c - a).normalize_or_zero().to_array();
             for vector in [normal].iter().chain(&corners) {
@@ -50,6 +56,22 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, _width: CoordinateWidth) -> 
             out.extend([0; 2]);
         }
     })
+}
+
+/// The positions of all pieces.
+fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
+    let mut positions = Vec::new();
+    let count = usize::try_from(mesh.vertex_count()).map_err(|_| io::ErrorKind::OutOfMemory)?;
+    positions.try_reserve_exact(count).map_err(|_| io::ErrorKind::OutOfMemory)?;
+    let make = |piece, buffer: &mut Vec<_>| {
+        buffer.extend_from_slice(&mesh.vertices(piece)?.positions);
+        Ok(())
+    };
+    in_order(mesh.pieces(), make, |piece| {
+        positions.extend_from_slice(piece);
+        Ok(())
+    })?;
+    Ok(positions)
 }
 
 /// Reads triangles, binary or text, and joins corners of equal coordinates. Normals are passed over.

@@ -133,13 +133,3 @@ fn order<B, V>(endian: Endian, bytes: B, little: fn(B) -> V, big: fn(B) -> V) ->
         Endian::Big => big(bytes),
     }
 }
-
-/// A mesh whose arrays differ in length is our bug, and no file can be made of it.
-pub(super) fn assert_complete(mesh: &Mesh) {
-    let vertices = mesh.positions.len();
-    let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
-    assert_eq!(normals, vertices, "one normal a vertex");
-    for VertexAttribute { name, components, values } in &mesh.attributes {
-        assert_eq!(Some(values.len()), vertices.checked_mul(*components), "{components} of {name} a vertex");
-    }
-}

@@ -5,7 +5,7 @@ use std::io;
 
 use crate::particles::AttributeInfo;
 
-use super::Mesh;
+use super::{Mesh, VertexAttribute};
 
 /// Vertices or triangles of a piece of a mesh in memory.
 const PIECE: usize = 1 << 14;
@@ -50,6 +50,11 @@ pub trait MeshSource: Sync {
     /// # Errors
     /// Where pieces are kept in a file that cannot be read.
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>>;
+
+    /// The positions of all vertices, where they are in memory side by side.
+    fn whole_positions(&self) -> Option<&[[f64; 3]]> {
+        None
+    }
 }
 
 impl MeshSource for Mesh {
@@ -66,8 +71,7 @@ impl MeshSource for Mesh {
     }
 
     fn attributes(&self) -> Vec<AttributeInfo> {
-        let info =
-            |a: &super::VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
+        let info = |a: &VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
         self.attributes.iter().map(info).collect()
     }
 
@@ -76,10 +80,9 @@ impl MeshSource for Mesh {
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        assert_complete(self);
         let range = range(piece, self.positions.len());
-        let attribute = |a: &'_ super::VertexAttribute| -> std::ops::Range<usize> {
-            range.start * a.components..range.end * a.components
-        };
+        let attribute = |a: &VertexAttribute| range.start * a.components..range.end * a.components;
         Ok(Vertices {
             positions: Cow::Borrowed(&self.positions[range.clone()]),
             normals: self.normals.as_ref().map_or(Cow::default(), |n| Cow::Borrowed(&n[range.clone()])),
@@ -91,8 +94,22 @@ impl MeshSource for Mesh {
         let triangles = &self.triangles[range(piece, self.triangles.len())];
         Ok(triangles.iter().map(|t| t.map(u64::from)).collect())
     }
+
+    fn whole_positions(&self) -> Option<&[[f64; 3]]> {
+        Some(&self.positions)
+    }
 }
 
 fn range(piece: usize, len: usize) -> std::ops::Range<usize> {
     (piece * PIECE).min(len)..((piece + 1) * PIECE).min(len)
+}
+
+/// A mesh whose arrays differ in length is our bug.
+fn assert_complete(mesh: &Mesh) {
+    let vertices = mesh.positions.len();
+    let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
+    assert_eq!(normals, vertices, "one normal a vertex");
+    for VertexAttribute { name, components, values } in &mesh.attributes {
+        assert_eq!(Some(values.len()), vertices.checked_mul(*components), "{components} of {name} a vertex");
+    }
 }

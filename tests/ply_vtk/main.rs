@@ -1,8 +1,8 @@
 //! What .ply and legacy .vtk files promise, in both directions: the formats, and builders of their files.
 
-mod chunks;
 mod damage;
 mod meshes;
+mod pieces;
 mod ply_particles;
 mod vtk_particles;
 
@@ -11,6 +11,7 @@ use std::io::{self, Write};
 
 use meniscus::io::bytes::Bytes;
 use meniscus::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
+use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::Particles;
 
@@ -38,7 +39,7 @@ struct Format {
     read_particles: fn(Bytes) -> Result<ParticleFile, ReadFault>,
     read_mesh: fn(&[u8]) -> Result<Mesh, ReadFault>,
     has_faces: fn(&[u8]) -> Result<bool, ReadFault>,
-    write_mesh: fn(&mut dyn Write, &Mesh, CoordinateWidth) -> io::Result<()>,
+    write_mesh: fn(&mut dyn Write, &dyn MeshSource, CoordinateWidth) -> io::Result<()>,
 }
 
 const PLY: Format = Format {

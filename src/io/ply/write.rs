@@ -3,9 +3,9 @@
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
-use crate::io::encode::write_chunks;
-use crate::io::vertices::assert_complete;
-use crate::mesh::Mesh;
+use crate::io::encode::{write_triangles, write_vertices};
+use crate::io::output::MeshFormat;
+use crate::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 
@@ -16,63 +16,65 @@ use super::{GROUPS, NORMAL};
 /// A name that the format has no room for (white space, or one that is taken) is altered by underscores.
 ///
 /// # Errors
-/// Those of `out`.
+/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
 ///
 /// # Panics
-/// If normals or an attribute are not of the vertices' number.
-pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> io::Result<()> {
-    assert_complete(mesh);
+/// As [`MeshFormat::write`].
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    MeshFormat::Ply.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     out.write_all(header(mesh, width).as_bytes())?;
-    write_chunks(out, mesh.positions.len(), |range, out| {
-        for vertex in range {
-            let position = mesh.positions[vertex];
+    let components: Vec<_> = mesh.attributes().iter().map(|attribute| attribute.components).collect();
+    write_vertices(out, mesh, |vertices, out| {
+        for (vertex, position) in vertices.positions.iter().enumerate() {
             match width {
                 CoordinateWidth::F32 => out.extend(position.map(|c| (c as f32).to_le_bytes()).as_flattened()),
                 CoordinateWidth::F64 => out.extend(position.map(f64::to_le_bytes).as_flattened()),
             }
-            if let Some(normals) = &mesh.normals {
-                out.extend(normals[vertex].map(f32::to_le_bytes).as_flattened());
+            if let Some(normal) = vertices.normals.get(vertex) {
+                out.extend(normal.map(f32::to_le_bytes).as_flattened());
             }
-            for attribute in &mesh.attributes {
-                let values = &attribute.values[vertex * attribute.components..][..attribute.components];
+            for (values, &components) in vertices.attributes.iter().zip(&components) {
+                let values = &values[vertex * components..][..components];
                 values.iter().for_each(|value| out.extend(value.to_le_bytes()));
             }
         }
     })?;
-    write_chunks(out, mesh.triangles.len(), |range, out| {
-        for corners in &mesh.triangles[range] {
+    write_triangles(out, mesh, |triangles, out| {
+        for corners in triangles {
             let mut face = [3; 13];
-            face[1..].copy_from_slice(corners.map(u32::to_le_bytes).as_flattened());
+            face[1..].copy_from_slice(corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened());
             out.extend_from_slice(&face);
         }
     })
 }
 
-fn header(mesh: &Mesh, width: CoordinateWidth) -> String {
+fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     let coordinate = match width {
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
     // The same bytes, as long as no index is beyond i32; and int is what every program reads.
-    let index = if mesh.positions.len() <= i32::MAX as usize { "int" } else { "uint" };
+    let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let names = property_names(mesh);
     let kinds = std::iter::repeat_n(coordinate, 3).chain(std::iter::repeat("float"));
     let lines: String = kinds.zip(names).map(|(kind, name)| format!("property {kind} {name}\n")).collect();
     format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{lines}element face {}\n\
          property list uchar {index} vertex_indices\nend_header\n",
-        mesh.positions.len(),
-        mesh.triangles.len(),
+        mesh.vertex_count(),
+        mesh.triangle_count(),
     )
 }
 
 /// What the columns of `vertex` are called, no two alike.
-fn property_names(mesh: &Mesh) -> Vec<String> {
+fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
     let group = |name: &str| GROUPS.iter().find(|(group, _)| *group == name).map(|(_, members)| members);
     let owned = |members: &[&str; 3]| members.map(str::to_owned).to_vec();
     let mut taken = owned(&["x", "y", "z"]);
-    taken.extend(mesh.normals.iter().filter_map(|_| group(NORMAL)).flat_map(owned));
-    for attribute in &mesh.attributes {
+    if mesh.has_normals() {
+        taken.extend(group(NORMAL).map(owned).into_iter().flatten());
+    }
+    for attribute in mesh.attributes() {
         let grouped = group(&attribute.name).filter(|_| attribute.components == 3).map(owned);
         let mut base = attribute.name.replace(|c: char| c.is_whitespace() || c.is_control(), "_");
         let mut names = grouped.unwrap_or_else(|| numbered(&base, attribute.components));

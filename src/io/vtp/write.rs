@@ -3,11 +3,14 @@
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
-use crate::io::encode::write_chunks;
-use crate::io::vertices::assert_complete;
-use crate::mesh::Mesh;
+use crate::io::encode::{write_pieces, write_triangles, write_vertices};
+use crate::io::output::MeshFormat;
+use crate::mesh::source::{MeshSource, Vertices};
 
 use super::NORMALS;
+
+/// Triangles whose ends are written at once.
+const ENDS: u64 = 1 << 14;
 
 /// Writes `mesh` with all of its attributes, little-endian: points as Float32 or Float64 by `width`, indices
 /// as Int32 as long as they fit.
@@ -15,12 +18,12 @@ use super::NORMALS;
 /// A control character in a name, for which XML has no room, is written as U+FFFD.
 ///
 /// # Errors
-/// Those of `out`.
+/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
 ///
 /// # Panics
-/// If normals or an attribute are not of the vertices' number.
-pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> io::Result<()> {
-    assert_complete(mesh);
+/// As [`MeshFormat::write`].
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    MeshFormat::Vtp.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     let mut offset = 0;
     let mut element = |array: &Array| {
         let xml = array.element(offset);
@@ -30,7 +33,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> i
     let (point_data, points, polygons) = (point_data(mesh), points(mesh, width), polygons(mesh));
     let is_velocity = |array: &&Array| array.name == "velocity" && array.components == 3;
     let vectors = point_data.iter().find(is_velocity).map_or("", |_| " Vectors=\"velocity\"");
-    let normals = mesh.normals.as_ref().map_or(String::new(), |_| format!(" Normals=\"{NORMALS}\""));
+    let normals = if mesh.has_normals() { format!(" Normals=\"{NORMALS}\"") } else { String::new() };
     write!(
         out,
         "<?xml version=\"1.0\"?>\n\
@@ -44,32 +47,34 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &Mesh, width: CoordinateWidth) -> i
          </Piece>\n\
          </PolyData>\n\
          <AppendedData encoding=\"raw\">\n_",
-        mesh.positions.len(),
-        mesh.triangles.len(),
+        mesh.vertex_count(),
+        mesh.triangle_count(),
         point_data.iter().map(&mut element).collect::<String>(),
         element(&points),
         polygons.iter().map(&mut element).collect::<String>(),
     )?;
     for array in point_data.iter().chain([&points]).chain(&polygons) {
         out.write_all(&array.bytes().to_le_bytes())?;
-        array.write(out)?;
+        array.write(out, mesh)?;
     }
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
 /// An array of the file.
-struct Array<'a> {
-    name: &'a str,
+struct Array {
+    name: String,
     components: usize,
     /// Of all components together.
-    length: usize,
-    numbers: Numbers<'a>,
+    length: u64,
+    numbers: Numbers,
 }
 
-enum Numbers<'a> {
-    Floats(&'a [f32]),
-    Positions(&'a [[f64; 3]], CoordinateWidth),
-    Corners(&'a [[u32; 3]], IndexWidth),
+enum Numbers {
+    Normals,
+    /// By its number.
+    Attribute(usize),
+    Positions(CoordinateWidth),
+    Corners(IndexWidth),
     /// Where each triangle's corners end: 3, 6, 9, ...
     Ends(IndexWidth),
 }
@@ -80,68 +85,64 @@ enum IndexWidth {
     I64,
 }
 
-fn point_data(mesh: &Mesh) -> Vec<Array<'_>> {
-    let normals = mesh.normals.iter().map(|normals| (NORMALS, 3, normals.as_flattened()));
-    let attributes = mesh.attributes.iter().map(|a| (&*a.name, a.components, &a.values[..]));
-    let arrays = normals.chain(attributes);
-    arrays
-        .map(|(name, components, values)| {
-            let numbers = Numbers::Floats(values);
-            Array { name, components, length: values.len(), numbers }
-        })
-        .collect()
+fn point_data(mesh: &dyn MeshSource) -> Vec<Array> {
+    let array = |name: String, components: usize, numbers: Numbers| {
+        let length = mesh.vertex_count() * components as u64;
+        Array { name, components, length, numbers }
+    };
+    let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, Numbers::Normals));
+    let attributes = mesh.attributes().into_iter().enumerate();
+    let attributes = attributes.map(|(index, a)| array(a.name, a.components, Numbers::Attribute(index)));
+    normals.into_iter().chain(attributes).collect()
 }
 
-fn points(mesh: &Mesh, width: CoordinateWidth) -> Array<'_> {
-    let numbers = Numbers::Positions(&mesh.positions, width);
-    Array { name: "Points", components: 3, length: 3 * mesh.positions.len(), numbers }
+fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Array {
+    let numbers = Numbers::Positions(width);
+    Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
 }
 
-fn polygons(mesh: &Mesh) -> [Array<'_>; 2] {
-    let width = IndexWidth::that_holds(mesh.positions.len().max(3 * mesh.triangles.len()));
-    let triangles = &mesh.triangles[..];
+fn polygons(mesh: &dyn MeshSource) -> [Array; 2] {
+    let triangles = mesh.triangle_count();
+    let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
+    let array = |name: &str, length, numbers| Array { name: name.to_owned(), components: 1, length, numbers };
     [
-        Array {
-            name: "connectivity",
-            components: 1,
-            length: 3 * triangles.len(),
-            numbers: Numbers::Corners(triangles, width),
-        },
-        Array { name: "offsets", components: 1, length: triangles.len(), numbers: Numbers::Ends(width) },
+        array("connectivity", 3 * triangles, Numbers::Corners(width)),
+        array("offsets", triangles, Numbers::Ends(width)),
     ]
 }
 
-impl Array<'_> {
+impl Array {
     /// The type, and its width in bytes.
     fn scalar(&self) -> (&'static str, u64) {
         match self.numbers {
-            Numbers::Floats(_) | Numbers::Positions(_, CoordinateWidth::F32) => ("Float32", 4),
-            Numbers::Positions(_, CoordinateWidth::F64) => ("Float64", 8),
-            Numbers::Corners(_, IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => ("Int32", 4),
-            Numbers::Corners(_, IndexWidth::I64) | Numbers::Ends(IndexWidth::I64) => ("Int64", 8),
+            Numbers::Normals | Numbers::Attribute(_) | Numbers::Positions(CoordinateWidth::F32) => {
+                ("Float32", 4)
+            }
+            Numbers::Positions(CoordinateWidth::F64) => ("Float64", 8),
+            Numbers::Corners(IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => ("Int32", 4),
+            Numbers::Corners(IndexWidth::I64) | Numbers::Ends(IndexWidth::I64) => ("Int64", 8),
         }
     }
 
     fn bytes(&self) -> u64 {
-        self.length as u64 * self.scalar().1
+        self.length * self.scalar().1
     }
 
     fn element(&self, offset: u64) -> String {
         format!(
             "<DataArray type=\"{}\" Name=\"{}\" NumberOfComponents=\"{}\" format=\"appended\" offset=\"{offset}\"/>\n",
             self.scalar().0,
-            escaped(self.name),
+            escaped(&self.name),
             self.components,
         )
     }
 
-    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+    fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
         match self.numbers {
-            Numbers::Floats(values) => write_chunks(out, values.len(), |range, out| {
-                values[range].iter().for_each(|value| out.extend(value.to_le_bytes()));
-            }),
-            Numbers::Positions(positions, width) => write_chunks(out, positions.len(), |range, out| {
-                for position in positions[range].iter() {
+            Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
+            Numbers::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
+            Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
+                for position in &*vertices.positions {
                     match width {
                         CoordinateWidth::F32 => {
                             out.extend(position.map(|x| (x as f32).to_le_bytes()).as_flattened());
@@ -150,18 +151,31 @@ impl Array<'_> {
                     }
                 }
             }),
-            Numbers::Corners(triangles, width) => write_chunks(out, triangles.len(), |range, out| {
-                triangles[range].as_flattened().iter().for_each(|&corner| width.put(out, corner.into()));
+            Numbers::Corners(width) => write_triangles(out, mesh, |triangles, out| {
+                triangles.as_flattened().iter().for_each(|&corner| width.put(out, corner));
             }),
-            Numbers::Ends(width) => write_chunks(out, self.length, |range, out| {
-                range.for_each(|triangle| width.put(out, 3 * (triangle as u64 + 1)));
+            Numbers::Ends(width) => write_pieces(out, self.length.div_ceil(ENDS) as usize, |piece, out| {
+                let first = piece as u64 * ENDS;
+                let ends = first + 1..=(first + ENDS).min(self.length);
+                ends.for_each(|triangles| width.put(out, 3 * triangles));
+                Ok(())
             }),
         }
     }
 }
 
+fn write_floats(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
+) -> io::Result<()> {
+    write_vertices(out, mesh, |vertices, out| {
+        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
+    })
+}
+
 impl IndexWidth {
-    fn that_holds(greatest: usize) -> Self {
+    fn that_holds(greatest: u64) -> Self {
         if i32::try_from(greatest).is_ok() { Self::I32 } else { Self::I64 }
     }
 
@@ -202,8 +216,8 @@ mod tests {
         {
             assert_eq!(IndexWidth::that_holds(greatest), width);
             let mut out = Vec::new();
-            width.put(&mut out, greatest as u64);
-            assert_eq!(out, (greatest as u64).to_le_bytes()[..bytes]);
+            width.put(&mut out, greatest);
+            assert_eq!(out, u64::to_le_bytes(greatest)[..bytes]);
         }
     }
 }
