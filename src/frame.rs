@@ -1,7 +1,7 @@
 //! One frame, within its memory budget: particles to DIF, DIF to surface.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -334,6 +334,21 @@ impl Frame {
         let estimate = Estimate::of_surface(dif.infos().iter().map(|info| info.full_count as usize));
         let plan = estimate.plan(resources.budget);
         Self { facts, dif, carried: None, plan, resources }
+    }
+
+    /// Writes the frame as a .mnf file.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn pack(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut writer = FrameWriter::create(out)?;
+        let infos = self.dif.infos();
+        for first in (0..infos.len()).step_by(BATCH) {
+            let batch = first..(first + BATCH).min(infos.len());
+            let pages: Vec<_> = batch.map(|page| (infos[page], self.dif.stored(page))).collect();
+            writer.push(&pages)?;
+        }
+        writer.finish(&self.facts).map(drop)
     }
 
     /// What the frame was made with.

@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use common::scene::Random;
 use common::{fill, splashes};
 use meniscus::io::output::read_mesh;
 use meniscus::mesh::check::check;
@@ -276,21 +277,25 @@ fn invalid_particles_are_dropped_and_counted_when_asked() {
 
 #[test]
 fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
-    let folder = folder_with_ball();
-    let refused = ["ball.xyz", "-o", "out.ply", "--cell-size", "0.0001", "--memory", "2MiB"];
-    assert_refused(folder.path(), &refused, 2, &["0.0001", "memory", "a cell size of"]);
-    let output = meniscus(folder.path(), &[&["reconstruct"], &refused[..]].concat());
-    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    let (_, fitting) = errors
-        .split_once("a cell size of ")
-        .and_then(|(_, rest)| rest.split_once("a cell size of "))
-        .unwrap();
-    let fitting = fitting.split(' ').next().unwrap();
-    let run = meniscus(
-        folder.path(),
-        &["reconstruct", "ball.xyz", "-o", "out.ply", "--cell-size", fitting, "--memory", "2MiB"],
-    );
-    assert!(run.status.success(), "{fitting}: {}", String::from_utf8_lossy(&run.stderr));
+    let folder = TempDir::new().unwrap();
+    // Spray: every particle has a bin of its own.
+    let mut random = Random::new(1);
+    let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 100.0 * random.unit())).collect();
+    fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
+    let run = |cell: &str| {
+        let options = ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--cell-size", cell];
+        meniscus(folder.path(), &options)
+    };
+    let refused = run("0.001");
+    let errors = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(2), "{errors}");
+    assert_eq!(names(folder.path()), ["spray.xyz"]);
+    let sizes: Vec<&str> =
+        errors.split("cell size of ").skip(1).map(|s| s.split(' ').next().unwrap()).collect();
+    let [asked, fitting] = sizes[..] else { panic!("{errors}") };
+    assert_eq!(asked, "0.001");
+    let fitted = run(fitting);
+    assert!(fitted.status.success(), "{fitting}: {}", String::from_utf8_lossy(&fitted.stderr));
 }
 
 #[test]

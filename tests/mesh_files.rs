@@ -12,7 +12,8 @@ use std::path::Path;
 use std::process::Command;
 
 use common::shapes::{cuboid, dressed, moved, sphere, torus};
-use meniscus::io::output::{MeshFormat, MeshOutput, Replace, read_mesh};
+use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
+use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
 use meniscus::mesh::{Mesh, VertexAttribute};
 

@@ -12,7 +12,8 @@ use std::io;
 use std::ops::Range;
 
 use common::shapes::{dressed, torus};
-use meniscus::io::output::{MeshFormat, MeshOutput, Replace};
+use meniscus::io::output::{MeshFormat, MeshOutput};
+use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, WriteFault};
 use meniscus::mesh::Mesh;
 use meniscus::mesh::source::{MeshSource, Vertices};

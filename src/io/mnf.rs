@@ -14,12 +14,13 @@ pub struct FrameFacts {
     pub side: BrickSide,
     pub census: Census,
 }
+use std::ops::Deref;
 pub struct FrameWriter<W>(W);
-impl FrameWriter<File> {
-    pub fn create(f: File) -> io::Result<Self> {
+impl<W: io::Write> FrameWriter<W> {
+    pub fn create(f: W) -> io::Result<Self> {
         Ok(Self(f))
     }
-    pub fn push(&mut self, _: &[(PageInfo, Box<[u16]>)]) -> io::Result<()> {
+    pub fn push<S: Deref<Target = [u16]> + Sync>(&mut self, _: &[(PageInfo, S)]) -> io::Result<()> {
         panic!()
     }
     pub fn finish(self, _: &FrameFacts) -> io::Result<File> {

@@ -19,6 +19,7 @@ pub mod stl;
 mod vertices;
 pub mod vtk;
 pub mod vtp;
+pub mod whole;
 pub mod xyz;
 
 use std::path::{Path, PathBuf};

@@ -1,17 +1,14 @@
-//! A mesh's file, from its name to its last byte: whatever can be refused is refused before the work, and
-//! whatever fails later leaves nothing behind.
+//! Mesh files: which writer and reader serve which, and what each format can hold.
 
 use std::fmt;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
-
-use tempfile::NamedTempFile;
+use std::io::{self, Write};
+use std::path::Path;
 
 use crate::mesh::Mesh;
 use crate::mesh::source::MeshSource;
 
 use super::bytes::open_bytes;
+use super::whole::{Replace, WholeFile};
 use super::{CoordinateWidth, ReadError, ReadFault, WriteError, WriteFault};
 use super::{obj, ply, stl, vtk, vtp};
 
@@ -171,65 +168,28 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     format.read(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
 }
 
-/// Whether an output may take the place of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Replace {
-    /// No: what is there stays.
-    Refuse,
-    /// Yes, in one step, once the new file is whole.
-    Allow,
-}
-
 /// A file that is ready to take a mesh.
-///
-/// Dropped without [`write`](Self::write), or when that fails, it leaves nothing.
 #[derive(Debug)]
 pub struct MeshOutput {
-    /// As it was given, for messages.
-    path: PathBuf,
+    file: WholeFile,
     format: MeshFormat,
-    target: Target,
-}
-
-#[derive(Debug)]
-enum Target {
-    /// Beside `place`, to be moved there.
-    Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
-    /// A pipe or a device, which is there and stays there.
-    Direct,
 }
 
 impl MeshOutput {
-    /// Makes sure, before the work, that a mesh can be written to `path`: that its extension names a format, that
-    /// it is free or may be replaced, and that a file can be created in its folder, by creating one.
-    ///
-    /// Pipes and devices are written directly, and need no extension: they take .ply.
+    /// Makes sure, before the work, that a mesh can be written to `path`, whose extension names a format. Pipes and
+    /// devices need no extension: they take .ply.
     ///
     /// # Errors
-    /// [`WriteFault::UnknownExtension`], [`WriteFault::Exists`], and [`WriteFault::Io`] where the system refuses.
+    /// [`WriteFault::UnknownExtension`], and what [`WholeFile::prepare`] refuses.
     pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
-        let fail = |fault: WriteFault| WriteError::new(path, fault);
-        let found = metadata(path).map_err(|e| fail(e.into()))?;
+        let unknown = || WriteError::new(path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(path);
-        let unknown = || fail(WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
-        if is_direct(path, found.as_ref()) {
-            let format = match path.extension() {
-                Some(_) => format.ok_or_else(unknown)?,
-                None => MeshFormat::Ply,
-            };
-            return Ok(Self { path: path.to_owned(), format, target: Target::Direct });
+        if format.is_none() && path.extension().is_some() {
+            return Err(unknown());
         }
-        let format = format.ok_or_else(unknown)?;
-        if found.is_some_and(|metadata| metadata.is_dir()) {
-            return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
-        }
-        if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
-            return Err(fail(WriteFault::Exists));
-        }
-        // Through a link, what it leads to is replaced, and not the link.
-        let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
-        Ok(Self { path: path.to_owned(), format, target: Target::Temporary { file, place, replace } })
+        let file = WholeFile::prepare(path, replace)?;
+        let format = format.or(file.is_direct().then_some(MeshFormat::Ply)).ok_or_else(unknown)?;
+        Ok(Self { file, format })
     }
 
     /// What the extension says.
@@ -241,105 +201,19 @@ impl MeshOutput {
     /// The file that is written before it gets its name: what an interrupt leaves behind.
     #[must_use]
     pub fn temporary(&self) -> Option<&Path> {
-        match &self.target {
-            Target::Temporary { file, .. } => Some(file.path()),
-            Target::Direct => None,
-        }
+        self.file.temporary()
     }
 
-    /// Writes `mesh`, waits until it is on disk, and gives the file its name. Returns its size in bytes.
+    /// Writes `mesh`. Returns the file's size in bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system or `mesh` refuses, [`WriteFault::Exists`] if the name was taken meanwhile, and
-    /// [`WriteFault::Unsupported`] for more than the format can number.
+    /// What [`WholeFile::write`] refuses, and [`WriteFault::Unsupported`] for more than the format can number.
     ///
     /// # Panics
     /// As [`MeshFormat::write`].
     pub fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
-        let Self { path, format, target } = self;
-        let written = match target {
-            Target::Direct => OpenOptions::new()
-                .write(true)
-                .open(&path)
-                .and_then(|mut file| write_counted(&mut file, format, mesh, width)),
-            Target::Temporary { mut file, place, replace } => {
-                write_counted(file.as_file_mut(), format, mesh, width).and_then(|bytes| {
-                    file.as_file().sync_all()?;
-                    match replace {
-                        Replace::Allow => file.persist(place)?,
-                        Replace::Refuse => file.persist_noclobber(place)?,
-                    };
-                    Ok(bytes)
-                })
-            }
-        };
-        written.map_err(|fault| WriteError::new(&path, fault_of(fault)))
-    }
-}
-
-/// What is at `path`, through links; nothing if its name is free.
-fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
-    match path.metadata() {
-        Ok(metadata) => Ok(Some(metadata)),
-        Err(fault) if fault.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(fault) => Err(fault),
-    }
-}
-
-/// Whether the output is to be written where it is: /dev/stdout may be a file, but has no room beside it.
-fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
-    found.is_some_and(|found| !found.is_dir() && (!found.is_file() || path.starts_with("/dev")))
-}
-
-/// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
-fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
-    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".meniscus-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // The system takes away what the user's mask says.
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    builder.tempfile_in(folder.unwrap_or(Path::new(".")))
-}
-
-fn write_counted(
-    file: &mut File,
-    format: MeshFormat,
-    mesh: &dyn MeshSource,
-    width: CoordinateWidth,
-) -> io::Result<u64> {
-    let mut counted = Counted { out: BufWriter::new(file), bytes: 0 };
-    format.write(&mut counted, mesh, width)?;
-    counted.flush()?;
-    Ok(counted.bytes)
-}
-
-/// A refusal of the format's writer has no number of the system's.
-fn fault_of(fault: io::Error) -> WriteFault {
-    match (fault.kind(), fault.raw_os_error()) {
-        (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
-        (io::ErrorKind::InvalidInput, None) => WriteFault::Unsupported(fault.to_string()),
-        _ => WriteFault::Io(fault),
-    }
-}
-
-struct Counted<W> {
-    out: W,
-    bytes: u64,
-}
-
-impl<W: Write> Write for Counted<W> {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(buffer)?;
-        self.bytes += written as u64;
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
+        let Self { file, format } = self;
+        file.write(|out| format.write(out, mesh, width))
     }
 }
 
@@ -407,7 +281,7 @@ mod tests {
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
         assert!(fault.to_string().ends_with("write .ply or .obj or .vtp or .stl"), "{fault}");
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[test]

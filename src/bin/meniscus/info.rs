@@ -4,21 +4,23 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::Args;
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use meniscus::brick::{BrickSide, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{self, Sampling};
+use meniscus::frame::{self, Resources, Sampling};
 use meniscus::grid::Grid;
 use meniscus::io::input::{holds_mesh, open_particles};
+use meniscus::io::mnf::open_frame;
 use meniscus::io::output::read_mesh;
 use meniscus::io::scene::spacing_beside;
 use meniscus::mesh::measure::measure;
 use meniscus::particles::{Particles, bounds};
 use meniscus::spacing;
 use meniscus::stage::indicator::Indicator;
-use meniscus::units::MemoryBudget;
+use meniscus::units::{MeanCount, MemoryBudget};
 use serde::Serialize;
 
+use crate::reconstruct::is_frame;
 use crate::{Verdict, print, print_json};
 
 #[derive(Args)]
@@ -50,8 +52,21 @@ enum Info {
         spacing: Option<f64>,
         /// Where the spacing comes from.
         spacing_source: Option<String>,
-        /// To reconstruct with cells of one spacing.
+        /// To reconstruct in memory with cells of one spacing.
         memory_bytes: Option<u64>,
+    },
+    Frame {
+        file: PathBuf,
+        particles: usize,
+        full_cells: u64,
+        bricks: u64,
+        /// Of the full cells.
+        bounds: Option<[[f64; 3]; 2]>,
+        cell_size: f64,
+        origin: [f64; 3],
+        domain: Option<[[f64; 3]; 2]>,
+        indicator: &'static str,
+        mu0: Option<f64>,
     },
     Mesh {
         file: PathBuf,
@@ -78,6 +93,27 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 fn inspect(path: &Path) -> Result<Info, Error> {
+    if is_frame(path) {
+        let (facts, dif) = open_frame(path, 0)?;
+        let (indicator, mu0) = match facts.indicator {
+            Indicator::Symmetry => ("symmetry", None),
+            Indicator::Counting { mean } => ("counting", mean.map(MeanCount::particles)),
+        };
+        let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
+        let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
+        return Ok(Info::Frame {
+            file: path.to_owned(),
+            particles: facts.census.binned,
+            full_cells: dif.full_cells(),
+            bricks: dif.bricks(),
+            bounds: full.map(|full| [world(full.lo), world(full.hi)]),
+            cell_size: facts.grid.cell_size(),
+            origin: facts.grid.origin().to_array(),
+            domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+            indicator,
+            mu0,
+        });
+    }
     if holds_mesh(path)? {
         let mesh = read_mesh(path)?;
         let measures = measure(&mesh);
@@ -131,23 +167,19 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         invalid: InvalidParticles::Skip,
         side: BrickSide::default(),
         carried: Vec::new(),
-        budget: MemoryBudget(u64::MAX),
+        resources: Resources { budget: MemoryBudget(u64::MAX), scratch: PathBuf::new() },
     };
     let (_, estimate) = frame::estimate(particles, &sampling).ok()?;
-    Some(estimate.total())
+    Some(estimate.in_core())
 }
 
 fn describe(info: &Info) -> String {
     let mut lines = Vec::new();
     let mut line = |name: &str, text: String| lines.push(format!("  {name:<12} {text}"));
-    let shared = |line: &mut dyn FnMut(&str, String),
-                  bounds: &Option<[[f64; 3]; 2]>,
-                  attributes: &[Attribute]| {
-        if let Some([lo, hi]) = bounds {
-            line("box", format!("({}, {}, {}) to ({}, {}, {})", lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]));
-        }
-        let list: Vec<_> = attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
-        line("attributes", if list.is_empty() { "none".into() } else { list.join(", ") });
+    let corners = |[lo, hi]: &[[f64; 3]; 2]| format!("{lo:?} to {hi:?}");
+    let names = |attributes: &[Attribute]| {
+        let names: Vec<_> = attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
+        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
     };
     let title = match info {
         Info::Particles {
@@ -165,7 +197,8 @@ fn describe(info: &Info) -> String {
             if *not_finite > 0 {
                 line("not finite", not_finite.to_string());
             }
-            shared(&mut line, bounds, attributes);
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
             line("spacing", spacing.map_or("unknown".into(), |s| format!("{s:.6}, from {source}")));
             if let Some(bytes) = memory_bytes {
@@ -173,12 +206,36 @@ fn describe(info: &Info) -> String {
             }
             format!("{}: {format}", file.display())
         }
+        Info::Frame {
+            file,
+            particles,
+            full_cells,
+            bricks,
+            bounds,
+            cell_size,
+            origin,
+            domain,
+            indicator,
+            mu0,
+        } => {
+            line("particles", particles.to_string());
+            line("full cells", full_cells.to_string());
+            line("bricks", bricks.to_string());
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("cell size", cell_size.to_string());
+            line("origin", format!("{origin:?}"));
+            line("domain", domain.as_ref().map_or("unbounded".into(), corners));
+            line("indicator", indicator.to_string());
+            mu0.iter().for_each(|mu0| line("mu0", mu0.to_string()));
+            format!("{}: packed frame", file.display())
+        }
         Info::Mesh { file, vertices, triangles, bounds, components, normals, attributes } => {
             line("vertices", vertices.to_string());
             line("triangles", triangles.to_string());
             line("components", components.to_string());
             line("normals", if *normals { "yes" } else { "no" }.into());
-            shared(&mut line, bounds, attributes);
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("attributes", names(attributes));
             format!("{}: mesh", file.display())
         }
     };

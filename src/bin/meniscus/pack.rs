@@ -7,7 +7,7 @@ use clap::Args;
 use meniscus::error::Error;
 use meniscus::frame::{Frame, FrameError};
 use meniscus::io::input::open_particles;
-use meniscus::io::output::{Replace, WholeFile};
+use meniscus::io::whole::{Replace, WholeFile};
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 

@@ -97,7 +97,9 @@ impl SamplingOptions {
     /// Refuses what is wrong whatever the particles are.
     pub fn validate(&self) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator.unwrap_or(IndicatorName::Symmetry), self.mu0) {
-            (IndicatorName::Counting, mu0) => Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? },
+            (IndicatorName::Counting, mu0) => {
+                Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? }
+            }
             (IndicatorName::Symmetry, None) => Indicator::Symmetry,
             (IndicatorName::Symmetry, Some(_)) => {
                 return Err(Error::Request("--mu0 goes with --indicator counting".into()));
@@ -113,7 +115,8 @@ impl SamplingOptions {
             None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(1.0))?, spacing),
         };
         let origin = DVec3::from(self.origin.unwrap_or_default());
-        let walls = self.domain.map(|[x0, y0, z0, x1, y1, z1]| [DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)]);
+        let walls =
+            self.domain.map(|[x0, y0, z0, x1, y1, z1]| [DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)]);
         // Whether origin and corners are any good does not depend on the cells' size.
         let unit = Grid::new(origin, 1.0)?;
         if let Some([lo, hi]) = walls

@@ -1,0 +1,164 @@
+//! A file that appears whole or not at all: whatever can be refused is refused before the work, and whatever
+//! fails later leaves nothing behind.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+use super::{WriteError, WriteFault};
+
+/// Whether an output may take the place of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Replace {
+    /// No: what is there stays.
+    Refuse,
+    /// Yes, in one step, once the new file is whole.
+    Allow,
+}
+
+/// A file that is ready to be written.
+///
+/// Dropped without [`write`](Self::write), or when that fails, it leaves nothing.
+#[derive(Debug)]
+pub struct WholeFile {
+    /// As it was given, for messages.
+    path: PathBuf,
+    target: Target,
+}
+
+#[derive(Debug)]
+enum Target {
+    /// Beside `place`, to be moved there.
+    Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
+    /// A pipe or a device, which is there and stays there.
+    Direct,
+}
+
+impl WholeFile {
+    /// Makes sure, before the work, that `path` is free or may be replaced, and that a file can be created in its
+    /// folder, by creating one. Pipes and devices are written directly.
+    ///
+    /// # Errors
+    /// [`WriteFault::Exists`], and [`WriteFault::Io`] where the system refuses.
+    pub fn prepare(path: &Path, replace: Replace) -> Result<Self, WriteError> {
+        let fail = |fault: WriteFault| WriteError::new(path, fault);
+        let found = metadata(path).map_err(|e| fail(e.into()))?;
+        if is_direct(path, found.as_ref()) {
+            return Ok(Self { path: path.to_owned(), target: Target::Direct });
+        }
+        if found.is_some_and(|metadata| metadata.is_dir()) {
+            return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
+        }
+        if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
+            return Err(fail(WriteFault::Exists));
+        }
+        // Through a link, what it leads to is replaced, and not the link.
+        let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
+        Ok(Self { path: path.to_owned(), target: Target::Temporary { file, place, replace } })
+    }
+
+    /// Whether it is a pipe or a device, which needs no extension.
+    #[must_use]
+    pub fn is_direct(&self) -> bool {
+        matches!(self.target, Target::Direct)
+    }
+
+    /// The file that is written before it gets its name: what an interrupt leaves behind.
+    #[must_use]
+    pub fn temporary(&self) -> Option<&Path> {
+        match &self.target {
+            Target::Temporary { file, .. } => Some(file.path()),
+            Target::Direct => None,
+        }
+    }
+
+    /// Writes what `content` writes, waits until it is on disk, and gives the file its name. Returns its size in
+    /// bytes.
+    ///
+    /// # Errors
+    /// [`WriteFault::Io`] where the system or `content` refuses, [`WriteFault::Exists`] if the name was taken
+    /// meanwhile, and [`WriteFault::Unsupported`] where `content` fails as [`io::ErrorKind::InvalidInput`].
+    pub fn write(self, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<u64, WriteError> {
+        let Self { path, target } = self;
+        let written = match target {
+            Target::Direct => {
+                OpenOptions::new().write(true).open(&path).and_then(|mut file| counted(&mut file, content))
+            }
+            Target::Temporary { mut file, place, replace } => {
+                counted(file.as_file_mut(), content).and_then(|bytes| {
+                    file.as_file().sync_all()?;
+                    match replace {
+                        Replace::Allow => file.persist(place)?,
+                        Replace::Refuse => file.persist_noclobber(place)?,
+                    };
+                    Ok(bytes)
+                })
+            }
+        };
+        written.map_err(|fault| WriteError::new(&path, fault_of(fault)))
+    }
+}
+
+fn counted(file: &mut File, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<u64> {
+    let mut counted = Counted { out: BufWriter::new(file), bytes: 0 };
+    content(&mut counted)?;
+    counted.flush()?;
+    Ok(counted.bytes)
+}
+
+/// What is at `path`, through links; nothing if its name is free.
+fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
+    match path.metadata() {
+        Ok(metadata) => Ok(Some(metadata)),
+        Err(fault) if fault.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(fault) => Err(fault),
+    }
+}
+
+/// Whether the output is to be written where it is: /dev/stdout may be a file, but has no room beside it.
+fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
+    found.is_some_and(|found| !found.is_dir() && (!found.is_file() || path.starts_with("/dev")))
+}
+
+/// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
+fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
+    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".meniscus-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // The system takes away what the user's mask says.
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder.unwrap_or(Path::new(".")))
+}
+
+/// A refusal of the format's writer has no number of the system's.
+fn fault_of(fault: io::Error) -> WriteFault {
+    match (fault.kind(), fault.raw_os_error()) {
+        (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
+        (io::ErrorKind::InvalidInput, None) => WriteFault::Unsupported(fault.to_string()),
+        _ => WriteFault::Io(fault),
+    }
+}
+
+struct Counted<W> {
+    out: W,
+    bytes: u64,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(buffer)?;
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
