@@ -10,7 +10,7 @@ use thiserror::Error;
 use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, PageInfo};
 use crate::estimate::{Estimate, OverBudget, Plan, Shares, bin_limit};
 use crate::grid::{CellBox, Domain, Grid};
-use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
+use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file, write_frame};
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
@@ -101,6 +101,8 @@ pub struct Sampling {
     pub side: BrickSide,
     /// The numbers of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
+    /// The particles' spacing, where it is known: a packed frame keeps it.
+    pub spacing: Option<f64>,
     /// What the frame may take.
     pub resources: Resources,
 }
@@ -198,15 +200,16 @@ fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<Attribu
 /// Where the DIF goes as it is made.
 enum FieldSink {
     Memory(Vec<(PageInfo, Box<[u16]>)>),
-    File { writer: FrameWriter<File>, full_cells: u64 },
+    File { file: File, writer: FrameWriter<File>, full_cells: u64 },
 }
 
 impl FieldSink {
-    fn new(plan: Plan, estimate: &Estimate, folder: &Path) -> io::Result<Self> {
+    fn new(plan: Plan, estimate: &Estimate, side: BrickSide, folder: &Path) -> io::Result<Self> {
         match plan {
             Plan::OutOfCore(shares) if estimate.field > shares.field => {
-                let writer = FrameWriter::create(tempfile::tempfile_in(folder)?)?;
-                Ok(Self::File { writer, full_cells: 0 })
+                let file = tempfile::tempfile_in(folder)?;
+                let writer = FrameWriter::create(file.try_clone()?, side)?;
+                Ok(Self::File { file, writer, full_cells: 0 })
             }
             _ => Ok(Self::Memory(Vec::new())),
         }
@@ -219,7 +222,7 @@ impl FieldSink {
             let pages = indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
             match self {
                 Self::Memory(kept) => kept.extend(pages),
-                Self::File { writer, full_cells } => {
+                Self::File { writer, full_cells, .. } => {
                     *full_cells += full_count(&pages);
                     writer.push(&pages)?;
                 }
@@ -236,15 +239,17 @@ impl FieldSink {
         }
     }
 
-    /// The DIF, whose indicator is known by now.
-    fn finish(self, facts: &FrameFacts, plan: Plan) -> io::Result<DifField> {
+    /// The DIF, whose indicator is known by now; of a file as much in memory as a plan allows.
+    fn finish(self, facts: &FrameFacts, side: BrickSide, plan: Plan) -> io::Result<DifField> {
         match (self, plan) {
-            (Self::File { writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
-                frame_from_file(writer.finish(facts)?, field)
+            (Self::File { file, writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
+                writer.finish(facts)?;
+                let (_, dif) = frame_from_file(&file, field).map_err(io::Error::other)?;
+                Ok(dif)
             }
             (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
             (Self::Memory(pages), _) => {
-                let dif = DifField::in_memory(facts.side, pages);
+                let dif = DifField::in_memory(side, pages);
                 Ok(match facts.indicator {
                     Indicator::Counting { mean: Some(mean) } => dif.with_decode(&count_table(mean)),
                     _ => dif,
@@ -297,7 +302,7 @@ impl Frame {
         let census = bin_plan.census();
         let plan = estimate.plan(resources.budget);
         let in_scratch = resources.scratch_error();
-        let mut sink = FieldSink::new(plan, &estimate, &resources.scratch).map_err(&in_scratch)?;
+        let mut sink = FieldSink::new(plan, &estimate, *side, &resources.scratch).map_err(&in_scratch)?;
 
         let bins = match plan {
             Plan::InCore => {
@@ -322,8 +327,8 @@ impl Frame {
             }
             known => known,
         };
-        let facts = FrameFacts { grid: *grid, domain: *domain, indicator, side: *side, census };
-        let dif = sink.finish(&facts, plan).map_err(&in_scratch)?;
+        let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
+        let dif = sink.finish(&facts, *side, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
         Ok(Self { facts, dif, carried, plan, resources: resources.clone() })
     }
@@ -341,14 +346,7 @@ impl Frame {
     /// # Errors
     /// Those of `out`.
     pub fn pack(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut writer = FrameWriter::create(out)?;
-        let infos = self.dif.infos();
-        for first in (0..infos.len()).step_by(BATCH) {
-            let batch = first..(first + BATCH).min(infos.len());
-            let pages: Vec<_> = batch.map(|page| (infos[page], self.dif.stored(page))).collect();
-            writer.push(&pages)?;
-        }
-        writer.finish(&self.facts).map(drop)
+        write_frame(out, &self.facts, &self.dif).map(drop)
     }
 
     /// What the frame was made with.

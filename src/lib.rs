@@ -31,6 +31,7 @@
 //!     invalid: InvalidParticles::Refuse,
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),
+//!     spacing: None,
 //!     resources: Resources { budget: meniscus::memory::default_budget(), scratch: std::env::temp_dir() },
 //! };
 //! let surfacing =

@@ -93,6 +93,7 @@ pub(super) fn pack(placed: &Placed) -> Record {
     axis(0) | axis(1) << AXIS_BITS | axis(2) << (2 * AXIS_BITS)
 }
 
+#[inline(always)]
 fn unpack(record: Record) -> (usize, [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
     let [x, y, z] = axis.map(|bits| (bits >> FRACTION_BITS) as usize);

@@ -1,7 +1,7 @@
 //! The bytes of an input file: mapped where they are on disk as they are, in memory where they had to be unpacked.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read};
 use std::ops::{Deref, Range};
 use std::path::Path;
 
@@ -23,6 +23,18 @@ pub enum Bytes {
     Mapped(Mmap),
     /// Unpacked, or not mappable.
     Owned(Vec<u8>),
+}
+
+impl Bytes {
+    /// Maps all of `file`.
+    ///
+    /// # Errors
+    /// Where the system refuses.
+    pub fn map(file: &File) -> io::Result<Self> {
+        // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end
+        // the run by a signal, as it can for every mapping reader.
+        unsafe { Mmap::map(file) }.map(Self::Mapped)
+    }
 }
 
 /// Bytes that may give memory back.
@@ -83,12 +95,10 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     let mut file = File::open(path).map_err(|e| fail(e.into()))?;
     let metadata = file.metadata().map_err(|e| fail(e.into()))?;
     if metadata.is_dir() {
-        return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory).into()));
+        return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
     }
     let bytes = if metadata.is_file() && metadata.len() > 0 {
-        // SAFETY: the map is private to this process and never written through. Another program that
-        // shortens the file meanwhile can end the run by a signal, as it can for every mapping reader.
-        Bytes::Mapped(unsafe { Mmap::map(&file) }.map_err(|e| fail(e.into()))?)
+        Bytes::map(&file).map_err(|e| fail(e.into()))?
     } else {
         let mut owned = Vec::new();
         file.read_to_end(&mut owned).map_err(|e| fail(e.into()))?;

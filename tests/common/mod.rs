@@ -25,6 +25,7 @@ pub fn sampling() -> Sampling {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
+        spacing: None,
         resources: Resources { budget: MemoryBudget(8 << 30), scratch: std::env::temp_dir() },
     }
 }

@@ -89,6 +89,7 @@ fn main() {
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
+        spacing: None,
         resources: Resources { budget: MemoryBudget(u64::MAX), scratch: std::env::temp_dir() },
     };
     let surfacing = Surfacing {

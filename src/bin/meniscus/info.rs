@@ -167,6 +167,7 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         invalid: InvalidParticles::Skip,
         side: BrickSide::default(),
         carried: Vec::new(),
+        spacing: None,
         resources: Resources { budget: MemoryBudget(u64::MAX), scratch: PathBuf::new() },
     };
     let (_, estimate) = frame::estimate(particles, &sampling).ok()?;

@@ -139,7 +139,8 @@ impl SamplingRequest {
         resources: Resources,
         notes: &Notes,
     ) -> Result<Sampling, Error> {
-        let grid = Grid::new(self.origin, self.cell_size(path, file, notes)?)?;
+        let (cell_size, spacing) = self.cell_size(path, file, notes)?;
+        let grid = Grid::new(self.origin, cell_size)?;
         Ok(Sampling {
             grid,
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
@@ -147,14 +148,20 @@ impl SamplingRequest {
             invalid: self.invalid,
             side: BrickSide::default(),
             carried,
+            spacing,
             resources,
         })
     }
 
-    /// The edge of a cell, and a word on where the spacing comes from.
-    fn cell_size(&self, path: &Path, file: &ParticleFile, notes: &Notes) -> Result<f64, Error> {
+    /// The edge of a cell, the spacing where it matters, and a word on where that comes from.
+    fn cell_size(
+        &self,
+        path: &Path,
+        file: &ParticleFile,
+        notes: &Notes,
+    ) -> Result<(f64, Option<f64>), Error> {
         let (ratio, spacing) = match self.cell {
-            Cell::Size(size) => return Ok(size),
+            Cell::Size(size) => return Ok((size, file.spacing)),
             Cell::Ratio(ratio, spacing) => (ratio, spacing),
         };
         let (spacing, source) = if let Some(spacing) = spacing {
@@ -173,7 +180,7 @@ impl SamplingRequest {
         };
         let size = positive_length("the cell size", ratio * spacing)?;
         notes.say(format!("spacing {spacing:.6} ({source}), cell size {size:.6}"));
-        Ok(size)
+        Ok((size, Some(spacing)))
     }
 }
 

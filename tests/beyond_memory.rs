@@ -1,0 +1,192 @@
+//! A frame within its memory budget: the same bytes, whatever goes through scratch files.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use common::scene::{Random, splash};
+use common::{reconstruct, sampling, splashes, surfacing, tank};
+use meniscus::frame::{Detail, Normals, Resources, Sampling, Surfacing};
+use meniscus::particles::{AttributeInfo, Particles};
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::MemoryBudget;
+use tempfile::TempDir;
+
+/// Particles that move and have a temperature.
+struct Moving {
+    positions: Vec<[f64; 3]>,
+    attributes: Vec<AttributeInfo>,
+}
+
+impl Moving {
+    fn new(positions: Vec<[f64; 3]>) -> Self {
+        let info = |name: &str, components| AttributeInfo { name: name.into(), components };
+        Self { positions, attributes: vec![info("v", 3), info("temperature", 1)] }
+    }
+}
+
+impl Particles for Moving {
+    fn len(&self) -> usize {
+        self.positions.len()
+    }
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.positions[..].positions(first, out);
+    }
+    fn attributes(&self) -> &[AttributeInfo] {
+        &self.attributes
+    }
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let n = self.attributes[index].components;
+        for (i, out) in out.chunks_exact_mut(n).enumerate() {
+            let [x, y, z] = self.positions[first + i].map(|c| c as f32);
+            out.copy_from_slice(&[-z, 0.1 * y, x][..n]);
+        }
+    }
+}
+
+#[test]
+fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
+    let particles = Moving::new(splashes(31));
+    let scratch = TempDir::new().unwrap();
+    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+        for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
+            let mut sampling = Sampling { indicator, carried, ..sampling() };
+            sampling.domain = walls.then(|| tank(&sampling.grid));
+            let surfacing =
+                Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
+            let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
+            // Far less than the program itself takes: every share is as small as it gets.
+            for budget in [1 << 18, 1 << 20, 1 << 22] {
+                let resources =
+                    Resources { budget: MemoryBudget(budget), scratch: scratch.path().to_owned() };
+                let sampling = Sampling { resources, ..sampling.clone() };
+                let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
+                let what = format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
+                assert_eq!(surface.iso, expected.iso, "{what}");
+                assert!(surface.mesh.positions == expected.mesh.positions, "{what}: positions");
+                assert!(surface.mesh.triangles == expected.mesh.triangles, "{what}: triangles");
+                assert!(surface.mesh.normals == expected.mesh.normals, "{what}: normals");
+                assert!(surface.mesh == expected.mesh, "{what}: attributes");
+            }
+        }
+    }
+    assert_eq!(fs::read_dir(scratch.path()).unwrap().count(), 0, "scratch files are left");
+}
+
+fn meniscus(folder: &Path, limits: &str, arguments: &str) -> Output {
+    let script = format!("{limits} exec \"$0\" {arguments}");
+    let mut command = Command::new("bash");
+    command.current_dir(folder).args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")]).output().unwrap()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A folder with 600 000 particles at spacing 1 in `splash.xyz`, and their surface in `whole.ply`.
+fn folder_with_splash() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let bytes: Vec<u8> = splash(600_000, 3).iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    fs::write(folder.path().join("splash.xyz"), bytes).unwrap();
+    let run = meniscus(folder.path(), "", "reconstruct splash.xyz -o whole.ply --cell-size 1");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    folder
+}
+
+#[test]
+fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
+    let folder = folder_with_splash();
+    let arguments = "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
+    let run = meniscus(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("small.ply"));
+    assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "stats", "whole.ply"]);
+}
+
+#[test]
+fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
+    let folder = folder_with_splash();
+    // A limit on file size stands in for a full disk. What fails first: spilled particles, the field, the mesh.
+    for kib in [64, 1024, 4600] {
+        let limits = format!("trap '' XFSZ; ulimit -f {kib};");
+        let run = meniscus(
+            folder.path(),
+            &limits,
+            "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB",
+        );
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(4), "{kib} KiB: {errors}");
+        assert_eq!(names(folder.path()), ["splash.xyz", "whole.ply"], "{kib} KiB");
+    }
+    let run = meniscus(
+        folder.path(),
+        "",
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch no",
+    );
+    assert_eq!(run.status.code(), Some(4), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes() {
+    let folder = folder_with_splash();
+    let scratch = folder.path().join("scratch");
+    fs::create_dir(&scratch).unwrap();
+    let mut random = Random::new(5);
+    let arguments =
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch scratch --overwrite";
+    for _ in 0..12 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+            .current_dir(folder.path())
+            .args(arguments.split(' '))
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(random.bits() % 400));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(names(&scratch), [""; 0], "scratch files are left");
+    }
+    let run = meniscus(folder.path(), "", arguments);
+    assert!(run.status.success());
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("out.ply"));
+}
+
+#[test]
+fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
+    let folder = folder_with_splash();
+    let run = |arguments: &str| {
+        let run = meniscus(folder.path(), "", arguments);
+        assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
+        run
+    };
+    for indicator in ["symmetry", "counting"] {
+        run(&format!("pack splash.xyz -o packed.mnf --cell-size 1 --indicator {indicator} --overwrite"));
+        run(&format!(
+            "pack splash.xyz -o small.mnf --cell-size 1 --indicator {indicator} --overwrite --memory 16MiB"
+        ));
+        let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+        assert!(bytes("packed.mnf") == bytes("small.mnf"), "{indicator}");
+        for filter in ["", "--sigma 1.5 --detail", "--sigma 0.8 --iso 0.2 --normals", "--memory 16MiB"] {
+            run(&format!(
+                "reconstruct splash.xyz -o a.ply --cell-size 1 --indicator {indicator} --overwrite {filter}"
+            ));
+            run(&format!("reconstruct packed.mnf -o b.ply --overwrite {filter}"));
+            assert!(bytes("a.ply") == bytes("b.ply"), "{indicator} {filter}");
+        }
+    }
+    let info = run("info packed.mnf --json");
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!(info[0]["kind"], "frame");
+    assert_eq!(info[0]["indicator"], "counting");
+    let refused = meniscus(folder.path(), "", "reconstruct packed.mnf -o c.ply --cell-size 1");
+    assert_eq!(refused.status.code(), Some(2));
+}
