@@ -121,8 +121,12 @@ impl Estimate {
     /// The peak with everything in memory.
     #[must_use]
     pub fn in_core(&self) -> u64 {
-        let beside_the_surface = if self.carried { self.particles } else { 0 };
-        self.program + self.index + self.field + self.particles.max(self.surface + beside_the_surface)
+        self.program + self.index + self.field + self.particles.max(self.surface + self.beside_the_surface())
+    }
+
+    /// Particles that carry attributes are needed until the surface is done.
+    fn beside_the_surface(&self) -> u64 {
+        if self.carried { self.particles } else { 0 }
     }
 
     /// Disk that scratch files take under a plan, at the most.
@@ -143,6 +147,19 @@ impl Estimate {
         }
         let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
         Plan::OutOfCore(Shares { particles: left / 2, field: left / 4, surface: left / 4 })
+    }
+
+    /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a scratch file. The
+    /// estimate of a surface is no promise: a low isovalue or a wide filter can make it larger.
+    #[must_use]
+    pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
+        match self.plan(budget) {
+            Plan::OutOfCore(shares) => shares.surface,
+            Plan::InCore => {
+                let others = self.program + self.index + self.field + self.beside_the_surface();
+                budget.0.saturating_sub(others)
+            }
+        }
     }
 
     /// The peak under a plan.

@@ -17,7 +17,7 @@ use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::Plateau;
 use crate::recipe::Recipe;
-use crate::stage::attribute::{FixedPoint, vertex_values};
+use crate::stage::attribute::vertex_values;
 use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::dual_mc::{contour, normals};
 use crate::stage::indicator::{Indicator, count_table, indicate};
@@ -269,8 +269,9 @@ pub struct Frame {
     facts: FrameFacts,
     dif: DifField,
     /// Kept only where attributes are carried.
-    carried: Option<(Bins, Vec<(AttributeInfo, FixedPoint)>)>,
-    plan: Plan,
+    carried: Option<(Bins, Vec<AttributeInfo>)>,
+    /// Bytes of the surface that may be in memory.
+    surface_share: u64,
     resources: Resources,
 }
 
@@ -316,9 +317,7 @@ impl Frame {
             }
         };
         let infos = carried_infos(particles.attributes(), carried);
-        let fixed = (0..infos.len()).map(|i| FixedPoint::of(&bins, i)).collect::<io::Result<Vec<_>>>();
-        let fixed = fixed.map_err(&in_scratch)?;
-        let carried = (!infos.is_empty()).then(|| (bins, infos.into_iter().zip(fixed).collect()));
+        let carried = (!infos.is_empty()).then_some((bins, infos));
 
         let indicator = match *indicator {
             Indicator::Counting { mean: None } => {
@@ -330,15 +329,16 @@ impl Frame {
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
         let dif = sink.finish(&facts, *side, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
-        Ok(Self { facts, dif, carried, plan, resources: resources.clone() })
+        let surface_share = estimate.surface_share(resources.budget);
+        Ok(Self { facts, dif, carried, surface_share, resources: resources.clone() })
     }
 
     /// Joins a DIF that was read from a frame file to what the file says of it.
     #[must_use]
     pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
         let estimate = Estimate::of_surface(dif.infos().iter().map(|info| info.full_count as usize));
-        let plan = estimate.plan(resources.budget);
-        Self { facts, dif, carried: None, plan, resources }
+        let surface_share = estimate.surface_share(resources.budget);
+        Self { facts, dif, carried: None, surface_share, resources }
     }
 
     /// Writes the frame as a .mnf file.
@@ -398,7 +398,7 @@ impl Frame {
         let (recipe, plateau) = self.recipe(surfacing);
         let iso = recipe.iso;
         laps.lap("plateau");
-        let attributes: Vec<_> = self.carried_infos().map(|(info, _)| info.clone()).collect();
+        let attributes = self.carried.as_ref().map_or(Vec::new(), |(_, infos)| infos.clone());
         let components = attributes.iter().map(|info| info.components).collect();
         let mut spool = Spool::in_memory(surfacing.normals == Normals::Gradient, components);
         self.mesh_blocks(&recipe, surfacing.normals, &mut spool).map_err(self.resources.scratch_error())?;
@@ -408,10 +408,6 @@ impl Frame {
         }
         let mesh = Stitched::new(spool, self.facts.grid, self.facts.domain, iso, attributes);
         Ok(Surface { mesh, iso, plateau })
-    }
-
-    fn carried_infos(&self) -> impl Iterator<Item = &(AttributeInfo, FixedPoint)> {
-        self.carried.iter().flat_map(|(_, infos)| infos)
     }
 
     /// Meshes all blocks in Morton order into `spool`.
@@ -424,9 +420,7 @@ impl Frame {
             for block in blocks.into_iter().flatten() {
                 spool.push(block)?;
             }
-            if let Plan::OutOfCore(shares) = self.plan
-                && spool.bytes() > shares.surface
-            {
+            if spool.bytes() > self.surface_share {
                 spool.move_to_file(&self.resources.scratch)?;
             }
         }
@@ -473,8 +467,8 @@ impl Frame {
             mesh.normals = normals(&field, &mesh, recipe.iso, walls);
         }
         if let Some((bins, infos)) = &self.carried {
-            for (i, (info, fixed)) in infos.iter().enumerate() {
-                let attribute = (i, info.components, *fixed);
+            for (i, info) in infos.iter().enumerate() {
+                let attribute = (i, info.components);
                 let values = vertex_values(bins, attribute, &recipe.smoothing, &mesh, recipe.iso, walls)?;
                 mesh.attributes.push(values);
             }

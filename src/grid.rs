@@ -309,7 +309,7 @@ impl Domain {
         let lo_cells = DVec3::from(grid.cells_from_world(lo.to_array()));
         let hi_cells = DVec3::from(grid.cells_from_world(hi.to_array()));
         let limit = f64::from(CELL_LIMIT);
-        if lo_cells.min_element() < -limit || hi_cells.max_element() > limit {
+        if lo_cells.min_element() < -limit || hi_cells.max_element() >= limit {
             return Err(DomainError::TooFar);
         }
         // Cell k is in when lo < k + 1/2 < hi.

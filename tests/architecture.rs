@@ -72,12 +72,3 @@ fn no_room_imports_from_one_that_comes_after_it() {
     }
     assert!(arrows > 40, "only {arrows} imports were seen");
 }
-
-#[test]
-fn the_command_line_sees_only_the_public_interface() {
-    let bin = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/bin");
-    for file in sources(&bin) {
-        let text = fs::read_to_string(&file).unwrap();
-        assert!(!text.contains("#[path"), "{} reaches into the library", file.display());
-    }
-}

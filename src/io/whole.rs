@@ -85,7 +85,12 @@ impl WholeFile {
         let Self { path, target } = self;
         let written = match target {
             Target::Direct => {
-                OpenOptions::new().write(true).open(&path).and_then(|mut file| counted(&mut file, content))
+                let open = OpenOptions::new().write(true).open(&path);
+                match open.and_then(|mut file| counted(&mut file, content)) {
+                    // A reader that has seen enough is no error.
+                    Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok(0),
+                    outcome => outcome,
+                }
             }
             Target::Temporary { mut file, place, replace } => {
                 counted(file.as_file_mut(), content).and_then(|bytes| {

@@ -70,12 +70,6 @@ impl Tile {
         self.corners.iter().enumerate().map(|(k, c)| ((c >> bit & 1) as usize) << k).sum()
     }
 
-    /// Vertices on edges that the tile owns.
-    #[must_use]
-    pub fn vertex_count(&self) -> u32 {
-        (0..3).map(|axis| self.crossed(axis).count_ones()).sum()
-    }
-
     /// The edges that carry vertices, in the order of the vertices: lower cell relative to the tile, axis.
     pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + use<'_> {
         (0..3).flat_map(|axis| bits(self.crossed(axis)).map(move |bit| (cell_of_bit(bit), axis)))

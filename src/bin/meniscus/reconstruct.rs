@@ -1,6 +1,6 @@
 //! `meniscus reconstruct`: one frame of particles to one mesh.
 
-use std::fs::{File, OpenOptions};
+use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -40,7 +40,7 @@ pub struct Options {
     #[arg(long, value_name = "CELLS", default_value_t = 1.0, allow_negative_numbers = true)]
     sigma: f64,
     /// Where the surface is, between 0 and 1; auto: half of the field's interior plateau.
-    #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto")]
+    #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true)]
     iso: IsoOption,
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
@@ -199,12 +199,15 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     }
     let resources = options.run.resources(&options.output)?;
     refuse_same_file(&options.input, &options.output)?;
+    if let Some(stats) = &options.stats {
+        refuse_same_file(&options.input, stats)?;
+        refuse_same_file(&options.output, stats)?;
+    }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let output = MeshOutput::prepare(&options.output, replace)?;
     remove_on_interrupt(output.temporary());
     let format = output.format();
     options.validate_format(format)?;
-    let stats = options.stats.as_deref().map(open_stats).transpose()?;
 
     let mut laps = Laps::default();
     let Some(frame) = options.frame(&request, format, resources, &mut laps, &notes)? else {
@@ -215,7 +218,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
     report_isovalue(&surface, surfacing.iso, &notes);
 
-    let width = coordinate_width(&surface, frame.facts().grid.cell_size(), format, &notes);
+    let width = coordinate_width(&surface, frame.facts().grid.cell_size(), format, &notes)?;
     let bytes = output.write(&surface.mesh, width)?;
     remove_on_interrupt(None);
     laps.lap("write");
@@ -230,16 +233,13 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     for (stage, seconds) in laps.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
-    if let Some((path, mut file)) = stats {
+    if let Some(path) = &options.stats {
         let record = record(options, &frame, &surface, bytes, &laps);
-        writeln!(file, "{record}").map_err(|e| WriteError::new(path, e))?;
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        let written = file.and_then(|mut file| writeln!(file, "{record}"));
+        written.map_err(|e| WriteError::new(path, e))?;
     }
     Ok(Verdict::Good)
-}
-
-fn open_stats(path: &Path) -> Result<(&Path, File), Error> {
-    let file = OpenOptions::new().create(true).append(true).open(path);
-    Ok((path, file.map_err(|e| WriteError::new(path, e))?))
 }
 
 /// What a program wants to know of the run.
@@ -274,11 +274,12 @@ fn record(options: &Options, frame: &Frame, surface: &Surface, bytes: u64, laps:
     })
 }
 
-/// An output that would replace its own input is a slip of the hand.
-pub fn refuse_same_file(input: &Path, output: &Path) -> Result<(), Error> {
-    match (input.canonicalize(), output.canonicalize()) {
+/// A file that is to be read or written and written again is a slip of the hand.
+pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
+    let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
+    match (whole(one), whole(other)) {
         (Ok(a), Ok(b)) if a == b => {
-            Err(Error::Request(format!("{}: is both the input and the output", output.display())))
+            Err(Error::Request(format!("{}: is given for two purposes", other.display())))
         }
         _ => Ok(()),
     }
@@ -303,17 +304,28 @@ fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
     }
 }
 
-/// f64 where f32 would move vertices by more than 1 / 256 of a cell, if the format can.
-fn coordinate_width(surface: &Surface, cell_size: f64, format: MeshFormat, notes: &Notes) -> CoordinateWidth {
-    if surface.mesh.farthest_coordinate() * f64::from(f32::EPSILON) <= cell_size / 256.0 {
-        return CoordinateWidth::F32;
+/// f64 where f32 would move vertices by more than 1 / 256 of a cell, or not hold them, if the format can.
+fn coordinate_width(
+    surface: &Surface,
+    cell_size: f64,
+    format: MeshFormat,
+    notes: &Notes,
+) -> Result<CoordinateWidth, Error> {
+    let farthest = surface.mesh.farthest_coordinate();
+    let step = cell_size / 256.0;
+    let holds = farthest <= f64::from(f32::MAX) && step >= f64::from(f32::MIN_POSITIVE);
+    if holds && farthest * f64::from(f32::EPSILON) <= step {
+        return Ok(CoordinateWidth::F32);
     }
     if format.holds_f64() {
-        notes.detail("coordinates are written as f64: f32 is too coarse this far from the origin");
-        return CoordinateWidth::F64;
+        notes.detail("coordinates are written as f64: f32 is too coarse for them");
+        return Ok(CoordinateWidth::F64);
     }
-    notes.say(format!(
-        "warning: {format} holds coordinates as f32, too coarse this far from the origin; .ply holds f64"
-    ));
-    CoordinateWidth::F32
+    if !holds {
+        return Err(Error::Request(format!(
+            "{format} holds coordinates as f32, which these exceed; use .ply"
+        )));
+    }
+    notes.say(format!("warning: {format} holds coordinates as f32, too coarse for these; .ply holds f64"));
+    Ok(CoordinateWidth::F32)
 }

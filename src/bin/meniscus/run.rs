@@ -10,6 +10,9 @@ use meniscus::frame::Resources;
 use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
 
+/// More than any machine has cores, and few enough to start.
+const MOST_THREADS: usize = 1024;
+
 #[derive(Args)]
 pub struct RunOptions {
     /// Where the stages run.
@@ -47,8 +50,8 @@ impl RunOptions {
     /// Starts the threads, and says what a frame may take.
     pub fn resources(&self, output: &Path) -> Result<Resources, Error> {
         if let Some(threads) = self.threads {
-            if threads == 0 {
-                return Err(Error::Request("--threads must be at least 1".into()));
+            if !(1..=MOST_THREADS).contains(&threads) {
+                return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
             }
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
             pool.build_global().map_err(|e| Error::Request(format!("--threads {threads}: {e}")))?;

@@ -60,7 +60,7 @@ impl Sample for u16 {
 }
 
 /// Sums of attributes: the same weights as fractions of 1, taps added in order.
-impl Sample for f32 {
+impl Sample for f64 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel) {
         blur_float(to, taps, step, kernel.half());
     }
@@ -99,10 +99,10 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32]) {
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn blur_float(to: &mut [f32], taps: &[f32], step: usize, half: &[u32]) {
+fn blur_float(to: &mut [f64], taps: &[f64], step: usize, half: &[u32]) {
     let reach = half.len() - 1;
     for k in 0..=2 * reach {
-        let weight = half[k.abs_diff(reach)] as f32 / UNIT as f32;
+        let weight = f64::from(half[k.abs_diff(reach)]) / f64::from(UNIT);
         for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
             *to += weight * sample;
         }

@@ -49,9 +49,14 @@ pub fn contour(field: &Block, region: CellBox, iso: Isovalue, walls: Option<Cell
 }
 
 /// How far along its edge a vertex lies, from the samples at the lower and the upper end (eq. 8).
+///
+/// Equal samples are those of a cell and of the ghost point that mirrors it: half-way, for phi changes its sign.
 #[must_use]
 #[inline]
 pub fn vertex_fraction([lower, upper]: [u16; 2], iso: Isovalue) -> f64 {
+    if lower == upper {
+        return 0.5;
+    }
     // phi in halves: 2 c - 2 theta, and c is an integer and a half.
     let phi = |theta: u16| f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta));
     phi(lower) / (phi(lower) - phi(upper))
