@@ -3,9 +3,13 @@
 mod bin;
 mod block;
 mod field;
+mod page;
+mod store;
 mod sums;
 
 pub use bin::{BinError, BinPlan, Bins, Census, InvalidParticles};
 pub use block::Block;
-pub use field::{BrickSide, DifField, Page};
+pub use field::DifField;
+pub use page::{BrickSide, PageInfo};
+pub use store::{PageSource, Samples};
 pub use sums::CellSums;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::brick::{Bins, BrickSide, CellSums, DifField, Page};
+use crate::brick::{Bins, BrickSide, CellSums, DifField, PageInfo};
 use crate::grid::{BIN, FRACTIONS};
 use crate::units::{FULL, MeanCount, UnitError};
 
@@ -44,29 +44,11 @@ fn nearest_root(square: u32) -> u32 {
     root + u32::from(square - root * root > root)
 }
 
-/// Eq. 6 for every number of particles.
-#[derive(Debug, Clone)]
-pub struct CountTable {
-    /// theta(N) for N up to mu0; beyond, it is 1.
-    theta: Vec<u16>,
-}
-
-impl CountTable {
-    /// For a given `mu0`.
-    #[must_use]
-    pub fn new(mean: MeanCount) -> Self {
-        let mean = mean.particles();
-        let theta = (0..=mean.floor() as u32)
-            .map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16)
-            .collect();
-        Self { theta }
-    }
-
-    /// theta for `n` particles.
-    #[must_use]
-    pub fn theta(&self, n: u16) -> u16 {
-        self.theta.get(usize::from(n)).copied().unwrap_or(FULL)
-    }
+/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
+#[must_use]
+pub fn count_table(mean: MeanCount) -> Vec<u16> {
+    let mean = mean.particles();
+    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
 }
 
 /// The DIF of all bins, and the `mu0` that it was computed with.
@@ -91,11 +73,12 @@ pub fn build_field(
             |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
                 sums.accumulate(bins.particles(bin));
                 dense.iter_mut().zip(sums.iter()).for_each(|(to, cell)| *to = theta(cell));
-                Page::from_dense(keys[bin].coord(), dense, side)
+                PageInfo::from_dense(keys[bin].coord(), dense, side)
             },
         )
+        .flatten()
         .collect();
-    let mut field = DifField::new(side, keys.to_vec(), pages);
+    let field = DifField::in_memory(side, pages);
     let mean = match indicator {
         Indicator::Symmetry => None,
         Indicator::Counting { mean: Some(mean) } => Some(mean),
@@ -103,10 +86,10 @@ pub fn build_field(
             Some(MeanCount::measured(bins.census().binned as u64, field.full_cells())?)
         }
     };
-    if let Some(mean) = mean {
-        let table = CountTable::new(mean);
-        field.map(|count| table.theta(count));
-    }
+    let field = match mean {
+        Some(mean) => field.with_decode(&count_table(mean)),
+        None => field,
+    };
     Ok((field, mean))
 }
 

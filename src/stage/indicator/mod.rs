@@ -11,7 +11,7 @@
 
 mod cpu;
 
-pub use cpu::{CountTable, build_field, symmetry};
+pub use cpu::{build_field, count_table, symmetry};
 
 use crate::units::MeanCount;
 

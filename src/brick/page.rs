@@ -1,0 +1,138 @@
+//! A page: the bricks of one bin.
+
+use glam::IVec3;
+
+use crate::grid::{BIN, CellBox, MortonKey, local_from_morton, local_morton};
+
+/// Edge of a brick in cells. It decides how tightly the DIF is stored, and nothing else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BrickSide {
+    /// 64 cells, 128 bytes.
+    Four,
+    /// 512 cells, 1 KiB.
+    #[default]
+    Eight,
+    /// 4096 cells, 8 KiB: one brick a bin.
+    Sixteen,
+}
+
+impl BrickSide {
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> i32 {
+        match self {
+            Self::Four => 4,
+            Self::Eight => 8,
+            Self::Sixteen => 16,
+        }
+    }
+
+    /// How many fill a bin: the bits of [`PageInfo::bricks`] that can be set.
+    #[must_use]
+    pub fn bricks_a_bin(self) -> usize {
+        (BIN / self.cells()).pow(3) as usize
+    }
+
+    /// Samples of a brick.
+    #[must_use]
+    pub fn samples(self) -> usize {
+        self.cells().pow(3) as usize
+    }
+}
+
+/// What is always in memory of a page. Its samples may be elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PageInfo {
+    /// Its bin.
+    pub key: MortonKey,
+    /// A bit for every brick that has a full cell, by its Morton index in the bin. Others are not stored.
+    pub bricks: u64,
+    /// The tightest box around the full cells, in cells of the world.
+    pub full: CellBox,
+    /// How many cells are full.
+    pub full_count: u32,
+}
+
+impl PageInfo {
+    /// Keeps the bricks of `dense`, a whole bin with x fastest, that have a full cell; their samples lie one
+    /// brick after the other in Morton order, x fastest in each. `None` where no cell is full.
+    #[must_use]
+    pub fn from_dense(bin: IVec3, dense: &[u16], side: BrickSide) -> Option<(Self, Box<[u16]>)> {
+        let edge = side.cells();
+        let mut page = Self::empty(MortonKey::of(bin));
+        let mut samples = Vec::with_capacity(dense.len());
+        for index in 0..side.bricks_a_bin() {
+            let brick = CellBox::cube(local_from_morton(index), edge);
+            let begin = samples.len();
+            for z in brick.lo.z..brick.hi.z {
+                for y in brick.lo.y..brick.hi.y {
+                    let first = (brick.lo.x + BIN * (y + BIN * z)) as usize;
+                    samples.extend_from_slice(&dense[first..first + edge as usize]);
+                }
+            }
+            if !page.add(bin, index, &samples[begin..], side) {
+                samples.truncate(begin);
+            }
+        }
+        (page.bricks != 0).then(|| (page, samples.into()))
+    }
+
+    /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`.
+    ///
+    /// # Panics
+    /// If the samples are not of the bricks' number.
+    #[must_use]
+    pub fn from_samples(key: MortonKey, bricks: u64, samples: &[u16], side: BrickSide) -> Option<Self> {
+        let mut page = Self::empty(key);
+        let set = (0..side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
+        assert_eq!(set.clone().count() * side.samples(), samples.len());
+        set.zip(samples.chunks_exact(side.samples()))
+            .all(|(index, brick)| page.add(key.coord(), index, brick, side))
+            .then_some(page)
+            .filter(|page| page.bricks == bricks)
+    }
+
+    fn empty(key: MortonKey) -> Self {
+        Self { key, bricks: 0, full: CellBox::EMPTY, full_count: 0 }
+    }
+
+    /// Counts brick number `index` in, unless it has no full cell.
+    fn add(&mut self, bin: IVec3, index: usize, samples: &[u16], side: BrickSide) -> bool {
+        let edge = side.cells();
+        let (mut full, mut full_count) = (CellBox::EMPTY, 0);
+        for (row, samples) in (0..).zip(samples.chunks_exact(edge as usize)) {
+            let count = samples.iter().filter(|&&theta| theta > 0).count();
+            if count > 0 {
+                full_count += count as u32;
+                let left = samples.iter().position(|&theta| theta > 0).unwrap_or(0) as i32;
+                let right = samples.iter().rposition(|&theta| theta > 0).unwrap_or(0) as i32;
+                let at = |x: i32| IVec3::new(x, row % edge, row / edge);
+                full = full.union(&CellBox { lo: at(left), hi: at(right) + 1 });
+            }
+        }
+        if full_count == 0 {
+            return false;
+        }
+        let corner = bin * BIN + local_from_morton(index) * edge;
+        self.full = self.full.union(&CellBox { lo: full.lo + corner, hi: full.hi + corner });
+        self.full_count += full_count;
+        self.bricks |= 1 << index;
+        true
+    }
+
+    /// How many samples are stored.
+    #[must_use]
+    pub fn samples(&self, side: BrickSide) -> usize {
+        self.bricks.count_ones() as usize * side.samples()
+    }
+
+    /// The part of the page's `samples` that is one brick, given its place in the bin counted in bricks.
+    pub(super) fn brick<'a>(&self, samples: &'a [u16], local: IVec3, side: BrickSide) -> Option<&'a [u16]> {
+        let bit = 1_u64 << local_morton(local);
+        (self.bricks & bit != 0).then(|| {
+            let size = side.samples();
+            let rank = (self.bricks & (bit - 1)).count_ones() as usize;
+            &samples[rank * size..(rank + 1) * size]
+        })
+    }
+}
