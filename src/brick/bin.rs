@@ -380,6 +380,7 @@ fn pack(placed: &Placed) -> u64 {
     axis(0) | axis(1) << AXIS_BITS | axis(2) << (2 * AXIS_BITS)
 }
 
+#[inline(always)]
 fn unpack(record: u64) -> (usize, [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
     let [x, y, z] = axis.map(|bits| (bits >> FRACTION_BITS) as usize);

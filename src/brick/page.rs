@@ -100,14 +100,14 @@ impl PageInfo {
     fn add(&mut self, bin: IVec3, index: usize, samples: &[u16], side: BrickSide) -> bool {
         let edge = side.cells();
         let (mut full, mut full_count) = (CellBox::EMPTY, 0);
-        for (row, samples) in (0..).zip(samples.chunks_exact(edge as usize)) {
-            let count = samples.iter().filter(|&&theta| theta > 0).count();
+        let rows = (0..edge).flat_map(|z| (0..edge).map(move |y| (y, z)));
+        for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
+            let count = row.iter().filter(|&&theta| theta > 0).count();
             if count > 0 {
                 full_count += count as u32;
-                let left = samples.iter().position(|&theta| theta > 0).unwrap_or(0) as i32;
-                let right = samples.iter().rposition(|&theta| theta > 0).unwrap_or(0) as i32;
-                let at = |x: i32| IVec3::new(x, row % edge, row / edge);
-                full = full.union(&CellBox { lo: at(left), hi: at(right) + 1 });
+                let left = row.iter().position(|&theta| theta > 0).unwrap_or(0) as i32;
+                let right = row.iter().rposition(|&theta| theta > 0).unwrap_or(0) as i32;
+                full = full.union(&CellBox { lo: IVec3::new(left, y, z), hi: IVec3::new(right, y, z) + 1 });
             }
         }
         if full_count == 0 {

@@ -66,7 +66,7 @@ pub fn build_field(
         Indicator::Counting { .. } => n.min(FULL.into()) as u16,
     };
     let keys = bins.keys();
-    let pages = (0..keys.len())
+    let pages: Vec<_> = (0..keys.len())
         .into_par_iter()
         .map_init(
             || (CellSums::default(), vec![0; BIN.pow(3) as usize]),
@@ -76,9 +76,8 @@ pub fn build_field(
                 PageInfo::from_dense(keys[bin].coord(), dense, side)
             },
         )
-        .flatten()
         .collect();
-    let field = DifField::in_memory(side, pages);
+    let field = DifField::in_memory(side, pages.into_iter().flatten().collect());
     let mean = match indicator {
         Indicator::Symmetry => None,
         Indicator::Counting { mean: Some(mean) } => Some(mean),
