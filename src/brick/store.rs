@@ -37,6 +37,12 @@ impl Deref for Samples<'_> {
     }
 }
 
+impl AsRef<[u16]> for Samples<'_> {
+    fn as_ref(&self) -> &[u16] {
+        self
+    }
+}
+
 /// The samples of all pages of a field.
 #[derive(Debug)]
 pub(super) enum Store {

@@ -1,7 +1,7 @@
 //! The bytes of an input file: mapped where they are on disk as they are, in memory where they had to be unpacked.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read};
 use std::ops::Deref;
 use std::path::Path;
 
@@ -36,6 +36,29 @@ impl Deref for Bytes {
     }
 }
 
+impl Bytes {
+    /// Maps all of `file`.
+    ///
+    /// # Errors
+    /// Where the system refuses.
+    pub fn map(file: &File) -> io::Result<Self> {
+        // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end
+        // the run by a signal, as it can for every mapping reader.
+        unsafe { Mmap::map(file) }.map(Self::Mapped)
+    }
+
+    /// Gives the memory of mapped pages back to the system, which reads them anew where they are used again.
+    pub fn release(&self) {
+        #[cfg(unix)]
+        if let Self::Mapped(map) = self {
+            // SAFETY: the pages are those of a file, mapped to be shared and only read: they come back as they
+            // were, for this thread and for all that read them at this moment.
+            // That memory is not given back is no error: nothing but the memory is worse for it.
+            let _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
+        }
+    }
+}
+
 /// Opens `path`: mapped, or unpacked into memory when it is gzipped, whatever its extension says.
 ///
 /// # Errors
@@ -46,12 +69,10 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     let mut file = File::open(path).map_err(|e| fail(e.into()))?;
     let metadata = file.metadata().map_err(|e| fail(e.into()))?;
     if metadata.is_dir() {
-        return Err(fail(std::io::Error::from(std::io::ErrorKind::IsADirectory).into()));
+        return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
     }
     let bytes = if metadata.is_file() && metadata.len() > 0 {
-        // SAFETY: the map is private to this process and never written through. Another program that
-        // shortens the file meanwhile can end the run by a signal, as it can for every mapping reader.
-        Bytes::Mapped(unsafe { Mmap::map(&file) }.map_err(|e| fail(e.into()))?)
+        Bytes::map(&file).map_err(|e| fail(e.into()))?
     } else {
         let mut owned = Vec::new();
         file.read_to_end(&mut owned).map_err(|e| fail(e.into()))?;

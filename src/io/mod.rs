@@ -7,6 +7,7 @@ pub mod columns;
 pub mod cursor;
 pub mod encode;
 pub mod input;
+pub mod mnf;
 pub mod names;
 pub mod npy;
 pub mod obj;

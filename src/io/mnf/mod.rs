@@ -1,0 +1,87 @@
+//! Frames: the DIF of one moment, its bricks compressed page by page in Morton order (.mnf).
+//!
+//! All numbers are little-endian. A page holds the bricks of one bin of 16^3 cells. The file is written from its
+//! first byte to its last; what is in it is known at the end, and stands there.
+//!
+//! | part | bytes | what |
+//! |---|---|---|
+//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`: any change of line ends shows |
+//! | | 4 | version: 1 |
+//! | | 4 | edge of a brick in cells: 4, 8 or 16 |
+//! | pages | | each a zstd frame of its samples, in the order of their keys and without gaps |
+//! | footer | 3 x 8 | origin of the grid, f64 |
+//! | | 8 | edge of a cell, f64 |
+//! | | 4 | 1 if there are walls, else 0 |
+//! | | 4 | indicator: 0 symmetry, 1 counting |
+//! | | 6 x 8 | lower and upper corner of the walls, f64; 0 if there are none |
+//! | | 8 | mu0, f64; 0 for symmetry |
+//! | | 8 | spacing of the particles, f64; 0 if it is not known |
+//! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
+//! | | 8 | number of pages |
+//! | index, per page | 8 | Morton key of its bin: 21 bits an axis, x lowest, each biased by 2^20 |
+//! | | 8 | where it begins in the file |
+//! | | 8 | a bit for every brick that is stored, by its Morton index in the bin |
+//! | | 4 | bytes of the compressed page |
+//! | | 4 | CRC-32 of these bytes |
+//! | | 4 | number of full cells |
+//! | | 6 | tightest box around them: lowest cell, and one past the highest, in cells of the bin |
+//! | | 2 | 0 |
+//! | tail | 8 | where the footer begins |
+//! | | 4 | CRC-32 of the header, the footer, the index and the number before this |
+//! | | 8 | `0A 1A 0A 0D 46 4E 4D 89` |
+//!
+//! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
+//! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
+//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded.
+
+mod read;
+mod write;
+
+pub use read::{frame_from_file, open_frame};
+pub use write::{FrameWriter, write_frame};
+
+use std::sync::Arc;
+
+use crate::brick::Census;
+use crate::grid::{Domain, Grid};
+use crate::stage::indicator::Indicator;
+
+const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
+const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
+const VERSION: u32 = 1;
+
+/// Bytes of the header.
+const HEADER: usize = 16;
+/// Bytes of the footer before the index.
+const FACTS: usize = 144;
+/// Bytes of a page's entry in the index.
+const ENTRY: usize = 44;
+/// Bytes of the tail.
+const TAIL: usize = 20;
+
+/// What a frame is besides its samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameFacts {
+    /// Where the cells are.
+    pub grid: Grid,
+    /// Walls, if the fluid is in a tank.
+    pub domain: Option<Domain>,
+    /// What the DIF was computed by; counting knows its mu0.
+    pub indicator: Indicator,
+    /// What became of the particles.
+    pub census: Census,
+    /// The particles' spacing in the unit of the grid, where it is known.
+    pub spacing: Option<f64>,
+}
+
+/// The low bytes of `samples`, then the high bytes: alike stands beside alike, and no machine's order shows.
+fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
+    let bytes = |byte: usize| samples.iter().map(move |sample| sample.to_le_bytes()[byte]);
+    bytes(0).chain(bytes(1)).collect()
+}
+
+/// The inverse.
+fn samples_from_planes(planes: &[u8]) -> Arc<[u16]> {
+    let (low, high) = planes.split_at(planes.len() / 2);
+    low.iter().zip(high).map(|(&low, &high)| u16::from_le_bytes([low, high])).collect()
+}

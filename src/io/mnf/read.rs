@@ -1,0 +1,331 @@
+use std::cell::RefCell;
+use std::fs::File;
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crc32fast::Hasher;
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use zstd::bulk::Decompressor;
+
+use crate::brick::{BrickSide, Census, DifField, PageInfo, PageSource};
+use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
+use crate::io::bytes::{Bytes, open_bytes};
+use crate::io::columns::Endian;
+use crate::io::cursor::{Cursor, malformed};
+use crate::io::{ReadError, ReadFault};
+use crate::stage::indicator::{Indicator, count_table};
+use crate::units::{MeanCount, positive_length};
+
+use super::{END_MAGIC, ENTRY, FACTS, FrameFacts, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
+
+/// Bytes of the map that are looked at before all of it is given back.
+const RELEASED: u64 = 4 << 20;
+/// What the system maps around a byte that is looked at.
+const AROUND: u64 = 64 << 10;
+/// Bytes that are looked at in one go.
+const CHUNK: usize = 1 << 20;
+
+/// Opens a frame, of whatever size. Every byte of it is looked at and checked before this returns, and none is
+/// kept but the index: samples are read again where they are gathered, and those of the pages last used stay in
+/// memory as long as they take no more than `cache_bytes`.
+///
+/// # Errors
+/// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and [`ReadFault::Compression`]
+/// for what is no frame, or a damaged one, and [`ReadFault::Unsupported`] for a frame of another version.
+pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<(FrameFacts, DifField), ReadError> {
+    let fail = |fault| ReadError::new(path, fault);
+    let (facts, infos, pages) = read_index(open_bytes(path)?).map_err(fail)?;
+    pages.check(&infos).map_err(fail)?;
+    Ok((facts, pages.into_field(infos, &facts, cache_bytes)))
+}
+
+/// The same for a file that this process wrote and that nobody else can reach: its samples are taken on trust.
+///
+/// # Errors
+/// As [`open_frame`], as far as the index tells.
+pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<(FrameFacts, DifField), ReadFault> {
+    let (facts, infos, pages) = read_index(Bytes::map(file)?)?;
+    Ok((facts, pages.into_field(infos, &facts, cache_bytes)))
+}
+
+/// A map whose memory is given back again and again.
+#[derive(Debug)]
+struct Window {
+    bytes: Bytes,
+    looked_at: AtomicU64,
+}
+
+impl Window {
+    /// To be called after every look, with the number of bytes.
+    fn looked_at(&self, bytes: u64) {
+        if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
+            self.looked_at.store(0, Ordering::Relaxed);
+            self.bytes.release();
+        }
+    }
+
+    fn hash(&self, range: Range<usize>, hasher: &mut Hasher) {
+        for chunk in self.bytes[range].chunks(CHUNK) {
+            hasher.update(chunk);
+            self.looked_at(chunk.len() as u64);
+        }
+    }
+}
+
+/// The compressed pages of a frame.
+#[derive(Debug)]
+struct MappedPages {
+    window: Window,
+    side: BrickSide,
+    /// Where each page begins, and where the last one ends.
+    first: Vec<u64>,
+    /// Bricks of each page.
+    bricks: Vec<u8>,
+    /// Until they are checked.
+    checksums: Vec<u32>,
+}
+
+impl MappedPages {
+    fn compressed(&self, page: usize) -> &[u8] {
+        &self.window.bytes[self.first[page] as usize..self.first[page + 1] as usize]
+    }
+
+    /// The samples of a page; `None` for a zstd stream that is damaged, or not exactly of the page's size.
+    fn decompress(&self, page: usize) -> Option<Arc<[u16]>> {
+        thread_local! {
+            static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
+        }
+        let count = usize::from(self.bricks[page]) * self.side.samples();
+        SCRATCH.with_borrow_mut(|(decompressor, planes)| {
+            planes.resize(count * size_of::<u16>(), 0);
+            let found = decompressor.decompress_to_buffer(self.compressed(page), &mut planes[..]).ok()?;
+            (found == planes.len()).then(|| samples_from_planes(planes))
+        })
+    }
+
+    /// Makes sure that all pages hold what `infos` say.
+    fn check(&self, infos: &[PageInfo]) -> Result<(), ReadFault> {
+        let fault = infos.par_iter().enumerate().find_map_first(|(page, info)| {
+            let compressed = self.compressed(page);
+            let wrong = if crc32fast::hash(compressed) != self.checksums[page] {
+                Some("does not match its checksum")
+            } else {
+                match self.decompress(page) {
+                    None => Some("does not decompress to its size"),
+                    Some(samples) => {
+                        let found = PageInfo::from_samples(info.key, info.bricks, &samples, self.side);
+                        (found != Some(*info)).then_some("holds other cells than the index says")
+                    }
+                }
+            };
+            self.window.looked_at(compressed.len() as u64);
+            wrong.map(|wrong| malformed(self.first[page] as usize, format!("page {page} {wrong}")))
+        });
+        fault.map_or(Ok(()), Err)
+    }
+
+    fn into_field(mut self, infos: Vec<PageInfo>, facts: &FrameFacts, cache_bytes: u64) -> DifField {
+        self.checksums = Vec::new();
+        let field = DifField::paged(self.side, infos, Box::new(self), cache_bytes);
+        match facts.indicator {
+            Indicator::Counting { mean: Some(mean) } => field.with_decode(&count_table(mean)),
+            _ => field,
+        }
+    }
+}
+
+impl PageSource for MappedPages {
+    fn samples(&self, page: usize) -> Arc<[u16]> {
+        let samples = self.decompress(page).expect("a frame that does not change after it is opened");
+        self.window.looked_at(self.compressed(page).len() as u64 + AROUND);
+        samples
+    }
+}
+
+/// Everything but the pages, and where they are.
+fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), ReadFault> {
+    let side = read_header(&bytes)?;
+    let window = Window { bytes, looked_at: AtomicU64::new(0) };
+    let footer = read_tail(&window)?;
+    let mut cursor = Cursor::new(&window.bytes, footer, Endian::Little);
+    let (facts, count) = read_facts(&mut cursor)?;
+    let index = window.bytes.len() - TAIL - cursor.at();
+    if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
+        let what = format!("an index of {index} bytes cannot be that of {count} pages");
+        return Err(malformed(cursor.at(), what));
+    }
+    let count = count as usize;
+    let mut infos = Vec::with_capacity(count);
+    let mut first = Vec::with_capacity(count + 1);
+    let mut bricks = Vec::with_capacity(count);
+    let mut checksums = Vec::with_capacity(count);
+    let mut end = HEADER as u64;
+    first.push(end);
+    for _ in 0..count {
+        let at = cursor.at();
+        let previous = infos.last().map(|info: &PageInfo| info.key);
+        let entry = read_entry(&mut cursor, side, &facts)?;
+        if previous.is_some_and(|previous| previous >= entry.info.key) {
+            return Err(malformed(at, "the pages are not in order"));
+        }
+        if entry.offset != end || entry.length > footer as u64 - end {
+            return Err(malformed(at, "a page is not where the one before it ends"));
+        }
+        end += entry.length;
+        infos.push(entry.info);
+        first.push(end);
+        bricks.push(entry.info.bricks.count_ones() as u8);
+        checksums.push(entry.checksum);
+        window.looked_at(ENTRY as u64);
+    }
+    if end != footer as u64 {
+        return Err(malformed(end as usize, "there is something between the last page and the footer"));
+    }
+    let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
+    if full_cells > facts.census.binned as u64 {
+        return Err(malformed(footer, format!("more full cells than particles: {full_cells}")));
+    }
+    Ok((facts, infos, MappedPages { window, side, first, bricks, checksums }))
+}
+
+fn read_header(bytes: &[u8]) -> Result<BrickSide, ReadFault> {
+    let mut cursor = Cursor::new(bytes, 0, Endian::Little);
+    if cursor.take("the header", MAGIC.len() as u64)? != MAGIC {
+        return Err(malformed(0, "this is not a frame: it does not begin like one"));
+    }
+    match cursor.u32("the version")? {
+        VERSION => (),
+        other => {
+            let what = format!("a frame of version {other}; this program reads version {VERSION}");
+            return Err(ReadFault::Unsupported(what));
+        }
+    }
+    let at = cursor.at();
+    match cursor.u32("the brick side")? {
+        4 => Ok(BrickSide::Four),
+        8 => Ok(BrickSide::Eight),
+        16 => Ok(BrickSide::Sixteen),
+        other => Err(malformed(at, format!("bricks of {other} cells; there are 4, 8 and 16"))),
+    }
+}
+
+/// Where the footer begins, which is unharmed.
+fn read_tail(window: &Window) -> Result<usize, ReadFault> {
+    let bytes = &window.bytes;
+    let have = bytes.len() as u64;
+    let needed = (HEADER + FACTS + TAIL) as u64;
+    if have < needed {
+        return Err(ReadFault::Truncated { what: "a frame".into(), needed, have });
+    }
+    let tail = bytes.len() - TAIL;
+    let mut cursor = Cursor::new(bytes, tail, Endian::Little);
+    let footer = cursor.u64("the footer's place")?;
+    let checksum = cursor.u32("the footer's checksum")?;
+    if cursor.take("the end mark", END_MAGIC.len() as u64)? != END_MAGIC {
+        return Err(malformed(
+            tail,
+            "the end mark is missing: the frame is truncated, or was never finished",
+        ));
+    }
+    let places = HEADER as u64..=(tail - FACTS) as u64;
+    if !places.contains(&footer) {
+        return Err(malformed(tail, format!("the footer cannot begin at byte {footer}")));
+    }
+    let mut hasher = Hasher::new();
+    window.hash(0..HEADER, &mut hasher);
+    window.hash(footer as usize..tail + 8, &mut hasher);
+    if hasher.finalize() != checksum {
+        return Err(malformed(footer as usize, "the footer does not match its checksum"));
+    }
+    Ok(footer as usize)
+}
+
+/// The frame's facts, and the number of its pages.
+fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, u64), ReadFault> {
+    let at = cursor.at();
+    let fault = |error: &dyn std::fmt::Display| malformed(at, error.to_string());
+    let origin = read_point(cursor)?;
+    let grid = Grid::new(origin, cursor.f64("the cell size")?).map_err(|e| fault(&e))?;
+    let walls = cursor.u32("the walls")?;
+    let indicator = cursor.u32("the indicator")?;
+    let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
+    let domain = match walls {
+        0 => None,
+        1 => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
+        _ => return Err(fault(&"neither walls nor none")),
+    };
+    let mean = cursor.f64("mu0")?;
+    let indicator = match indicator {
+        0 => Indicator::Symmetry,
+        1 => Indicator::Counting { mean: Some(MeanCount::new(mean).map_err(|e| fault(&e))?) },
+        other => return Err(fault(&format!("indicator {other}; there are 0 and 1"))),
+    };
+    let spacing = match cursor.f64("the spacing")? {
+        0.0 => None,
+        spacing => Some(positive_length("the spacing", spacing).map_err(|e| fault(&e))?),
+    };
+    let mut particles = || {
+        let count = cursor.u64("a number of particles")?;
+        usize::try_from(count).map_err(|_| fault(&format!("{count} particles")))
+    };
+    let census = Census {
+        binned: particles()?,
+        not_finite: particles()?,
+        too_far: particles()?,
+        outside: particles()?,
+    };
+    let count = cursor.u64("the number of pages")?;
+    Ok((FrameFacts { grid, domain, indicator, census, spacing }, count))
+}
+
+fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
+    let mut x = || cursor.f64("a corner");
+    Ok(DVec3::new(x()?, x()?, x()?))
+}
+
+/// A page's entry in the index.
+struct Entry {
+    info: PageInfo,
+    offset: u64,
+    length: u64,
+    checksum: u32,
+}
+
+/// One entry, as far as it can be wrong without regard to others.
+fn read_entry(cursor: &mut Cursor<'_>, side: BrickSide, facts: &FrameFacts) -> Result<Entry, ReadFault> {
+    let at = cursor.at();
+    let key = MortonKey(cursor.u64("a page's key")?);
+    let offset = cursor.u64("a page's place")?;
+    let bricks = cursor.u64("a page's bricks")?;
+    let length = u64::from(cursor.u32("a page's size")?);
+    let checksum = cursor.u32("a page's checksum")?;
+    let full_count = cursor.u32("a page's full cells")?;
+    let mut corner = || {
+        let cells = cursor.take("a page's box", 3)?;
+        Ok::<_, ReadFault>(IVec3::new(cells[0].into(), cells[1].into(), cells[2].into()))
+    };
+    let local = CellBox { lo: corner()?, hi: corner()? };
+    let zero = cursor.u16("a page's end")?;
+
+    let coord = key.coord();
+    let full = CellBox { lo: local.lo + coord * BIN, hi: local.hi + coord * BIN };
+    let limits = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
+    let limits = facts.domain.map_or(limits, |domain| domain.cells());
+    let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
+    let info = PageInfo { key, bricks, full, full_count };
+    let wrong = [
+        (MortonKey::of(coord) != key, "a page's key names no bin"),
+        (bricks == 0 || beyond != 0, "a page's bricks are none, or not of its bin"),
+        (local.is_empty() || local.hi.max_element() > BIN, "a page's box is not in its bin"),
+        (!limits.covers(&full), "a page's box is beyond the grid or the walls"),
+        (full_count == 0 || full_count as usize > full.volume(), "a page's full cells do not fit in its box"),
+        (zero != 0, "a page's entry does not end in zeros"),
+    ];
+    match wrong.into_iter().find(|&(wrong, _)| wrong) {
+        Some((_, what)) => Err(malformed(at, what)),
+        None => Ok(Entry { info, offset, length, checksum }),
+    }
+}

@@ -1,0 +1,167 @@
+use std::io::{self, Write};
+
+use crc32fast::Hasher;
+use rayon::prelude::*;
+use zstd::bulk::Compressor;
+use zstd::zstd_safe::CParameter;
+
+use crate::brick::{BrickSide, DifField, PageInfo};
+use crate::grid::BIN;
+use crate::stage::indicator::Indicator;
+
+use super::{END_MAGIC, FrameFacts, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
+
+/// Speed matters, and noise compresses no better at any level.
+const LEVEL: i32 = 1;
+/// Pages that one thread compresses with one context.
+const CHUNK: usize = 64;
+/// Pages of a field that are compressed before they are written.
+const BATCH: usize = 16 * CHUNK;
+
+/// Writes a frame page by page. It holds the index, and the compressed pages of one batch.
+///
+/// A file without [`finish`](Self::finish) is refused by every reader.
+#[derive(Debug)]
+pub struct FrameWriter<W> {
+    out: W,
+    side: BrickSide,
+    header: [u8; HEADER],
+    /// Bytes written so far.
+    at: u64,
+    pages: u64,
+    index: Vec<u8>,
+    last: Option<PageInfo>,
+}
+
+/// Pages that were compressed one after the other.
+struct Compressed {
+    bytes: Vec<u8>,
+    /// Length and checksum of each.
+    parts: Vec<(usize, u32)>,
+}
+
+impl<W: Write> FrameWriter<W> {
+    /// Begins a frame of bricks of one `side`. Writes are large; `out` needs no buffer.
+    ///
+    /// # Errors
+    /// Those of `out`, here and below.
+    pub fn create(mut out: W, side: BrickSide) -> io::Result<Self> {
+        let mut header = [0; HEADER];
+        header[..8].copy_from_slice(&MAGIC);
+        header[8..12].copy_from_slice(&VERSION.to_le_bytes());
+        header[12..].copy_from_slice(&side.cells().to_le_bytes());
+        out.write_all(&header)?;
+        Ok(Self { out, side, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
+    }
+
+    /// Appends pages, with their samples as they are stored: compresses them on all threads, and writes them in
+    /// order. The bytes depend neither on the threads nor on how the pages are divided among the calls.
+    ///
+    /// # Panics
+    /// If the pages are not in the order of their keys, or the samples not of their bricks' number.
+    pub fn push(&mut self, pages: &[(PageInfo, impl AsRef<[u16]> + Sync)]) -> io::Result<()> {
+        for (info, samples) in pages {
+            assert!(self.last.is_none_or(|last| last.key < info.key), "pages are in order");
+            assert_eq!(samples.as_ref().len(), info.samples(self.side), "samples of {info:?}");
+            self.last = Some(*info);
+        }
+        let compressed: Vec<io::Result<Compressed>> = pages.par_chunks(CHUNK).map(compress).collect();
+        for (pages, compressed) in pages.chunks(CHUNK).zip(compressed) {
+            let Compressed { bytes, parts } = compressed?;
+            self.out.write_all(&bytes)?;
+            for ((info, _), (length, checksum)) in pages.iter().zip(parts) {
+                self.enter(info, length, checksum);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a page to the index, as it stands in the file.
+    fn enter(&mut self, info: &PageInfo, length: usize, checksum: u32) {
+        let corner = info.key.coord() * BIN;
+        let index = &mut self.index;
+        index.extend(info.key.0.to_le_bytes());
+        index.extend(self.at.to_le_bytes());
+        index.extend(info.bricks.to_le_bytes());
+        index.extend((length as u32).to_le_bytes());
+        index.extend(checksum.to_le_bytes());
+        index.extend(info.full_count.to_le_bytes());
+        for end in [info.full.lo, info.full.hi] {
+            index.extend((end - corner).to_array().map(|cells| cells as u8));
+        }
+        index.extend([0; 2]);
+        self.at += length as u64;
+        self.pages += 1;
+    }
+
+    /// Writes what makes a frame of the pages. Returns the bytes of the whole file.
+    ///
+    /// # Panics
+    /// If the indicator counts and its mu0 is not known.
+    pub fn finish(mut self, facts: &FrameFacts) -> io::Result<u64> {
+        let mut footer = footer(facts);
+        footer.extend(self.pages.to_le_bytes());
+        let place = self.at.to_le_bytes();
+        let mut hasher = Hasher::new();
+        [&self.header[..], &footer, &self.index, &place].into_iter().for_each(|part| hasher.update(part));
+        self.out.write_all(&footer)?;
+        self.out.write_all(&self.index)?;
+        self.out.write_all(&[&place[..], &hasher.finalize().to_le_bytes(), &END_MAGIC].concat())?;
+        self.out.flush()?;
+        Ok(self.at + (footer.len() + self.index.len() + TAIL) as u64)
+    }
+}
+
+/// All of the footer but the number of pages.
+fn footer(facts: &FrameFacts) -> Vec<u8> {
+    let walls = facts.domain.map_or([0.0; 6], |domain| {
+        let [lo, hi] = domain.walls().map(|corner| corner.to_array());
+        [lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]]
+    });
+    let (indicator, mean) = match facts.indicator {
+        Indicator::Symmetry => (0_u32, 0.0),
+        Indicator::Counting { mean } => (1, mean.expect("a finished frame knows its mu0").particles()),
+    };
+    let census = &facts.census;
+    let particles = [census.binned, census.not_finite, census.too_far, census.outside];
+    let mut footer = Vec::new();
+    footer.extend(facts.grid.origin().to_array().iter().flat_map(|x| x.to_le_bytes()));
+    footer.extend(facts.grid.cell_size().to_le_bytes());
+    footer.extend(u32::from(facts.domain.is_some()).to_le_bytes());
+    footer.extend(indicator.to_le_bytes());
+    footer.extend(walls.iter().flat_map(|x| x.to_le_bytes()));
+    footer.extend(mean.to_le_bytes());
+    footer.extend(facts.spacing.unwrap_or(0.0).to_le_bytes());
+    footer.extend(particles.iter().flat_map(|&count| (count as u64).to_le_bytes()));
+    footer
+}
+
+fn compress(pages: &[(PageInfo, impl AsRef<[u16]>)]) -> io::Result<Compressed> {
+    let mut compressor = Compressor::new(LEVEL)?;
+    // The index knows the size.
+    compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
+    let mut compressed = Compressed { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
+    for (_, samples) in pages {
+        let page = compressor.compress(&planes_from_samples(samples.as_ref()))?;
+        compressed.parts.push((page.len(), crc32fast::hash(&page)));
+        compressed.bytes.extend(page);
+    }
+    Ok(compressed)
+}
+
+/// Writes a whole frame, of whatever size. Returns the bytes of the file.
+///
+/// # Errors
+/// Those of `out`.
+///
+/// # Panics
+/// If the indicator counts and its mu0 is not known.
+pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io::Result<u64> {
+    let mut writer = FrameWriter::create(out, field.side())?;
+    for (batch, infos) in field.infos().chunks(BATCH).enumerate() {
+        let pages: Vec<_> =
+            infos.iter().enumerate().map(|(i, &info)| (info, field.stored(batch * BATCH + i))).collect();
+        writer.push(&pages)?;
+    }
+    writer.finish(facts)
+}
