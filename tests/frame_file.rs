@@ -17,6 +17,7 @@ use meniscus::io::mnf::{FrameFacts, FrameWriter, frame_from_file, open_frame, wr
 use meniscus::particles::Particles;
 use meniscus::stage::indicator::{Indicator, build_field};
 use meniscus::units::MeanCount;
+use rayon::prelude::*;
 use tempfile::TempDir;
 
 const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
@@ -79,10 +80,11 @@ fn assert_same_field(found: &DifField, expected: &DifField, what: &str) {
     assert_eq!(found.side(), expected.side(), "{what}");
     assert_eq!(found.mean_of_full(), expected.mean_of_full(), "{what}");
     let all = expected.infos().iter().fold(CellBox::EMPTY, |all, info| all.union(&info.full));
-    for block in all.grown(3, 3).cubes(20) {
+    let blocks: Vec<_> = all.grown(3, 3).cubes(20).collect();
+    blocks.par_iter().for_each(|&block| {
         let cells = CellBox::cube(block, 20).grown(5, 2);
         assert!(found.gather(cells) == expected.gather(cells), "{what}: {cells:?}");
-    }
+    });
 }
 
 #[test]
