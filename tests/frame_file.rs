@@ -185,7 +185,7 @@ fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
         let cut = matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. });
         assert!(cut || at == 0, "{at} bytes: {fault}");
     }
-    let mut longer = good.clone();
+    let mut longer = good;
     longer.push(0);
     assert!(matches!(kind(&longer, "a byte more"), ReadFault::Malformed { .. }));
 }
