@@ -165,7 +165,7 @@ fn an_input_is_never_its_own_output() {
     let folder = TempDir::new().unwrap();
     fs::copy(data("spot.ply"), folder.path().join("spot.ply")).unwrap();
     let before = fs::read(folder.path().join("spot.ply")).unwrap();
-    assert_refused(folder.path(), &["spot.ply", "-o", "./spot.ply", "--overwrite"], 2, &["both"]);
+    assert_refused(folder.path(), &["spot.ply", "-o", "./spot.ply", "--overwrite"], 2, &["two purposes"]);
     assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
 }
 

@@ -100,6 +100,13 @@ fn main() {
     };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
     let (recipe, _) = frame.recipe(&surfacing);
+    let blocks = frame.dif().regions(0, 0);
+    let halo = recipe.halo();
+    let (seconds, samples) = best_seconds(3, || {
+        let gathered = blocks.par_iter().map(|(_, cells)| frame.dif().gather(cells.grown(halo, halo)));
+        gathered.map(|block| block.samples().len()).sum::<usize>()
+    });
+    row("gather, halo 2, blocks of 32^3", samples as f64, "M cells/s", seconds);
     let fields: Vec<(CellBox, Block)> = frame
         .dif()
         .regions(recipe.reach() + 1, recipe.reach())

@@ -30,7 +30,9 @@ const CHUNK: usize = 1 << 20;
 
 /// Opens a frame, of whatever size. Every byte of it is looked at and checked before this returns, and none is
 /// kept but the index: samples are read again where they are gathered, and those of the pages last used stay in
-/// memory as long as they take no more than `cache_bytes`.
+/// memory as long as they take no more than `cache_bytes`. Besides, a few MiB of the file are mapped at a time.
+///
+/// Another program that changes the file while the field is in use ends the run: by a panic, or a signal.
 ///
 /// # Errors
 /// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and [`ReadFault::Compression`]

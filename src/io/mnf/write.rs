@@ -15,8 +15,6 @@ use super::{END_MAGIC, FrameFacts, HEADER, MAGIC, TAIL, VERSION, planes_from_sam
 const LEVEL: i32 = 1;
 /// Pages that one thread compresses with one context.
 const CHUNK: usize = 64;
-/// Pages of a field that are compressed before they are written.
-const BATCH: usize = 16 * CHUNK;
 
 /// Writes a frame page by page. It holds the index, and the compressed pages of one batch.
 ///
@@ -158,9 +156,11 @@ fn compress(pages: &[(PageInfo, impl AsRef<[u16]>)]) -> io::Result<Compressed> {
 /// If the indicator counts and its mu0 is not known.
 pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io::Result<u64> {
     let mut writer = FrameWriter::create(out, field.side())?;
-    for (batch, infos) in field.infos().chunks(BATCH).enumerate() {
-        let pages: Vec<_> =
-            infos.iter().enumerate().map(|(i, &info)| (info, field.stored(batch * BATCH + i))).collect();
+    // Two chunks a thread at a time: the last to end is not waited for long.
+    let batch = 2 * CHUNK * rayon::current_num_threads();
+    for first in (0..field.infos().len()).step_by(batch) {
+        let infos = field.infos()[first..].iter().take(batch);
+        let pages: Vec<_> = infos.zip(first..).map(|(&info, page)| (info, field.stored(page))).collect();
         writer.push(&pages)?;
     }
     writer.finish(facts)

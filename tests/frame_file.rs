@@ -1,0 +1,330 @@
+//! The frame file: the same field from disk as from memory, and no damage that goes unnoticed.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use common::{sampling, splashes, tank};
+use glam::{DVec3, IVec3};
+use meniscus::brick::{BinPlan, BrickSide, DifField, InvalidParticles};
+use meniscus::grid::{CellBox, Domain, Grid};
+use meniscus::io::ReadFault;
+use meniscus::io::input::open_particles;
+use meniscus::io::mnf::{FrameFacts, FrameWriter, frame_from_file, open_frame, write_frame};
+use meniscus::particles::Particles;
+use meniscus::stage::indicator::{Indicator, count_table, indicate};
+use meniscus::units::MeanCount;
+use rayon::prelude::*;
+use tempfile::TempDir;
+
+const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
+const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
+
+/// The DIF of `particles`, and all else that a frame is.
+fn sample(
+    particles: &(impl Particles + ?Sized),
+    grid: Grid,
+    domain: Option<Domain>,
+    indicator: Indicator,
+    side: BrickSide,
+) -> (FrameFacts, DifField) {
+    let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, usize::MAX).unwrap();
+    let census = plan.census();
+    let bins = plan.fill(particles, &[]);
+    let field = DifField::in_memory(side, indicate(&bins, 0..bins.keys().len(), indicator, side).unwrap());
+    let (indicator, field) = match indicator {
+        Indicator::Symmetry => (indicator, field),
+        Indicator::Counting { .. } => {
+            let mean = MeanCount::measured(census.binned as u64, field.full_cells()).unwrap();
+            (Indicator::Counting { mean: Some(mean) }, field.with_decode(&count_table(mean)))
+        }
+    };
+    (FrameFacts { grid, domain, indicator, census, spacing: Some(0.5) }, field)
+}
+
+fn encoded(facts: &FrameFacts, field: &DifField) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let written = write_frame(&mut bytes, facts, field).unwrap();
+    assert_eq!(written, bytes.len() as u64);
+    bytes
+}
+
+/// A few pages of very few particles, in a tank.
+fn small() -> (FrameFacts, DifField) {
+    let mut particles: Vec<[f64; 3]> = splashes(5).into_iter().step_by(25).collect();
+    particles.push([f64::NAN; 3]);
+    let domain = tank(&sampling().grid);
+    sample(&particles[..], sampling().grid, Some(domain), INDICATORS[1], BrickSide::Four)
+}
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn file(&self, bytes: &[u8]) -> PathBuf {
+        let path = self.0.path().join("frame.mnf");
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+}
+
+/// Why `bytes` are refused, after their checksums were made to fit again: damage that was done on purpose.
+fn refusal(folder: &Folder, bytes: &[u8]) -> String {
+    open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
+}
+
+fn assert_same_field(found: &DifField, expected: &DifField, what: &str) {
+    assert_eq!(found.infos(), expected.infos(), "{what}");
+    assert_eq!(found.side(), expected.side(), "{what}");
+    assert_eq!(found.mean_of_full(), expected.mean_of_full(), "{what}");
+    let all = expected.infos().iter().fold(CellBox::EMPTY, |all, info| all.union(&info.full));
+    let blocks: Vec<_> = all.grown(3, 3).cubes(20).collect();
+    blocks.par_iter().for_each(|&block| {
+        let cells = CellBox::cube(block, 20).grown(5, 2);
+        assert!(found.gather(cells) == expected.gather(cells), "{what}: {cells:?}");
+    });
+}
+
+#[test]
+fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
+    let folder = Folder::new();
+    let particles = splashes(1);
+    let grid = sampling().grid;
+    for side in SIDES {
+        for indicator in INDICATORS {
+            for domain in [None, Some(tank(&grid))] {
+                let (facts, field) = sample(&particles[..], grid, domain, indicator, side);
+                let path = folder.file(&encoded(&facts, &field));
+                for cache_bytes in [0, 64 << 10, u64::MAX] {
+                    let what = format!("{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes");
+                    let (found, mapped) = open_frame(&path, cache_bytes).unwrap();
+                    assert_eq!(found, facts, "{what}");
+                    assert_same_field(&mapped, &field, &what);
+                    let (found, scratch) =
+                        frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
+                    assert_eq!(found, facts, "{what}");
+                    assert_same_field(&scratch, &field, &what);
+                    assert!(encoded(&found, &scratch) == fs::read(&path).unwrap(), "{what}: written again");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
+    let particles: Vec<[f64; 3]> = splashes(2).iter().map(|p| p.map(|x| 6.0 * x)).collect();
+    let (facts, field) = sample(&particles[..], sampling().grid, None, INDICATORS[0], BrickSide::Eight);
+    assert!(field.infos().len() > 200, "more than a chunk of pages");
+    let expected = encoded(&facts, &field);
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert!(pool.install(|| encoded(&facts, &field)) == expected, "{threads} threads");
+        let mut bytes = Vec::new();
+        let mut writer = FrameWriter::create(&mut bytes, field.side()).unwrap();
+        let pages: Vec<_> = field.infos().iter().copied().zip((0..).map(|i| field.stored(i))).collect();
+        for batch in pages.chunks(37 * threads) {
+            pool.install(|| writer.push(batch)).unwrap();
+        }
+        writer.finish(&facts).unwrap();
+        assert!(bytes == expected, "{} pages at a time", 37 * threads);
+    }
+}
+
+#[test]
+fn facts_survive_at_their_extremes() {
+    let folder = Folder::new();
+    let grid = Grid::new(DVec3::new(-1e300, 0.1, -0.0), 1e-300).unwrap();
+    let (mut facts, field) = small();
+    facts = FrameFacts { grid, domain: None, spacing: None, ..facts };
+    facts.census.outside = usize::MAX;
+    for mean in [f64::MIN_POSITIVE, MeanCount::MAX] {
+        facts.indicator = Indicator::Counting { mean: Some(MeanCount::new(mean).unwrap()) };
+        let (found, _) = open_frame(&folder.file(&encoded(&facts, &field)), 0).unwrap();
+        assert_eq!(found, facts);
+    }
+}
+
+#[test]
+fn a_frame_without_pages_is_a_frame() {
+    let folder = Folder::new();
+    let (facts, _) = small();
+    let field = DifField::in_memory(BrickSide::Eight, Vec::new());
+    let (found, empty) = open_frame(&folder.file(&encoded(&facts, &field)), 0).unwrap();
+    assert_eq!((found, empty.infos().len()), (facts, 0));
+    assert_eq!(empty.gather(CellBox::cube(IVec3::ZERO, 8)).samples(), [0; 512]);
+}
+
+#[test]
+fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
+    let folder = Folder::new();
+    let (facts, field) = small();
+    let good = encoded(&facts, &field);
+    assert!(field.infos().len() > 5 && good.len() < 20_000, "{} bytes", good.len());
+    let kind = |bytes: &[u8], what: &str| {
+        let path = folder.file(bytes);
+        match open_frame(&path, 1 << 20) {
+            Ok(_) => panic!("{what} goes unnoticed"),
+            Err(error) => {
+                assert!(error.to_string().contains("frame.mnf"), "{error}");
+                error.fault
+            }
+        }
+    };
+    for at in 0..good.len() {
+        for flip in [1, 0x80, 0xff] {
+            let mut bad = good.clone();
+            bad[at] ^= flip;
+            let fault = kind(&bad, &format!("{flip:#x} at byte {at}"));
+            let damage = matches!(fault, ReadFault::Malformed { .. } | ReadFault::Unsupported(_));
+            assert!(damage, "byte {at}: {fault}");
+        }
+        let fault = kind(&good[..at], &format!("a prefix of {at} bytes"));
+        let cut = matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. });
+        assert!(cut || at == 0, "{at} bytes: {fault}");
+    }
+    let mut longer = good;
+    longer.push(0);
+    assert!(matches!(kind(&longer, "a byte more"), ReadFault::Malformed { .. }));
+}
+
+/// Parts of the file as the module's table has them.
+struct Layout {
+    footer: usize,
+    index: usize,
+}
+
+impl Layout {
+    fn of(bytes: &[u8]) -> Self {
+        let tail = bytes.len() - 20;
+        let footer = u64::from_le_bytes(bytes[tail..tail + 8].try_into().unwrap()) as usize;
+        Self { footer, index: footer + 144 }
+    }
+
+    /// Makes the footer's checksum fit.
+    fn seal(&self, bytes: &mut [u8]) {
+        let tail = bytes.len() - 20;
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(&bytes[..16]);
+        hasher.update(&bytes[self.footer..tail + 8]);
+        bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
+    }
+}
+
+#[test]
+fn damage_with_checksums_that_fit_is_refused_all_the_same() {
+    let folder = Folder::new();
+    let (facts, field) = small();
+    let good = encoded(&facts, &field);
+    let layout = Layout::of(&good);
+    let Layout { footer, index } = layout;
+    let second = index + 44;
+    let cases: Vec<(usize, Vec<u8>, &str)> = vec![
+        (8, 2_u32.to_le_bytes().into(), "a frame of version 2"),
+        (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
+        (12, 8_u32.to_le_bytes().into(), "not of its bin"),
+        (footer, f64::NAN.to_le_bytes().into(), "origin"),
+        (footer + 24, 0_f64.to_le_bytes().into(), "cell size"),
+        (footer + 32, 2_u32.to_le_bytes().into(), "walls"),
+        (footer + 36, 2_u32.to_le_bytes().into(), "indicator 2"),
+        (footer + 36, 0_u32.to_le_bytes().into(), ""),
+        (footer + 40, 1e9_f64.to_le_bytes().into(), "corners"),
+        (footer + 40, 0_f64.to_le_bytes().into(), "beyond the grid or the walls"),
+        (footer + 88, 0_f64.to_le_bytes().into(), "mu0"),
+        (footer + 96, (-1_f64).to_le_bytes().into(), "spacing"),
+        (footer + 104, 1_u64.to_le_bytes().into(), "more full cells than particles"),
+        (footer + 136, 1_u64.to_le_bytes().into(), "cannot be that of 1 pages"),
+        (footer + 136, u64::MAX.to_le_bytes().into(), "cannot be that of"),
+        (index, (1_u64 << 63).to_le_bytes().into(), "names no bin"),
+        (index, 0_u64.to_le_bytes().into(), "beyond the grid or the walls"),
+        (second, good[index..index + 8].into(), ""),
+        (index + 8, 17_u64.to_le_bytes().into(), "where the one before it ends"),
+        (index + 16, 0_u64.to_le_bytes().into(), "bricks are none"),
+        (index + 16, u64::MAX.to_le_bytes().into(), "does not decompress to its size"),
+        (index + 24, u32::MAX.to_le_bytes().into(), "where the one before it ends"),
+        (index + 24, 0_u32.to_le_bytes().into(), "where the one before it ends"),
+        (index + 28, 0_u32.to_le_bytes().into(), "page 0 does not match its checksum"),
+        (index + 32, 0_u32.to_le_bytes().into(), "do not fit in its box"),
+        (index + 32, 2_u32.to_le_bytes().into(), "page 0 holds other cells"),
+        (index + 36, [15, 15, 15, 17, 16, 16].into(), "not in its bin"),
+        (index + 36, [3, 3, 3, 3, 4, 4].into(), "not in its bin"),
+        (index + 42, [1, 0].into(), "end in zeros"),
+    ];
+    for (at, patch, expected) in cases {
+        let mut bad = good.clone();
+        bad[at..at + patch.len()].copy_from_slice(&patch);
+        layout.seal(&mut bad);
+        if expected.is_empty() {
+            // Another frame, or none: no panic is all that is asked.
+            let _ = open_frame(&folder.file(&bad), 0);
+            continue;
+        }
+        let found = refusal(&folder, &bad);
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+    }
+}
+
+#[test]
+fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
+    let folder = Folder::new();
+    let (facts, field) = small();
+    let whole = encoded(&facts, &field);
+    let unfinished = &whole[..Layout::of(&whole).footer];
+    assert!(refusal(&folder, unfinished).contains("truncated"));
+    assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a frame"));
+    let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0).unwrap_err();
+    assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
+}
+
+/// Takes so many bytes and no more.
+struct FullDisk(usize);
+
+impl Write for FullDisk {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let taken = bytes.len().min(self.0);
+        self.0 -= taken;
+        if taken == 0 { Err(std::io::ErrorKind::StorageFull.into()) } else { Ok(taken) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_wherever_it_fills() {
+    let (facts, field) = small();
+    let whole = encoded(&facts, &field).len();
+    for room in (0..whole).step_by(7) {
+        let fault = write_frame(FullDisk(room), &facts, &field).unwrap_err();
+        assert_eq!(fault.kind(), std::io::ErrorKind::StorageFull);
+    }
+    write_frame(FullDisk(whole), &facts, &field).unwrap();
+}
+
+#[test]
+fn pages_of_real_frames_compress() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    for (name, spacing) in [
+        ("dambreak_small/ParticleData_Fluid_1.bgeo", 0.05),
+        ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
+        ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
+    ] {
+        let particles = open_particles(&data.join(name)).unwrap().particles;
+        for indicator in INDICATORS {
+            let grid = Grid::new(DVec3::ZERO, spacing).unwrap();
+            let (facts, field) = sample(&particles, grid, None, indicator, BrickSide::Eight);
+            let bytes = encoded(&facts, &field).len() as f64;
+            let ratio = field.sample_bytes() as f64 / bytes;
+            println!("{name}, {indicator:?}: {} pages, {ratio:.2} times smaller", field.infos().len());
+            let least = if indicator == Indicator::Symmetry { 1.5 } else { 5.0 };
+            assert!(ratio > least, "{name}, {indicator:?}: {ratio}");
+        }
+    }
+}
