@@ -107,26 +107,22 @@ pub struct Bounds {
 /// The box around all finite positions; `None` where there is no such.
 #[must_use]
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
-    let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
-    let bounds = fold_positions(particles, none, |b, p| {
-        if p.is_finite() { Bounds { lo: b.lo.min(p), hi: b.hi.max(p), finite: b.finite + 1 } } else { b }
-    })
-    .reduce(none, |a, b| Bounds { lo: a.lo.min(b.lo), hi: a.hi.max(b.hi), finite: a.finite + b.finite });
-    (bounds.finite > 0).then_some(bounds)
-}
-
-/// Folds over all positions in parallel, one accumulator a piece of work.
-pub fn fold_positions<A: Send>(
-    particles: &(impl Particles + ?Sized),
-    identity: impl Fn() -> A + Sync + Send,
-    add: impl Fn(A, DVec3) -> A + Sync + Send,
-) -> impl ParallelIterator<Item = A> {
     const CHUNK: usize = 1 << 12;
-    let chunks = particles.len().div_ceil(CHUNK);
-    (0..chunks).into_par_iter().fold(identity, move |accumulator, chunk| {
+    let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
+    let of_chunk = |chunk: usize| {
         let first = chunk * CHUNK;
         let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
         particles.positions(first, &mut positions);
-        positions.into_iter().map(DVec3::from).fold(accumulator, &add)
-    })
+        particles.release(first..first + positions.len());
+        positions.into_iter().map(DVec3::from).filter(|p| p.is_finite()).fold(none(), |b, p| Bounds {
+            lo: b.lo.min(p),
+            hi: b.hi.max(p),
+            finite: b.finite + 1,
+        })
+    };
+    let bounds = (0..particles.len().div_ceil(CHUNK))
+        .into_par_iter()
+        .map(of_chunk)
+        .reduce(none, |a, b| Bounds { lo: a.lo.min(b.lo), hi: a.hi.max(b.hi), finite: a.finite + b.finite });
+    (bounds.finite > 0).then_some(bounds)
 }

@@ -3,17 +3,19 @@
 //! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Counting in cells a few
 //! spacings wide, and only in those whose 26 neighbours hold particles too, leaves surfaces out of it.
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
-use rayon::prelude::*;
 
-use crate::grid::Grid;
-use crate::particles::{Bounds, Particles, bounds, fold_positions};
+use crate::brick::{BinPlan, InvalidParticles};
+use crate::grid::{BIN, Grid};
+use crate::particles::{Bounds, Particles, bounds};
 
 /// Particles a counting cell should hold: first choice, and what thin layers are tried with.
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 /// Interior cells that make an estimate worth having.
 const ENOUGH_CELLS: usize = 8;
+/// Counting cells at the most: spray fills one each.
+const MOST_CELLS: usize = 1 << 24;
 /// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged.
 const MANY: usize = 1 << 18;
 
@@ -33,11 +35,11 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
         // Shifts by multiples of the golden ratio's powers spread evenly.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);
-            glam::DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
+            DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
         });
         let (mut total, mut cells) = (0, 0);
         for shift in shifts {
-            let counts = counts(particles, &Grid::new(lo - shift * cell, cell).ok()?);
+            let counts = counts(particles, lo - shift * cell, cell)?;
             for (coord, count) in &counts {
                 if surrounded(&counts, *coord) {
                     total += count;
@@ -51,31 +53,17 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 
 type Counts = HashMap<IVec3, usize>;
 
-fn counts(particles: &(impl Particles + ?Sized), grid: &Grid) -> Counts {
-    fold_positions(particles, Counts::new, |mut counts, p| {
-        if let Ok(placed) = grid.place(p.to_array()) {
-            *counts.entry(placed.cell).or_default() += 1;
-        }
-        counts
-    })
-    .reduce(Counts::new, |mut a, b| {
-        if a.is_empty() {
-            return b;
-        }
-        b.into_iter().for_each(|(cell, count)| *a.entry(cell).or_default() += count);
-        a
-    })
+/// Counts particles in the cells of edge `cell` that begin at `origin`: the bins of a grid that much finer.
+fn counts(particles: &(impl Particles + ?Sized), origin: DVec3, cell: f64) -> Option<Counts> {
+    let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
+    let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, MOST_CELLS).ok()?;
+    Some(plan.keys().iter().map(|key| key.coord()).zip(plan.counts()).collect())
 }
 
 /// A cell size at which the typical particle shares its cell with about `target` others.
-fn cell_for(
-    particles: &(impl Particles + ?Sized),
-    target: f64,
-    mut cell: f64,
-    lo: glam::DVec3,
-) -> Option<f64> {
+fn cell_for(particles: &(impl Particles + ?Sized), target: f64, mut cell: f64, lo: DVec3) -> Option<f64> {
     for _ in 0..12 {
-        let counts = counts(particles, &Grid::new(lo, cell).ok()?);
+        let counts = counts(particles, lo, cell)?;
         let mut sizes: Vec<usize> = counts.into_values().collect();
         sizes.sort_unstable();
         let binned: usize = sizes.iter().sum();

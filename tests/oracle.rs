@@ -9,7 +9,7 @@ use common::{reconstruct, sampling, shuffle, splashes, surfacing, tank};
 use glam::IVec3;
 use meniscus::brick::BrickSide;
 use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
-use meniscus::grid::BLOCK;
+use meniscus::grid::{BLOCK, CellBox, Grid};
 use meniscus::laps::Laps;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
@@ -53,7 +53,7 @@ fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, w
     let (recipe, _) = frame.recipe(surfacing);
     let mut cells = 0;
     for block in dense.cells.cubes(BLOCK) {
-        let part = dense.cells.intersection(&meniscus::grid::CellBox::cube(block, BLOCK));
+        let part = dense.cells.intersection(&CellBox::cube(block, BLOCK));
         let field = frame.field(&recipe, part);
         for (([y, z], row), x) in field.rows(part).zip(std::iter::repeat(part.lo.x)) {
             for (x, &sample) in (x..).zip(row) {
@@ -74,7 +74,8 @@ fn the_sparse_field_is_the_dense_one_to_the_bit() {
             let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
             let dense = oracle(&frame, &sampling, &surfacing).integer(&particles);
             assert!(dense.values.iter().any(|&v| v > 20_000), "the scene has an inside");
-            for (side, threads) in [(BrickSide::Four, 1), (BrickSide::Eight, 2), (BrickSide::Sixteen, 1)] {
+            let sides = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
+            for (side, threads) in sides.into_iter().flat_map(|side| [(side, 1), (side, 2)]) {
                 let mut shuffled = particles.clone();
                 shuffle(&mut shuffled, &mut Random::new(threads as u64));
                 let sampling = Sampling { side, ..sampling.clone() };
@@ -110,7 +111,7 @@ fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex() {
 }
 
 #[test]
-fn threads_particle_order_brick_side_and_shifts_by_a_brick_change_no_byte() {
+fn threads_particle_order_and_brick_side_change_no_byte() {
     let particles = splashes(3);
     for (sampling, surfacing) in variants() {
         let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
@@ -148,5 +149,38 @@ fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64() {
         let squares: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
         let rms = (squares / ours.len() as f64).sqrt();
         assert!(rms < 2e-3, "{surfacing:?}: vertices are off by {rms} cells RMS");
+    }
+}
+
+#[test]
+fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much() {
+    let particles = splashes(13);
+    let shift = IVec3::new(16, -32, 48);
+    let moved: Vec<[f64; 3]> =
+        particles.iter().map(|&p| (glam::DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
+    let (sampling, surfacing) = &variants()[0];
+    let frame = |particles: &[[f64; 3]]| Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
+    let (here, there) = (frame(&particles), frame(&moved));
+    let (recipe, _) = here.recipe(surfacing);
+    let cells = CellBox { lo: IVec3::splat(-20), hi: IVec3::splat(20) };
+    let elsewhere = CellBox { lo: cells.lo + shift, hi: cells.hi + shift };
+    assert_eq!(here.field(&recipe, cells).samples(), there.field(&recipe, elsewhere).samples());
+}
+
+#[test]
+fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved() {
+    // A power of two and a multiple of it: the same particles in cells, to the bit.
+    let (cell, origin) = (0.25, glam::DVec3::new(-3.0, 0.5, 10.0));
+    let particles = splashes(17);
+    let placed: Vec<[f64; 3]> =
+        particles.iter().map(|&p| (glam::DVec3::from(p) * cell + origin).to_array()).collect();
+    let (unit, surfacing) = &variants()[0];
+    let sampling = Sampling { grid: Grid::new(origin, cell).unwrap(), ..unit.clone() };
+    let (_, expected) = reconstruct(&particles[..], unit, surfacing);
+    let (_, surface) = reconstruct(&placed[..], &sampling, surfacing);
+    assert_eq!(surface.mesh.triangles, expected.mesh.triangles);
+    for (ours, theirs) in surface.mesh.positions.iter().zip(&expected.mesh.positions) {
+        let theirs = glam::DVec3::from(*theirs) * cell + origin;
+        assert!((glam::DVec3::from(*ours) - theirs).abs().max_element() < 1e-12);
     }
 }

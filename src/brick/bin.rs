@@ -7,9 +7,8 @@
 use std::io;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use bytemuck::allocation::zeroed_vec;
 use glam::IVec3;
 use hashbrown::HashMap;
 use multiversion::multiversion;
@@ -19,8 +18,8 @@ use thiserror::Error;
 use crate::grid::{BIN, Domain, Grid, MortonKey, Placed, Unplaced};
 use crate::particles::Particles;
 
-use super::bins::{Bins, RECORD_BITS, Store, pack};
-use super::spill::SpilledBins;
+use super::bins::{Bins, RECORD_BITS, Slots, pack};
+use super::spill::{SpilledBins, tuple_bytes};
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
 const CHUNK: usize = 512;
@@ -167,7 +166,13 @@ impl<'a> BinPlan<'a> {
         self.census
     }
 
-    /// How many particles each bin holds, in Morton order.
+    /// The bins that hold particles, in Morton order.
+    #[must_use]
+    pub fn keys(&self) -> &[MortonKey] {
+        &self.keys
+    }
+
+    /// How many particles each of them holds.
     pub fn counts(&self) -> impl Iterator<Item = usize> + '_ {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
@@ -178,9 +183,7 @@ impl<'a> BinPlan<'a> {
     pub fn fill(self, particles: &(impl Particles + ?Sized), carried: &[usize]) -> Bins {
         let Self { placer, census, keys, first, ranges } = self;
         let components = components(particles, carried);
-        // Every slot is written once, by whichever thread holds its particle.
-        let records: Vec<AtomicU64> = zeroed_vec(census.binned);
-        let values: Vec<Vec<AtomicU32>> = components.iter().map(|n| zeroed_vec(census.binned * n)).collect();
+        let slots = Slots::new(census.binned, &components);
         let mut next = first.clone();
         let mut ranges = ranges;
         for RangePlan { table, ranks, .. } in &mut ranges {
@@ -193,32 +196,15 @@ impl<'a> BinPlan<'a> {
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, .. }| {
             placer.for_each_chunk(particles, range, |first, _, places| {
-                let mut slots = [None; CHUNK];
-                for (slot, place) in slots.iter_mut().zip(places) {
+                let attributes = Tuples::read(particles, carried, &components, first, places.len());
+                for (i, place) in places.iter().enumerate() {
                     if let Ok(Some(placed)) = place {
-                        let at = table.advance(bin_of(placed.cell));
-                        records[at].store(pack(placed), Ordering::Relaxed);
-                        *slot = Some(at);
-                    }
-                }
-                for ((&n, values), &index) in components.iter().zip(&values).zip(carried) {
-                    let mut tuples = vec![0.0; places.len() * n];
-                    particles.attribute(index, first, &mut tuples);
-                    for (slot, tuple) in slots.iter().zip(tuples.chunks_exact(n)) {
-                        let Some(slot) = slot else { continue };
-                        let to = &values[slot * n..];
-                        to.iter().zip(tuple).for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
+                        slots.put(table.advance(bin_of(placed.cell)), pack(placed), attributes.tuple(i));
                     }
                 }
             });
         });
-        let plain =
-            |values: Vec<AtomicU32>| values.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
-        let store = Store::Memory {
-            records: records.into_iter().map(AtomicU64::into_inner).collect(),
-            attributes: values.into_iter().map(plain).collect(),
-        };
-        Bins { keys, first, components, store }
+        Bins { keys, first, components, store: slots.into_store() }
     }
 
     /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
@@ -230,9 +216,8 @@ impl<'a> BinPlan<'a> {
         carried: &[usize],
         bytes: u64,
     ) -> Vec<Range<usize>> {
-        let components: usize = components(particles, carried).iter().sum();
-        let sorting = SpilledBins::sorting_bytes(components);
-        let particles = usize::try_from(bytes / sorting).unwrap_or(usize::MAX);
+        let tuple = tuple_bytes(&components(particles, carried)) as u64;
+        let particles = usize::try_from(bytes / tuple).unwrap_or(usize::MAX);
         let mut runs: Vec<Range<usize>> = Vec::new();
         for bin in 0..self.keys.len() {
             match runs.last_mut() {
@@ -270,29 +255,48 @@ impl<'a> BinPlan<'a> {
             let mut buffers = spilled.buffers(tuples.clamp(16, 1 << 15));
             let mut outcome = Ok(());
             placer.for_each_chunk(particles, range, |chunk_first, _, places| {
-                let attributes: Vec<Vec<f32>> = carried
-                    .iter()
-                    .zip(spilled.components())
-                    .map(|(&index, n)| {
-                        let mut values = vec![0.0; places.len() * n];
-                        particles.attribute(index, chunk_first, &mut values);
-                        values
-                    })
-                    .collect();
+                let attributes =
+                    Tuples::read(particles, carried, &spilled.components, chunk_first, places.len());
                 for (i, place) in places.iter().enumerate() {
                     if let (Ok(Some(placed)), Ok(())) = (place, &outcome) {
                         let bin = ranks[table.rank(bin_of(placed.cell)) as usize] as usize;
-                        let tuple = attributes
-                            .iter()
-                            .zip(spilled.components())
-                            .flat_map(|(values, &n)| &values[i * n..(i + 1) * n]);
-                        outcome = buffers.push(run_of_bin[bin] as usize, bin, pack(placed), tuple);
+                        outcome =
+                            buffers.push(run_of_bin[bin] as usize, bin, pack(placed), attributes.tuple(i));
                     }
                 }
             });
             outcome.and_then(|()| buffers.flush())
         })?;
         Ok(spilled)
+    }
+}
+
+/// The carried attributes of a chunk of particles.
+struct Tuples<'a> {
+    values: Vec<Vec<f32>>,
+    components: &'a [usize],
+}
+
+impl<'a> Tuples<'a> {
+    fn read(
+        particles: &(impl Particles + ?Sized),
+        carried: &[usize],
+        components: &'a [usize],
+        first: usize,
+        count: usize,
+    ) -> Self {
+        let read = |(&index, n): (&usize, &usize)| {
+            let mut values = vec![0.0; count * n];
+            particles.attribute(index, first, &mut values);
+            values
+        };
+        Self { values: carried.iter().zip(components).map(read).collect(), components }
+    }
+
+    /// All components of all attributes of particle number `i` of the chunk.
+    fn tuple(&self, i: usize) -> impl Iterator<Item = f32> + '_ {
+        let all = self.values.iter().zip(self.components);
+        all.flat_map(move |(values, n)| values[i * n..(i + 1) * n].iter().copied())
     }
 }
 

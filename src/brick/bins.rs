@@ -2,6 +2,9 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+
+use bytemuck::allocation::zeroed_vec;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey, Placed};
 use crate::scratch::Scratch;
@@ -30,6 +33,39 @@ pub struct Bins {
 pub(super) enum Store {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
+}
+
+/// A place for every particle, each to be filled once, by whichever thread holds it.
+pub(super) struct Slots {
+    records: Vec<AtomicU64>,
+    attributes: Vec<Vec<AtomicU32>>,
+}
+
+impl Slots {
+    /// For so many particles with attributes of so many components each.
+    pub(super) fn new(particles: usize, components: &[usize]) -> Self {
+        let attributes = components.iter().map(|n| zeroed_vec(particles * n)).collect();
+        Self { records: zeroed_vec(particles), attributes }
+    }
+
+    /// Puts a particle into its slot, with all components of all its attributes one after the other.
+    #[inline(always)]
+    pub(super) fn put(&self, slot: usize, record: Record, mut values: impl Iterator<Item = f32>) {
+        self.records[slot].store(record, Ordering::Relaxed);
+        for attribute in &self.attributes {
+            let components = attribute.len() / self.records.len();
+            let to = &attribute[slot * components..(slot + 1) * components];
+            to.iter().zip(values.by_ref()).for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
+        }
+    }
+
+    pub(super) fn into_store(self) -> Store {
+        let plain = |bits: Vec<AtomicU32>| bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
+        Store::Memory {
+            records: self.records.into_iter().map(AtomicU64::into_inner).collect(),
+            attributes: self.attributes.into_iter().map(plain).collect(),
+        }
+    }
 }
 
 /// The particles of one bin.

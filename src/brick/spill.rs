@@ -6,14 +6,17 @@
 use std::io;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
 use crate::grid::MortonKey;
 use crate::scratch::Scratch;
 
-use super::bins::{Bins, RECORD_BITS, Record, Store};
+use super::bins::{Bins, RECORD_BITS, Record, Slots, Store};
+
+/// Particles that one thread reads at once.
+const PIECE: usize = 1 << 15;
 
 /// Particles in the order of runs, not yet sorted within them.
 #[derive(Debug)]
@@ -21,7 +24,7 @@ pub struct SpilledBins {
     keys: Vec<MortonKey>,
     /// Where each bin's particles begin, and where the last one's end.
     first: Vec<usize>,
-    components: Vec<usize>,
+    pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
     /// The next free byte of every run.
@@ -45,26 +48,15 @@ impl SpilledBins {
         Ok(spilled)
     }
 
-    /// Bytes that a particle with so many attribute components takes while its run is sorted: records alone
-    /// in place; else the tuples as read, their order, and the values in that order.
-    pub(super) fn sorting_bytes(components: usize) -> u64 {
-        let values = 4 * components as u64;
-        if components == 0 { 8 } else { (8 + values) + 16 + values }
-    }
-
     /// The runs, as ranges of bins.
     #[must_use]
     pub fn runs(&self) -> &[Range<usize>] {
         &self.runs
     }
 
-    pub(super) fn components(&self) -> &[usize] {
-        &self.components
-    }
-
     /// Bytes of a particle in the file.
     pub(super) fn tuple_bytes(&self) -> usize {
-        size_of::<Record>() + size_of::<f32>() * self.components.iter().sum::<usize>()
+        tuple_bytes(&self.components)
     }
 
     /// Buffers for one thread, `tuples` particles for each run.
@@ -73,7 +65,7 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, buffers: vec![Vec::new(); self.runs.len()] }
     }
 
-    /// Reads run number `run` and sorts it.
+    /// Reads run number `run` piece by piece, and drops each particle into its bin's place.
     ///
     /// # Errors
     /// Where the scratch file cannot be read.
@@ -81,49 +73,33 @@ impl SpilledBins {
         let bins = self.runs[run].clone();
         let begin = self.first[bins.start];
         let count = self.first[bins.end] - begin;
-        let tuple = self.tuple_bytes();
-        let at = (begin * tuple) as u64;
-        let (mut records, attributes) = if self.components.is_empty() {
-            let mut records: Vec<Record> = vec![0; count];
-            self.scratch.read_at(at, bytemuck::cast_slice_mut(&mut records))?;
-            records.par_sort_unstable();
-            (records, Vec::new())
-        } else {
-            let mut bytes = vec![0; count * tuple];
-            self.scratch.read_at(at, &mut bytes)?;
-            self.sort_tuples(&bytes)
-        };
-        records.par_iter_mut().for_each(|record| *record &= (1 << RECORD_BITS) - 1);
+        let tuple_bytes = self.tuple_bytes();
+        let slots = Slots::new(count, &self.components);
+        let next: Vec<AtomicUsize> =
+            self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
+        let pieces: Vec<usize> = (0..count).step_by(PIECE).collect();
+        pieces.into_par_iter().try_for_each(|piece| {
+            let mut bytes = vec![0; PIECE.min(count - piece) * tuple_bytes];
+            self.scratch.read_at(((begin + piece) * tuple_bytes) as u64, &mut bytes)?;
+            for tuple in bytes.chunks_exact(tuple_bytes) {
+                let (record, values) = tuple.split_at(size_of::<Record>());
+                let record = Record::from_ne_bytes(record.try_into().expect("a record's bytes"));
+                let slot = next[(record >> RECORD_BITS) as usize].fetch_add(1, Ordering::Relaxed);
+                let (values, _) = values.as_chunks::<4>();
+                slots.put(
+                    slot,
+                    record & ((1 << RECORD_BITS) - 1),
+                    values.iter().map(|x| f32::from_ne_bytes(*x)),
+                );
+            }
+            Ok::<_, io::Error>(())
+        })?;
         Ok(Bins {
             keys: self.keys[bins.clone()].to_vec(),
             first: self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect(),
             components: self.components.clone(),
-            store: Store::Memory { records, attributes },
+            store: slots.into_store(),
         })
-    }
-
-    fn sort_tuples(&self, bytes: &[u8]) -> (Vec<Record>, Vec<Vec<f32>>) {
-        let tuple = self.tuple_bytes();
-        let record =
-            |bytes: &[u8]| Record::from_ne_bytes(bytes[..8].try_into().expect("a record has 8 bytes"));
-        let mut order: Vec<(Record, u32)> =
-            bytes.par_chunks_exact(tuple).map(record).zip(0..(bytes.len() / tuple) as u32).collect();
-        order.par_sort_unstable();
-        let mut offset = size_of::<Record>();
-        let attributes = self
-            .components
-            .iter()
-            .map(|&n| {
-                let mut values = vec![0.0; n * order.len()];
-                values.par_chunks_exact_mut(n).zip(&order).for_each(|(to, &(_, from))| {
-                    let at = from as usize * tuple + offset;
-                    bytemuck::cast_slice_mut(to).copy_from_slice(&bytes[at..at + 4 * n]);
-                });
-                offset += size_of::<f32>() * n;
-                values
-            })
-            .collect();
-        (order.into_iter().map(|(record, _)| record).collect(), attributes)
     }
 
     /// A place for all runs once they are sorted, to be read bin by bin; this file is then done with.
@@ -145,6 +121,11 @@ impl SpilledBins {
         };
         Ok(SortedStore { bins, written: 0 })
     }
+}
+
+/// Bytes of a particle with attributes of so many components.
+pub(super) fn tuple_bytes(components: &[usize]) -> usize {
+    size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
 }
 
 /// Sorted bins on their way into a scratch file.
@@ -192,12 +173,12 @@ pub(super) struct RunBuffers<'a> {
 
 impl RunBuffers<'_> {
     /// Adds a particle of bin number `bin`, which lies in run number `run`.
-    pub(super) fn push<'v>(
+    pub(super) fn push(
         &mut self,
         run: usize,
         bin: usize,
         record: Record,
-        attributes: impl Iterator<Item = &'v f32>,
+        attributes: impl Iterator<Item = f32>,
     ) -> io::Result<()> {
         let in_run = (bin - self.spilled.runs[run].start) as Record;
         let buffer = &mut self.buffers[run];

@@ -173,7 +173,7 @@ impl Options {
             let plan = estimate.plan(sampling.resources.budget);
             crate::print(&format!(
                 "would reconstruct {} particles with cells of {} into {}\n\
-                 memory: at most {} of {}; all in memory would take {}\nscratch: at most {} in {}",
+                 memory: about {} of {}; all in memory would take {}\nscratch: at most about {} in {}{}",
                 census.binned,
                 sampling.grid.cell_size(),
                 self.output.display(),
@@ -182,6 +182,14 @@ impl Options {
                 ByteSize(estimate.in_core()),
                 ByteSize(estimate.scratch(plan)),
                 sampling.resources.scratch.display(),
+                if format.holds_whole_mesh() {
+                    format!(
+                        "\n{format} numbers no vertices: writing it takes up to {} more",
+                        ByteSize(3 * estimate.surface)
+                    )
+                } else {
+                    String::new()
+                },
             ))?;
             return Ok(None);
         }
