@@ -110,8 +110,8 @@ pub(super) fn write_triangles(
     let count = AtomicU64::new(0);
     write_pieces(out, mesh.pieces(), |piece, out| {
         let triangles = mesh.triangles(piece)?;
-        let greatest = triangles.as_flattened().iter().max();
-        assert!(greatest.is_none_or(|&v| v < vertices), "vertex {greatest:?} is named of {vertices}");
+        let missing = triangles.as_flattened().iter().find(|&&vertex| vertex >= vertices);
+        assert!(missing.is_none(), "vertex {missing:?} is named of {vertices}");
         count.fetch_add(triangles.len() as u64, Ordering::Relaxed);
         encode(&triangles, out);
         Ok(())

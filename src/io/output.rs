@@ -84,15 +84,16 @@ impl MeshFormat {
     fn most(self) -> [u64; 2] {
         const I32: u64 = i32::MAX as u64;
         const I64: u64 = i64::MAX as u64;
+        const U32: u64 = u32::MAX as u64;
         match self {
             // Indices are u32.
-            Self::Ply => [1 << 32, u64::MAX],
+            Self::Ply => [U32 + 1, u64::MAX],
             Self::Obj => [u64::MAX; 2],
             // Every triangle takes four of the numbers that are counted in an i32.
             Self::Vtk => [I32, I32 / 4],
             // The last triangle's end is three times their number.
             Self::Vtp => [I64, I64 / 3],
-            Self::Stl => [u64::MAX, u32::MAX as u64],
+            Self::Stl => [u64::MAX, U32],
         }
     }
 
