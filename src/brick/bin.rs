@@ -428,7 +428,7 @@ impl Placer<'_> {
             place_all(self.grid, self.domain, positions, places);
             each(first, positions, places);
             let done = first + count;
-            if done == range.end || (done - range.start) % RELEASE == 0 {
+            if done == range.end || (done - range.start).is_multiple_of(RELEASE) {
                 let begin = range.start + (done - range.start - 1) / RELEASE * RELEASE;
                 particles.release(begin..done);
             }
