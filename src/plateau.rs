@@ -15,7 +15,7 @@ use crate::stage::blur::Smoothing;
 use crate::units::{FULL, Isovalue};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
-const SAMPLED_BLOCKS: usize = 192;
+const SAMPLED_BLOCKS: usize = 64;
 
 /// What the smoothed DIF is like where the fluid is deep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub enum Plateau {
     Interior {
         /// Of the field over the interior cells.
         median: u16,
-        /// Above this isovalue the interior fills with bubbles.
+        /// The least value seen: from there on the interior fills with bubbles.
         lowest: u16,
     },
     /// The fluid is nowhere deeper than the filters reach; the greatest value stands in.
@@ -72,8 +72,11 @@ type Histogram = Vec<u64>;
 
 fn histogram<T: Sync>(parts: &[&T], samples: impl Fn(&T) -> Vec<u16> + Sync) -> Histogram {
     let empty = || vec![0; usize::from(FULL) + 1];
+    // Histograms are large: few of them, for few threads.
+    let share = parts.len().div_ceil(2 * rayon::current_num_threads()).max(1);
     parts
         .par_iter()
+        .with_min_len(share)
         .fold(empty, |mut histogram, part| {
             samples(part).into_iter().for_each(|sample| histogram[usize::from(sample)] += 1);
             histogram
@@ -115,37 +118,36 @@ fn interior_samples(
     let erosion = closing + smoothing.reach();
     let seen = cells.grown(erosion + closing, erosion + closing);
     let wide = gather(dif, seen, domain);
-    let mut full = Block::zero(seen);
-    full.samples_mut().iter_mut().zip(wide.samples()).for_each(|(to, &theta)| *to = theta > 0);
-    let covered = window(&full, closing, |a, b| a | b);
-    let interior = window(&covered, erosion, |a, b| a & b);
-    if !interior.samples().contains(&true) {
+    let full: Vec<u8> = wide.samples().iter().map(|&theta| u8::from(theta > 0)).collect();
+    let covered = window(&full, wide.strides(), closing, |a, b| a | b);
+    let interior = window(&covered, wide.strides(), erosion, |a, b| a & b);
+    let interior: Vec<bool> = wide
+        .rows(cells)
+        .flat_map(|([y, z], row)| {
+            let first = wide.index(IVec3::new(cells.lo.x, y, z));
+            interior[first..first + row.len()].iter().map(|&inside| inside != 0)
+        })
+        .collect();
+    if !interior.contains(&true) {
         return Vec::new();
     }
     let field = smooth(dif, smoothing, domain, cells);
-    let samples = field.samples().iter().zip(interior.samples());
-    samples.filter(|&(_, &interior)| interior).map(|(&sample, _)| sample).collect()
+    let samples = field.samples().iter().zip(interior);
+    samples.filter(|&(_, interior)| interior).map(|(&sample, _)| sample).collect()
 }
 
-/// Combines every cell with all others within `reach` along each axis.
-fn window(block: &Block<bool>, reach: i32, combine: impl Fn(bool, bool) -> bool) -> Block<bool> {
-    let mut out = block.clone();
-    for axis in 0..3 {
-        let mut cells = out.cells();
-        cells.lo[axis] += reach;
-        cells.hi[axis] -= reach;
-        let mut next = Block::zero(cells);
-        let step = IVec3::AXES[axis];
-        for offset in -reach..=reach {
-            let shifted = CellBox { lo: cells.lo + step * offset, hi: cells.hi + step * offset };
-            let width = cells.size().x as usize;
-            for (to, (_, from)) in next.samples_mut().chunks_exact_mut(width).zip(out.rows(shifted)) {
-                for (to, &from) in to.iter_mut().zip(from) {
-                    *to = if offset == -reach { from } else { combine(*to, from) };
-                }
-            }
+/// Combines every cell with all others within `reach` along each axis. Cells nearer than that to the end of
+/// their block are combined with what stands there in memory: whoever calls this leaves them out.
+fn window(cells: &[u8], strides: [usize; 3], reach: i32, combine: impl Fn(u8, u8) -> u8) -> Vec<u8> {
+    let mut out = cells.to_vec();
+    for stride in strides {
+        let margin = reach as usize * stride;
+        let from = out.clone();
+        let middle = margin..out.len() - margin;
+        for offset in 0..=2 * reach as usize {
+            let shifted = &from[offset * stride..][..middle.len()];
+            out[middle.clone()].iter_mut().zip(shifted).for_each(|(to, &from)| *to = combine(*to, from));
         }
-        out = next;
     }
     out
 }

@@ -160,7 +160,12 @@ impl Options {
             let (facts, dif) = open_frame(&self.input, resources.budget.0 / 4)?;
             laps.lap("open");
             notes.say(format!("{}: {} particles, packed frame", self.input.display(), facts.census.binned));
-            return Ok((!self.dry_run).then(|| Frame::from_parts(facts, dif, resources)));
+            if self.dry_run {
+                let output = self.output.display();
+                crate::print(&format!("would reconstruct {} particles into {output}", facts.census.binned))?;
+                return Ok(None);
+            }
+            return Ok(Some(Frame::from_parts(facts, dif, resources)));
         }
         let file = open_particles(&self.input)?;
         laps.lap("open");

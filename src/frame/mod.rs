@@ -1,16 +1,17 @@
 //! One frame, within its memory budget: particles to DIF, DIF to surface.
 
-use std::fs::File;
+mod sink;
+
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, PageInfo};
+use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles};
 use crate::estimate::{Estimate, OverBudget, Plan, Shares, bin_limit};
 use crate::grid::{CellBox, Domain, Grid};
-use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file, write_frame};
+use crate::io::mnf::{FrameFacts, write_frame};
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
@@ -20,11 +21,13 @@ use crate::recipe::Recipe;
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::dual_mc::{contour, normals};
-use crate::stage::indicator::{Indicator, count_table, indicate};
+use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma, UnitError};
 
-/// Bins whose pages are made at once, and blocks that are meshed at once.
+use sink::FieldSink;
+
+/// Blocks that are meshed at once.
 const BATCH: usize = 1024;
 
 /// A frame that cannot be reconstructed.
@@ -189,78 +192,13 @@ fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling,
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their own.
 fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
-    let velocity = velocity_attribute(attributes);
+    let taken = attributes.iter().any(|info| info.name == "velocity");
+    let velocity = velocity_attribute(attributes).filter(|_| !taken);
     let name = |&index: &usize| {
         let info = attributes[index].clone();
         if velocity == Some(index) { AttributeInfo { name: "velocity".into(), ..info } } else { info }
     };
     carried.iter().map(name).collect()
-}
-
-/// Where the DIF goes as it is made.
-enum FieldSink {
-    Memory(Vec<(PageInfo, Box<[u16]>)>),
-    File { file: File, writer: FrameWriter<File>, full_cells: u64 },
-}
-
-impl FieldSink {
-    fn new(plan: Plan, estimate: &Estimate, side: BrickSide, folder: &Path) -> io::Result<Self> {
-        match plan {
-            Plan::OutOfCore(shares) if estimate.field > shares.field => {
-                let file = tempfile::tempfile_in(folder)?;
-                let writer = FrameWriter::create(file.try_clone()?, side)?;
-                Ok(Self::File { file, writer, full_cells: 0 })
-            }
-            _ => Ok(Self::Memory(Vec::new())),
-        }
-    }
-
-    /// Takes the pages of all `bins`.
-    fn take(&mut self, bins: &Bins, indicator: Indicator, side: BrickSide) -> io::Result<()> {
-        let end = bins.keys().len();
-        for first in (0..end).step_by(BATCH) {
-            let pages = indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
-            match self {
-                Self::Memory(kept) => kept.extend(pages),
-                Self::File { writer, full_cells, .. } => {
-                    *full_cells += full_count(&pages);
-                    writer.push(&pages)?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Cells that hold particles.
-    fn full_cells(&self) -> u64 {
-        match self {
-            Self::Memory(pages) => full_count(pages),
-            Self::File { full_cells, .. } => *full_cells,
-        }
-    }
-
-    /// The DIF, whose indicator is known by now; of a file as much in memory as a plan allows.
-    fn finish(self, facts: &FrameFacts, side: BrickSide, plan: Plan) -> io::Result<DifField> {
-        match (self, plan) {
-            (Self::File { file, writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
-                writer.finish(facts)?;
-                let (_, dif) = frame_from_file(&file, field).map_err(io::Error::other)?;
-                Ok(dif)
-            }
-            (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
-            (Self::Memory(pages), _) => {
-                let dif = DifField::in_memory(side, pages);
-                Ok(match facts.indicator {
-                    Indicator::Counting { mean: Some(mean) } => dif.with_decode(&count_table(mean)),
-                    _ => dif,
-                })
-            }
-        }
-    }
-}
-
-fn full_count(pages: &[(PageInfo, Box<[u16]>)]) -> u64 {
-    pages.iter().map(|(info, _)| u64::from(info.full_count)).sum()
 }
 
 /// The DIF of a frame, and what else its surface needs.

@@ -1,0 +1,80 @@
+//! Where the DIF of a frame goes: into memory, or into a scratch file that is then mapped.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+use crate::brick::{Bins, BrickSide, DifField, PageInfo};
+use crate::estimate::{Estimate, Plan, Shares};
+use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
+use crate::stage::indicator::{Indicator, count_table, indicate};
+
+/// Bins whose pages are made at once.
+const BATCH: usize = 1024;
+
+/// Where the DIF goes as it is made.
+pub(super) enum FieldSink {
+    Memory(Vec<(PageInfo, Box<[u16]>)>),
+    File { file: File, writer: FrameWriter<File>, full_cells: u64 },
+}
+
+impl FieldSink {
+    /// In memory, unless a plan says otherwise.
+    pub(super) fn new(plan: Plan, estimate: &Estimate, side: BrickSide, folder: &Path) -> io::Result<Self> {
+        match plan {
+            Plan::OutOfCore(shares) if estimate.field > shares.field => {
+                let file = tempfile::tempfile_in(folder)?;
+                let writer = FrameWriter::create(file.try_clone()?, side)?;
+                Ok(Self::File { file, writer, full_cells: 0 })
+            }
+            _ => Ok(Self::Memory(Vec::new())),
+        }
+    }
+
+    /// Takes the pages of all `bins`.
+    pub(super) fn take(&mut self, bins: &Bins, indicator: Indicator, side: BrickSide) -> io::Result<()> {
+        let end = bins.keys().len();
+        for first in (0..end).step_by(BATCH) {
+            let pages = indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
+            match self {
+                Self::Memory(kept) => kept.extend(pages),
+                Self::File { writer, full_cells, .. } => {
+                    *full_cells += full_count(&pages);
+                    writer.push(&pages)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Cells that hold particles.
+    pub(super) fn full_cells(&self) -> u64 {
+        match self {
+            Self::Memory(pages) => full_count(pages),
+            Self::File { full_cells, .. } => *full_cells,
+        }
+    }
+
+    /// The DIF, whose indicator is known by now; of a file as much in memory as a plan allows.
+    pub(super) fn finish(self, facts: &FrameFacts, side: BrickSide, plan: Plan) -> io::Result<DifField> {
+        match (self, plan) {
+            (Self::File { file, writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
+                writer.finish(facts)?;
+                let (_, dif) = frame_from_file(&file, field).map_err(io::Error::other)?;
+                Ok(dif)
+            }
+            (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
+            (Self::Memory(pages), _) => {
+                let dif = DifField::in_memory(side, pages);
+                Ok(match facts.indicator {
+                    Indicator::Counting { mean: Some(mean) } => dif.with_decode(&count_table(mean)),
+                    _ => dif,
+                })
+            }
+        }
+    }
+}
+
+fn full_count(pages: &[(PageInfo, Box<[u16]>)]) -> u64 {
+    pages.iter().map(|(info, _)| u64::from(info.full_count)).sum()
+}
