@@ -75,6 +75,7 @@ impl Error {
         match self {
             Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
+            Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame { fault: FrameError::OverBudget(_), .. } => Cause::Request,
             Self::Frame { fault: FrameError::Scratch { .. }, .. } => Cause::Output,
             Self::Frame {

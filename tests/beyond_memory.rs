@@ -190,3 +190,32 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
     let refused = meniscus(folder.path(), "", "reconstruct packed.mnf -o c.ply --cell-size 1");
     assert_eq!(refused.status.code(), Some(2));
 }
+
+#[test]
+fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
+    let folder = folder_with_splash();
+    let packed = Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
+    assert!(packed.unwrap().success());
+    let arguments = "reconstruct splash.xyz.gz -o small.ply --cell-size 1 --memory 16MiB";
+    let run = meniscus(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("small.ply"));
+    assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
+    // Without room to unpack it: exit 4; cut short: exit 3.
+    let full = meniscus(folder.path(), "trap '' XFSZ; ulimit -f 1024;", &arguments.replace("small", "full"));
+    assert_eq!(full.status.code(), Some(4), "{}", String::from_utf8_lossy(&full.stderr));
+    let cut = bytes("splash.xyz.gz");
+    fs::write(folder.path().join("cut.xyz.gz"), &cut[..cut.len() - 1000]).unwrap();
+    let cut = meniscus(folder.path(), "", "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB");
+    assert_eq!(cut.status.code(), Some(3), "{}", String::from_utf8_lossy(&cut.stderr));
+    assert_eq!(names(folder.path()), ["cut.xyz.gz", "small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
+}
+
+#[test]
+fn a_frame_that_fits_its_budget_touches_no_scratch() {
+    let folder = folder_with_splash();
+    let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
+    let run = meniscus(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}

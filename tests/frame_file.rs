@@ -12,6 +12,7 @@ use glam::{DVec3, IVec3};
 use meniscus::brick::{BinPlan, BrickSide, DifField, InvalidParticles};
 use meniscus::grid::{CellBox, Domain, Grid};
 use meniscus::io::ReadFault;
+use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::{FrameFacts, FrameWriter, frame_from_file, open_frame, write_frame};
 use meniscus::particles::Particles;
@@ -316,7 +317,8 @@ fn pages_of_real_frames_compress() {
         ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
         ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
     ] {
-        let particles = open_particles(&data.join(name)).unwrap().particles;
+        let unpacking = Unpacking { in_memory: 1 << 30, scratch: &data };
+        let particles = open_particles(&data.join(name), unpacking).unwrap().particles;
         for indicator in INDICATORS {
             let grid = Grid::new(DVec3::ZERO, spacing).unwrap();
             let (facts, field) = sample(&particles, grid, None, indicator, BrickSide::Eight);

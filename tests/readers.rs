@@ -8,14 +8,20 @@ mod meter;
 use std::path::{Path, PathBuf};
 
 use meniscus::io::bytes::Bytes;
-use meniscus::io::input::open_particles;
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input;
 use meniscus::io::scene::spacing_beside;
-use meniscus::io::{ParticleFile, ReadFault, bgeo, bi4, npy, xyz};
+use meniscus::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, xyz};
 use meniscus::particles::{Particles, velocity_attribute};
 
 use build::{Bi4, gzip, tuples};
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
+
+/// With as much memory as unpacking takes.
+fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
+    input::open_particles(path, Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere") })
+}
 
 fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)

@@ -1,7 +1,7 @@
 //! The bytes of an input file: mapped where they are on disk as they are, in memory where they had to be unpacked.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
 
@@ -10,6 +10,8 @@ use memmap2::Mmap;
 
 use super::{ReadError, ReadFault};
 
+/// Bytes that are unpacked at once on their way into a scratch file.
+const CHUNK: u64 = 1 << 18;
 /// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than this.
 const GREATEST_RATIO: u64 = 128;
 
@@ -85,12 +87,29 @@ impl Deref for Bytes {
     }
 }
 
+/// What unpacking an input may take.
+#[derive(Debug, Clone, Copy)]
+pub struct Unpacking<'a> {
+    /// Bytes of memory; what unpacks to more goes to a scratch file, and is mapped.
+    pub in_memory: u64,
+    /// The folder for scratch files.
+    pub scratch: &'a Path,
+}
+
 /// Opens `path`: mapped, or unpacked into memory when it is gzipped, whatever its extension says.
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
 /// [`ReadFault::Compression`] for a damaged gzip stream, or one that unpacks beyond all reason.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
+    open_bytes_within(path, Unpacking { in_memory: u64::MAX - 1, scratch: Path::new(".") })
+}
+
+/// The same within bounds.
+///
+/// # Errors
+/// As [`open_bytes`], and [`ReadFault::Scratch`] where the scratch file cannot be written.
+pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, ReadError> {
     let fail = |fault: ReadFault| ReadError::new(path, fault);
     let mut file = File::open(path).map_err(|e| fail(e.into()))?;
     let metadata = file.metadata().map_err(|e| fail(e.into()))?;
@@ -107,18 +126,40 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     if bytes.is_empty() {
         return Err(fail(ReadFault::Empty));
     }
-    if bytes.starts_with(&[0x1f, 0x8b]) {
-        let limit = (GREATEST_RATIO * bytes.len() as u64).max(ALWAYS_UNPACKED);
-        let mut unpacked = Vec::new();
-        MultiGzDecoder::new(&*bytes)
-            .take(limit + 1)
-            .read_to_end(&mut unpacked)
-            .map_err(|e| fail(ReadFault::Compression(e.to_string())))?;
-        if unpacked.len() as u64 > limit {
-            let what = format!("it unpacks to more than {GREATEST_RATIO} times its size");
-            return Err(fail(ReadFault::Compression(what)));
-        }
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(bytes);
+    }
+    let limit = (GREATEST_RATIO * bytes.len() as u64).max(ALWAYS_UNPACKED);
+    match bytes {
+        // Read from the file, its pages never count as this process's.
+        Bytes::Mapped(_) => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking),
+        Bytes::Owned(packed) => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking),
+    }
+    .map_err(fail)
+}
+
+/// Unpacks up to `limit` bytes.
+fn unpack(mut packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    let damaged = |e: io::Error| ReadFault::Compression(e.to_string());
+    let mut unpacked = Vec::new();
+    let most = unpacking.in_memory.min(limit) + 1;
+    packed.by_ref().take(most).read_to_end(&mut unpacked).map_err(damaged)?;
+    let mut total = unpacked.len() as u64;
+    let reasonable = |total: u64| {
+        let what = || format!("it unpacks to more than {GREATEST_RATIO} times its size");
+        if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
+    };
+    reasonable(total)?;
+    if total < most {
         return Ok(Bytes::Owned(unpacked));
     }
-    Ok(bytes)
+    let mut file = tempfile::tempfile_in(unpacking.scratch).map_err(ReadFault::Scratch)?;
+    let mut chunk = unpacked;
+    while !chunk.is_empty() {
+        file.write_all(&chunk).map_err(ReadFault::Scratch)?;
+        chunk = Vec::new();
+        total += packed.by_ref().take(CHUNK).read_to_end(&mut chunk).map_err(damaged)? as u64;
+        reasonable(total)?;
+    }
+    Bytes::map(&file).map_err(ReadFault::Scratch)
 }

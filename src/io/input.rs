@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::bytes::{Bytes, open_bytes};
+use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, ply, vtk, xyz};
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
@@ -15,10 +15,10 @@ pub const KNOWN: &str =
 ///
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
-pub fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
+pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let reader = reader_for(path).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
-    reader(open_bytes(path)?).map_err(fail)
+    reader(open_bytes_within(path, unpacking)?).map_err(fail)
 }
 
 /// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format

@@ -74,6 +74,9 @@ pub enum ReadFault {
     /// No bytes at all.
     #[error("the file is empty")]
     Empty,
+    /// It is unpacked through a scratch file, which failed.
+    #[error("scratch file to unpack it: {0}")]
+    Scratch(#[source] std::io::Error),
     /// A compressed stream that does not unpack.
     #[error("damaged compressed data: {0}")]
     Compression(String),

@@ -9,10 +9,12 @@ use meniscus::brick::{BrickSide, InvalidParticles};
 use meniscus::error::Error;
 use meniscus::frame::{self, Resources, Sampling};
 use meniscus::grid::Grid;
+use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::{holds_mesh, open_particles};
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::read_mesh;
 use meniscus::io::scene::spacing_beside;
+use meniscus::memory::default_budget;
 use meniscus::mesh::measure::measure;
 use meniscus::particles::{Particles, bounds};
 use meniscus::spacing;
@@ -130,7 +132,9 @@ fn inspect(path: &Path) -> Result<Info, Error> {
                 .collect(),
         });
     }
-    let file = open_particles(path)?;
+    let scratch = std::env::temp_dir();
+    let unpacking = Unpacking { in_memory: default_budget().0 / 8, scratch: &scratch };
+    let file = open_particles(path, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
     let (spacing, spacing_source) = if let Some(spacing) = file.spacing {

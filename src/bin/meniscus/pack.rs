@@ -14,7 +14,7 @@ use meniscus::particles::Particles;
 use crate::Verdict;
 use crate::interrupt::remove_on_interrupt;
 use crate::reconstruct::{is_frame, refuse_same_file};
-use crate::run::RunOptions;
+use crate::run::{RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, report_frame};
 
 #[derive(Args)]
@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     remove_on_interrupt(output.temporary());
 
     let mut laps = Laps::default();
-    let file = open_particles(&options.input)?;
+    let file = open_particles(&options.input, unpacking(&resources))?;
     laps.lap("open");
     notes.say(format!("{}: {} particles, {}", options.input.display(), file.particles.len(), file.format));
     let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;

@@ -24,7 +24,7 @@ use serde_json::json;
 
 use crate::Verdict;
 use crate::interrupt::remove_on_interrupt;
-use crate::run::{Notes, RunOptions};
+use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest, report_frame};
 
 #[derive(Args)]
@@ -167,7 +167,7 @@ impl Options {
             }
             return Ok(Some(Frame::from_parts(facts, dif, resources)));
         }
-        let file = open_particles(&self.input)?;
+        let file = open_particles(&self.input, unpacking(&resources))?;
         laps.lap("open");
         notes.say(format!("{}: {} particles, {}", self.input.display(), file.particles.len(), file.format));
         let carried = self.carried(&file, format)?;

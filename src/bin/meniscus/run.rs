@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use meniscus::error::Error;
 use meniscus::estimate::SMALLEST_BUDGET;
 use meniscus::frame::Resources;
+use meniscus::io::bytes::Unpacking;
 use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
 
@@ -69,6 +70,11 @@ impl RunOptions {
     pub fn notes(&self) -> Notes {
         Notes { quiet: self.quiet, verbose: self.verbose }
     }
+}
+
+/// An input that has to be unpacked may take an eighth of the budget.
+pub fn unpacking(resources: &Resources) -> Unpacking<'_> {
+    Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch }
 }
 
 /// The notes that a run makes for people, on standard error.
