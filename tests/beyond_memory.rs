@@ -219,3 +219,15 @@ fn a_frame_that_fits_its_budget_touches_no_scratch() {
     let run = meniscus(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
+
+#[test]
+fn a_text_that_exceeds_the_budget_is_refused_with_what_to_do() {
+    let folder = TempDir::new().unwrap();
+    let lines: Vec<String> = splash(800_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}")).collect();
+    fs::write(folder.path().join("splash.csv"), lines.join("\n")).unwrap();
+    let run = meniscus(folder.path(), "", "reconstruct splash.csv -o out.ply --cell-size 1 --memory 16MiB");
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("splash.csv") && errors.contains("--memory"), "{errors}");
+    assert_eq!(names(folder.path()), ["splash.csv"]);
+}
