@@ -5,7 +5,6 @@ use bytesize::ByteSize;
 use thiserror::Error;
 
 use crate::brick::BrickSide;
-use crate::grid::BIN;
 use crate::units::MemoryBudget;
 
 /// Bytes that the program takes before there is any data, and that each thread works in.
@@ -94,8 +93,8 @@ impl Estimate {
         carried_components: usize,
         input_bytes: u64,
     ) -> Self {
-        let brick_bytes = 2 * side.cells().pow(3) as u64;
-        let bricks_a_bin = (BIN / side.cells()).pow(3) as u64;
+        let brick_bytes = (size_of::<u16>() * side.samples()) as u64;
+        let bricks_a_bin = side.bricks_a_bin() as u64;
         let components = 4 * carried_components as u64;
         let mut estimate = Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + input_bytes,

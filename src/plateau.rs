@@ -41,18 +41,18 @@ impl Plateau {
         let blocks = dif.regions(0, 0);
         let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
         let sampled: Vec<_> = blocks.iter().step_by(step).collect();
-        let interior = histogram(&sampled, |&(_, cells)| interior_samples(dif, smoothing, domain, cells));
+        let interior = histogram(&sampled, |&cells| interior_samples(dif, smoothing, domain, cells));
         if let Some(median) = quantile(&interior, 0.5) {
             return Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) };
         }
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
         let all: Vec<_> = blocks.iter().collect();
-        let interior = histogram(&all, |&(_, cells)| interior_samples(dif, smoothing, domain, cells));
+        let interior = histogram(&all, |&cells| interior_samples(dif, smoothing, domain, cells));
         match quantile(&interior, 0.5) {
             Some(median) => Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) },
             None => {
                 let field =
-                    histogram(&all, |&(_, cells)| smooth(dif, smoothing, domain, cells).samples().to_vec());
+                    histogram(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
                 Self::Shallow { greatest: quantile(&field, 1.0).unwrap_or(0) }
             }
         }

@@ -104,10 +104,6 @@ impl Stitched {
 
     /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
     fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
-        let edges = block.tiles.iter().flat_map(|tile| {
-            let corner = tile.corner(block.block);
-            tile.edges().map(move |(cell, axis)| (corner + cell, axis))
-        });
         let place = |((cell, axis), &ends): ((IVec3, usize), &[u16; 2])| {
             let mut cells = cell.as_dvec3() + 0.5;
             cells[axis] += vertex_fraction(ends, self.iso);
@@ -123,7 +119,7 @@ impl Stitched {
             }
             world.to_array()
         };
-        edges.zip(&block.ends).map(place).collect()
+        block.edges().zip(&block.ends).map(place).collect()
     }
 
     /// Calls `put` with the rank and the vertices of each triangle of block number `i`: they refer to the

@@ -137,9 +137,9 @@ impl DifField {
     }
 
     /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell along
-    /// every axis: block coordinates in Morton order, and the box of cells within each block.
+    /// every axis, as boxes of cells, in the Morton order of their blocks.
     #[must_use]
-    pub fn regions(&self, below: i32, above: i32) -> Vec<(IVec3, CellBox)> {
+    pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {
         let mut regions: HashMap<IVec3, CellBox> = HashMap::new();
         for info in &self.infos {
             let reached = info.full.grown(below, above);
@@ -151,7 +151,7 @@ impl DifField {
         }
         let mut regions: Vec<_> = regions.into_iter().collect();
         regions.sort_unstable_by_key(|&(block, _)| MortonKey::of(block));
-        regions
+        regions.into_iter().map(|(_, cells)| cells).collect()
     }
 
     /// The bins that have bricks, in Morton order.

@@ -8,7 +8,9 @@ use std::path::PathBuf;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::brick::{BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles};
+use crate::brick::{
+    BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, SortedStore,
+};
 use crate::estimate::{Estimate, OverBudget, Plan, Shares, bin_limit};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
@@ -248,14 +250,13 @@ impl Frame {
                 let bins = bin_plan.fill(particles, carried);
                 laps.lap("bin");
                 sink.take(&bins, *indicator, *side).map_err(&in_scratch)?;
-                bins
+                (!carried.is_empty()).then_some(bins)
             }
             Plan::OutOfCore(shares) => {
                 spill(bin_plan, particles, sampling, shares, &mut sink, laps).map_err(&in_scratch)?
             }
         };
-        let infos = carried_infos(particles.attributes(), carried);
-        let carried = (!infos.is_empty()).then_some((bins, infos));
+        let carried = bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
         let indicator = match *indicator {
             Indicator::Counting { mean: None } => {
@@ -372,7 +373,7 @@ impl Frame {
         let within = self.facts.domain.map(|domain| domain.cells().grown(1, 0));
         regions
             .into_iter()
-            .map(|(_, cells)| within.map_or(cells, |within| cells.intersection(&within)))
+            .map(|cells| within.map_or(cells, |within| cells.intersection(&within)))
             .filter(|cells| !cells.is_empty())
             .collect()
     }
@@ -415,8 +416,8 @@ impl Frame {
     }
 }
 
-/// Bins the particles through a scratch file, run by run into `sink`. The bins that are returned are in a
-/// scratch file of their own where attributes are carried, and empty where not.
+/// Bins the particles through a scratch file, run by run into `sink`. Where attributes are carried the bins are
+/// returned, in a scratch file of their own.
 fn spill(
     plan: BinPlan,
     particles: &(impl Particles + ?Sized),
@@ -424,20 +425,23 @@ fn spill(
     shares: Shares,
     sink: &mut FieldSink,
     laps: &mut Laps,
-) -> io::Result<Bins> {
+) -> io::Result<Option<Bins>> {
     let Sampling { indicator, side, carried, resources, .. } = sampling;
     let runs = plan.runs(particles, carried, shares.particles);
     // The field is not there yet, so its share is free for buffers.
     let buffer_bytes = shares.field as usize;
     let spilled = plan.spill(particles, carried, runs, &resources.scratch, buffer_bytes)?;
     laps.lap("bin");
-    let mut sorted = spilled.sorted_store(&resources.scratch)?;
+    let mut sorted = match carried[..] {
+        [] => None,
+        _ => Some(spilled.sorted_store(&resources.scratch)?),
+    };
     for run in 0..spilled.runs().len() {
         let bins = spilled.load(run)?;
         sink.take(&bins, *indicator, *side)?;
-        if !carried.is_empty() {
+        if let Some(sorted) = &mut sorted {
             sorted.push(&bins)?;
         }
     }
-    Ok(sorted.finish())
+    Ok(sorted.map(SortedStore::finish))
 }

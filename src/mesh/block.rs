@@ -76,6 +76,16 @@ impl Tile {
     }
 }
 
+impl BlockMesh {
+    /// The edges that carry vertices, in the order of the vertices: lower cell in the world, axis.
+    pub fn edges(&self) -> impl Iterator<Item = (IVec3, usize)> + '_ {
+        self.tiles.iter().flat_map(|tile| {
+            let corner = tile.corner(self.block);
+            tile.edges().map(move |(cell, axis)| (corner + cell, axis))
+        })
+    }
+}
+
 /// The surface of one block.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BlockMesh {

@@ -103,7 +103,7 @@ fn main() {
     let blocks = frame.dif().regions(0, 0);
     let halo = recipe.halo();
     let (seconds, samples) = best_seconds(3, || {
-        let gathered = blocks.par_iter().map(|(_, cells)| frame.dif().gather(cells.grown(halo, halo)));
+        let gathered = blocks.par_iter().map(|cells| frame.dif().gather(cells.grown(halo, halo)));
         gathered.map(|block| block.samples().len()).sum::<usize>()
     });
     row("gather, halo 2, blocks of 32^3", samples as f64, "M cells/s", seconds);
@@ -111,7 +111,7 @@ fn main() {
         .dif()
         .regions(recipe.reach() + 1, recipe.reach())
         .into_par_iter()
-        .map(|(_, cells)| (cells, frame.field(&recipe, cells.tiled().grown(0, 1))))
+        .map(|cells| (cells, frame.field(&recipe, cells.tiled().grown(0, 1))))
         .collect();
     let (seconds, mesh) = best_seconds(3, || {
         let surfaces: Vec<_> =

@@ -209,8 +209,11 @@ pub fn report_frame(frame: &Frame, notes: &Notes) {
     }
     // Particles at random have a mean indicator of 0.44 in cells that hold one, and more in larger ones. Much
     // less means a lattice whose particles lie on corners, where symmetry sees next to nothing.
+    if frame.facts().indicator != Indicator::Symmetry {
+        return;
+    }
     let mean = frame.dif().mean_of_full();
-    if frame.facts().indicator == Indicator::Symmetry && mean < 0.2 {
+    if mean < 0.2 {
         let grid = frame.facts().grid;
         let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
         notes.say(format!(

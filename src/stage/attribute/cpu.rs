@@ -45,14 +45,7 @@ pub fn vertex_values(
     iso: Isovalue,
     walls: Option<CellBox>,
 ) -> io::Result<Vec<f32>> {
-    let edges: Vec<_> = mesh
-        .tiles
-        .iter()
-        .flat_map(|tile| {
-            let corner = tile.corner(mesh.block);
-            tile.edges().map(move |(cell, axis)| [corner + cell, corner + cell + IVec3::AXES[axis]])
-        })
-        .collect();
+    let edges: Vec<_> = mesh.edges().map(|(cell, axis)| [cell, cell + IVec3::AXES[axis]]).collect();
     let used = edges
         .iter()
         .flatten()

@@ -74,11 +74,7 @@ pub fn normals(field: &Block, mesh: &BlockMesh, iso: Isovalue, walls: Option<Cel
     let falling = |index: usize| {
         DVec3::from(strides.map(|s| f64::from(samples[index - s]) - f64::from(samples[index + s])))
     };
-    let edges = mesh.tiles.iter().flat_map(|tile| {
-        let corner = tile.corner(mesh.block);
-        tile.edges().map(move |(cell, axis)| (corner + cell, axis))
-    });
-    edges
+    mesh.edges()
         .zip(&mesh.ends)
         .map(|((cell, axis), &ends)| {
             let along = DVec3::AXES[axis];
