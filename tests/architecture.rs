@@ -5,13 +5,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 21] = [
+const ROOMS: [&str; 23] = [
     "units",
     "particles",
     "grid",
     "memory",
     "scratch",
     "laps",
+    "vulkan",
     "brick",
     "spacing",
     "mesh",
@@ -20,6 +21,7 @@ const ROOMS: [&str; 21] = [
     "stage/detail",
     "stage/dual_mc",
     "stage/attribute",
+    "programs",
     "recipe",
     "plateau",
     "stitch",

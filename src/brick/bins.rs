@@ -10,9 +10,9 @@ use crate::grid::{BIN, FRACTION_BITS, MortonKey, Placed};
 use crate::scratch::Scratch;
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
-const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
+pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
 /// Bits of a packed particle; the rest of its 64 are free.
-pub(super) const RECORD_BITS: u32 = 3 * AXIS_BITS;
+pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
 /// A packed particle: where it is in its bin.
 pub(super) type Record = u64;

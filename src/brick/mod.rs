@@ -8,9 +8,10 @@ mod page;
 mod spill;
 mod store;
 mod sums;
+pub mod vulkan;
 
 pub use bin::{BinError, BinPlan, Census, InvalidParticles};
-pub use bins::{BinContents, Bins};
+pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS};
 pub use block::Block;
 pub use field::DifField;
 pub use page::{BrickSide, PageInfo};

@@ -7,6 +7,7 @@
 
 mod cpu;
 mod smoothing;
+pub mod vulkan;
 
 pub use cpu::{Sample, blur};
 pub use smoothing::Smoothing;

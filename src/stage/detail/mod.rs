@@ -6,5 +6,6 @@
 //! Reaches as far as that second kernel.
 
 mod cpu;
+pub mod vulkan;
 
 pub use cpu::recover;

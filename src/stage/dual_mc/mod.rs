@@ -11,5 +11,6 @@
 
 mod cpu;
 pub mod table;
+pub mod vulkan;
 
 pub use cpu::{contour, normals, vertex_fraction};

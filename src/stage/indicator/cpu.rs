@@ -12,9 +12,9 @@ use crate::units::{FULL, MeanCount};
 use super::Indicator;
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
-const DISTANCE_SCALE: u64 = 4;
+pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
-const THETA_PER_DISTANCE: u32 = 37837;
+pub const THETA_PER_DISTANCE: u32 = 37837;
 
 /// Eq. 7 for `n` particles whose offsets sum to `s`; 0 for none.
 ///

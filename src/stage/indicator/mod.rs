@@ -10,8 +10,9 @@
 //! never 0: the farthest centroid is half a step away from a corner.
 
 mod cpu;
+pub mod vulkan;
 
-pub use cpu::{count_table, indicate, symmetry};
+pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
 use crate::units::MeanCount;
 

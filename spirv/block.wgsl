@@ -1,0 +1,31 @@
+// Padded blocks of 16-bit samples, two to a word, x fastest. Rows begin at even cells and hold whole words.
+
+struct Block {
+    // The lowest cell, and its first word in the field.
+    lo: vec3<i32>,
+    field: u32,
+    // In cells, and the first entry of its page table.
+    size: vec3<u32>,
+    table: u32,
+    // The lowest cell of the tiles that are meshed.
+    tiles_lo: vec3<i32>,
+    spare: u32,
+    // In cells.
+    tiles_size: vec3<u32>,
+    spare_too: u32,
+}
+
+// The word of a cell given relative to the block's lowest.
+fn word_of(block: Block, at: vec3<u32>) -> u32 {
+    return block.field + at.x / 2u + block.size.x / 2u * (at.y + block.size.y * at.z);
+}
+
+// The pair of cells of word number `word` of the block; beyond its end, z is too large.
+fn cell_of(block: Block, word: u32) -> vec3<u32> {
+    let row = word / (block.size.x / 2u);
+    return vec3(2u * (word % (block.size.x / 2u)), row % block.size.y, row / block.size.y);
+}
+
+fn half_of(word: u32, x: u32) -> u32 {
+    return (word >> (16u * (x & 1u))) & 0xffffu;
+}

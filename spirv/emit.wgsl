@@ -1,0 +1,103 @@
+//! with block tile
+// Writes the tiles of a batch and what the field is at both ends of every crossed dual edge: a tile a work group, a
+// cell a thread.
+
+struct Tally {
+    tiles: u32,
+    vertices: u32,
+    triangles: u32,
+    spare: u32,
+}
+
+struct Slot {
+    index: u32,
+    vertex: u32,
+    triangle: u32,
+    spare: u32,
+}
+
+struct Push {
+    // The lowest cell within the walls, and the highest.
+    walls_lo: vec3<i32>,
+    // Vertices that there is room for.
+    room: u32,
+    walls_hi: vec3<i32>,
+    // Whether to write the field's falling differences too.
+    normals: u32,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> blocks: array<Block>;
+@group(0) @binding(1) var<storage, read> field: array<u32>;
+@group(0) @binding(2) var<storage, read> signs: array<vec2<u32>>;
+@group(0) @binding(3) var<storage, read> slots: array<Slot>;
+// Where each block begins in the batch.
+@group(0) @binding(4) var<storage, read> tallies: array<Tally>;
+// TILE_WORDS each: Morton index, first vertex in the block, eight corners.
+@group(0) @binding(5) var<storage, read_write> tiles: array<u32>;
+// Per vertex the sample at the lower end of its edge, and at the upper.
+@group(0) @binding(6) var<storage, read_write> ends: array<u32>;
+// Per vertex, at the lower end and then at the upper, the differences along x, y and z.
+@group(0) @binding(7) var<storage, read_write> falls: array<i32>;
+
+// Beyond a wall the field repeats the edge cell.
+fn sample(block: Block, cell: vec3<i32>) -> u32 {
+    let at = vec3<u32>(clamp(cell, push.walls_lo, push.walls_hi) - block.lo);
+    return half_of(field[word_of(block, at)], at.x);
+}
+
+fn falling(block: Block, cell: vec3<i32>, axis: u32) -> i32 {
+    var up = vec3(0);
+    up[axis] = 1;
+    return i32(sample(block, cell - up)) - i32(sample(block, cell + up));
+}
+
+@compute @workgroup_size(64)
+fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    let number = group.y;
+    let base = tallies[number];
+    let next = tallies[number + 1u];
+    // What does not fit is counted, and not written.
+    if group.x >= next.tiles - base.tiles || next.vertices > push.room {
+        return;
+    }
+    let block = blocks[number];
+    let slot = slots[number * BLOCK_TILES + group.x];
+    let tile = tile_from_morton(slot.index) - vec3<u32>((block.tiles_lo & vec3(BLOCK - 1)) / i32(TILE));
+    let tiles_size = block.tiles_size / TILE;
+    let row = tiles_size.x + 1u;
+    let slab = row * (tiles_size.y + 1u);
+    let first = number * SIGN_TILES + tile.x + row * tile.y + slab * tile.z;
+    let corners = corners_of(array(
+        signs[first], signs[first + 1u], signs[first + row], signs[first + row + 1u],
+        signs[first + slab], signs[first + slab + 1u], signs[first + slab + row], signs[first + slab + row + 1u],
+    ));
+    let bit = local.x;
+    let to = (base.tiles + group.x) * TILE_WORDS;
+    if bit == 0u {
+        tiles[to] = slot.index;
+        tiles[to + 1u] = slot.vertex;
+    }
+    if bit < 8u {
+        tiles[to + 2u + 2u * bit] = corners.at[bit].x;
+        tiles[to + 3u + 2u * bit] = corners.at[bit].y;
+    }
+    let cell = block.tiles_lo + vec3<i32>(tile * TILE + vec3(bit % TILE, bit / TILE % TILE, bit / (TILE * TILE)));
+    var vertex = base.vertices + slot.vertex;
+    for (var axis = 0u; axis < 3u; axis++) {
+        let crossed = crossed_of(corners, axis);
+        if bit_of(crossed, bit) == 1u {
+            let at = vertex + ones_below(crossed, bit);
+            var upper = cell;
+            upper[axis] += 1;
+            ends[at] = sample(block, cell) | (sample(block, upper) << 16u);
+            if push.normals != 0u {
+                for (var along = 0u; along < 3u; along++) {
+                    falls[6u * at + along] = falling(block, cell, along);
+                    falls[6u * at + 3u + along] = falling(block, upper, along);
+                }
+            }
+        }
+        vertex += ones(crossed);
+    }
+}

@@ -1,0 +1,158 @@
+// Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
+// shared memory, then theta, or for counting the number of particles.
+
+struct Push {
+    // 0 for symmetry.
+    counting: u32,
+}
+
+struct Bin {
+    // Of its first particle, and how many there are.
+    first: u32,
+    count: u32,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> bins: array<Bin>;
+// A packed particle: per axis, from x on, the offset in the cell and then the cell in the bin.
+@group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pages: array<u32>;
+
+// Per cell: N, then the sums of offsets along x, y and z, low words and high words.
+const SUMS: u32 = 7u;
+var<workgroup> sums: array<atomic<u32>, OCTANT_CELLS * SUMS>;
+
+fn add(at: u32, high: u32, value: u32) {
+    let before = atomicAdd(&sums[at], value);
+    if before + value < before {
+        atomicAdd(&sums[high], 1u);
+    }
+}
+
+// 64-bit arithmetic on (low, high).
+fn minus(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
+    return vec2(a.x - b.x, a.y - b.y - u32(a.x < b.x));
+}
+
+fn less(a: vec2<u32>, b: vec2<u32>) -> bool {
+    return a.y < b.y || (a.y == b.y && a.x < b.x);
+}
+
+// b <= 31.
+fn shifted(a: u32, b: u32) -> vec2<u32> {
+    return vec2(a << b, select(a >> (32u - b), 0u, b == 0u));
+}
+
+// |2 S + n - n F|.
+fn deviation(n: u32, s: vec2<u32>) -> vec2<u32> {
+    var sum = vec2(s.x << 1u, (s.y << 1u) | (s.x >> 31u));
+    sum.x += n;
+    sum.y += u32(sum.x < n);
+    let middle = shifted(n, FRACTION_BITS);
+    if less(sum, middle) {
+        return minus(middle, sum);
+    }
+    return minus(sum, middle);
+}
+
+// floor(a / n) < 2^bits, and the remainder.
+fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
+    if a.y == 0u {
+        return vec2(a.x / n, a.x % n);
+    }
+    var quotient = 0u;
+    var rest = a;
+    for (var bit = bits; bit > 0u; bit--) {
+        let part = shifted(n, bit - 1u);
+        if !less(rest, part) {
+            rest = minus(rest, part);
+            quotient |= 1u << (bit - 1u);
+        }
+    }
+    return vec2(quotient, rest.x);
+}
+
+// |D| / n, D in 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
+fn rounded(n: u32, s: vec2<u32>) -> u32 {
+    let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
+    // What is left is less than n; its share is (2 DISTANCE_SCALE rest + n) / (2 n).
+    var twice = shifted(whole.y, DISTANCE_SCALE_BITS + 1u);
+    twice.x += n;
+    twice.y += u32(twice.x < n);
+    var share = 0u;
+    let half_steps = divided(twice, n, DISTANCE_SCALE_BITS + 2u).x;
+    share = half_steps / 2u;
+    return (whole.x << DISTANCE_SCALE_BITS) + share;
+}
+
+// The integer nearest to the square root, whatever the device's own root is off by.
+fn nearest_root(square: u32) -> u32 {
+    var root = min(u32(sqrt(f32(square))), 65535u);
+    while root * root > square {
+        root--;
+    }
+    while root < 65535u && (root + 1u) * (root + 1u) <= square {
+        root++;
+    }
+    return root + u32(square - root * root > root);
+}
+
+fn symmetry(n: u32, s: array<vec2<u32>, 3>) -> u32 {
+    if n == 0u {
+        return 0u;
+    }
+    let x = rounded(n, s[0]);
+    let y = rounded(n, s[1]);
+    let z = rounded(n, s[2]);
+    let distance = nearest_root(x * x + y * y + z * z);
+    return FULL - ((distance * THETA_PER_DISTANCE + (1u << 14u)) >> 15u);
+}
+
+fn value(cell: u32) -> u32 {
+    let at = cell * SUMS;
+    let n = atomicLoad(&sums[at]);
+    if push.counting != 0u {
+        return min(n, FULL);
+    }
+    let low = vec3(atomicLoad(&sums[at + 1u]), atomicLoad(&sums[at + 2u]), atomicLoad(&sums[at + 3u]));
+    let high = vec3(atomicLoad(&sums[at + 4u]), atomicLoad(&sums[at + 5u]), atomicLoad(&sums[at + 6u]));
+    return symmetry(n, array(vec2(low.x, high.x), vec2(low.y, high.y), vec2(low.z, high.z)));
+}
+
+@compute @workgroup_size(256)
+fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    for (var i = local.x; i < OCTANT_CELLS * SUMS; i += 256u) {
+        atomicStore(&sums[i], 0u);
+    }
+    workgroupBarrier();
+    let octant = vec3(group.x & 1u, (group.x >> 1u) & 1u, group.x >> 2u);
+    let bin = bins[group.y];
+    for (var i = local.x; i < bin.count; i += 256u) {
+        let record = records[bin.first + i];
+        // Bits of y lie in both words.
+        let bits = vec3(
+            record.x,
+            (record.x >> AXIS_BITS) | (record.y << (32u - AXIS_BITS)),
+            record.y >> (2u * AXIS_BITS - 32u),
+        ) & vec3((1u << AXIS_BITS) - 1u);
+        let cell = bits >> vec3(FRACTION_BITS);
+        if all(cell / OCTANT == octant) {
+            let inside = cell % OCTANT;
+            let at = (inside.x + OCTANT * (inside.y + OCTANT * inside.z)) * SUMS;
+            let offset = bits & vec3((1u << FRACTION_BITS) - 1u);
+            atomicAdd(&sums[at], 1u);
+            add(at + 1u, at + 4u, offset.x);
+            add(at + 2u, at + 5u, offset.y);
+            add(at + 3u, at + 6u, offset.z);
+        }
+    }
+    workgroupBarrier();
+    // Two cells a thread: a word of the page.
+    for (var pair = local.x; pair < OCTANT_CELLS / 2u; pair += 256u) {
+        let cell = 2u * pair;
+        let inside = vec3(cell % OCTANT, cell / OCTANT % OCTANT, cell / (OCTANT * OCTANT));
+        let at = octant * OCTANT + inside;
+        let word = (at.x + u32(BIN) * (at.y + u32(BIN) * at.z)) / 2u;
+        pages[group.y * PAGE_WORDS + word] = value(cell) | (value(cell + 1u) << 16u);
+    }
+}

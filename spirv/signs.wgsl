@@ -1,0 +1,47 @@
+//! with block
+// A sign word for every tile to be meshed and for those beyond their upper faces: bit x + 4 y + 16 z is set where that
+// cell is inside the fluid. Of the tiles beyond, only the first layer of cells is known.
+
+struct Push {
+    // The lowest cell within the walls, and the highest; beyond are ghost points, all outside.
+    walls_lo: vec3<i32>,
+    // The greatest sample that is outside.
+    threshold: u32,
+    walls_hi: vec3<i32>,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> blocks: array<Block>;
+@group(0) @binding(1) var<storage, read> field: array<u32>;
+@group(0) @binding(2) var<storage, read_write> masks: array<vec2<u32>>;
+
+@compute @workgroup_size(64)
+fn signs(@builtin(global_invocation_id) id: vec3<u32>) {
+    let block = blocks[id.y];
+    let tiles = block.tiles_size / TILE + 1u;
+    let tile = vec3(id.x % tiles.x, id.x / tiles.x % tiles.y, id.x / (tiles.x * tiles.y));
+    if tile.z >= tiles.z {
+        return;
+    }
+    let corner = block.tiles_lo + vec3<i32>(tile * TILE);
+    let highest = min(block.tiles_lo + vec3<i32>(block.tiles_size), push.walls_hi);
+    var mask = vec2(0u);
+    for (var row = 0u; row < TILE * TILE; row++) {
+        let first = corner + vec3<i32>(vec3(0u, row % TILE, row / TILE));
+        if any(first.yz < push.walls_lo.yz) || any(first.yz > highest.yz) {
+            continue;
+        }
+        for (var x = 0u; x < TILE; x++) {
+            let cell = first + vec3(i32(x), 0, 0);
+            if cell.x < push.walls_lo.x || cell.x > highest.x {
+                continue;
+            }
+            let at = vec3<u32>(cell - block.lo);
+            if half_of(field[word_of(block, at)], at.x) > push.threshold {
+                let bit = x + TILE * row;
+                mask[bit / 32u] |= 1u << (bit % 32u);
+            }
+        }
+    }
+    masks[id.y * SIGN_TILES + id.x] = mask;
+}

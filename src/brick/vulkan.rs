@@ -1,0 +1,154 @@
+//! Padded blocks on a device: a batch of them in one field of 16-bit samples, two to a word.
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use glam::IVec3;
+
+use crate::grid::{BIN, CellBox};
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+/// Words of a page on the device: all cells of a bin, x fastest, two samples to a word.
+pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
+/// Threads of a work group.
+const GROUP: u32 = 256;
+
+/// A padded block, as `block.wgsl` has it.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct DeviceBlock {
+    /// The lowest cell; x is even.
+    pub lo: [i32; 3],
+    /// Its first word in the field.
+    pub field: u32,
+    /// In cells; x is even.
+    pub size: [u32; 3],
+    /// Its first entry in the table of pages.
+    pub table: u32,
+    /// The lowest cell of the tiles to be meshed.
+    pub tiles_lo: [i32; 3],
+    spare: u32,
+    /// In cells.
+    pub tiles_size: [u32; 3],
+    spare_too: u32,
+}
+
+impl DeviceBlock {
+    /// For the samples of `cells`, of which the tiles of `region` are to be meshed. Rows become whole words.
+    #[must_use]
+    pub fn new(cells: CellBox, region: CellBox) -> Self {
+        let CellBox { mut lo, mut hi } = cells;
+        lo.x &= !1;
+        hi.x = (hi.x + 1) & !1;
+        Self {
+            lo: lo.to_array(),
+            field: 0,
+            size: (hi - lo).as_uvec3().to_array(),
+            table: 0,
+            tiles_lo: region.lo.to_array(),
+            spare: 0,
+            tiles_size: region.size().as_uvec3().to_array(),
+            spare_too: 0,
+        }
+    }
+
+    /// Its cells.
+    #[must_use]
+    pub fn cells(&self) -> CellBox {
+        let lo = IVec3::from(self.lo);
+        CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
+    }
+
+    /// The bins that it touches, in the order of its table.
+    pub fn bins(&self) -> impl Iterator<Item = IVec3> + use<> {
+        self.cells().cubes(BIN)
+    }
+
+    /// Words of its samples.
+    #[must_use]
+    pub fn words(&self) -> u32 {
+        self.size.iter().product::<u32>() / 2
+    }
+}
+
+/// The blocks of a batch.
+#[derive(Debug, Clone)]
+pub struct DeviceBlocks {
+    /// A [`DeviceBlock`] each.
+    pub blocks: View,
+    /// How many there are.
+    pub count: u32,
+    /// Words of the largest.
+    pub largest: u32,
+    /// Words of all together.
+    pub words: u32,
+}
+
+impl DeviceBlocks {
+    /// Work groups for a thread a word of every block.
+    #[must_use]
+    pub fn groups(&self) -> [u32; 3] {
+        [self.largest.div_ceil(GROUP), self.count, 1]
+    }
+
+    /// Work groups for a thread a word of the field, in rows that every device allows.
+    #[must_use]
+    pub fn flat_groups(&self) -> [u32; 3] {
+        let groups = self.words.div_ceil(GROUP);
+        let width = groups.clamp(1, 1 << 15);
+        [width, groups.div_ceil(width), 1]
+    }
+}
+
+push_block! {
+    /// Of [`GATHER`].
+    struct GatherPush {
+        decode: u32,
+    }
+}
+
+/// Cuts blocks out of pages: the twin of [`DifField::gather`](super::DifField::gather).
+pub const GATHER: Program = Program {
+    name: "gather",
+    code: include_bytes!("../../spirv/gather.spv"),
+    buffers: &["blocks", "tables", "pages", "theta", "field"],
+    push: GatherPush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// Where blocks are cut out of.
+#[derive(Debug, Clone)]
+pub struct DevicePages {
+    /// For every bin of every block one more than its page's number, or 0.
+    pub tables: View,
+    /// [`PAGE_WORDS`] each.
+    pub pages: View,
+    /// theta by number of particles, and 1 for all beyond, where pages hold numbers.
+    pub theta: View,
+    /// How many entries that has; 0 where pages hold theta.
+    pub decode: u32,
+}
+
+/// Fills `field` with the samples of all blocks.
+///
+/// # Errors
+/// Those of the device.
+pub fn gather(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    pages: &DevicePages,
+    field: &View,
+) -> Result<(), VulkanError> {
+    let push = GatherPush { decode: pages.decode };
+    let DevicePages { tables, pages, theta, .. } = pages;
+    let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
+    batch.dispatch(kernel, &buffers, &push, blocks.groups())
+}
+
+/// The cells within walls as kernels take them: the lowest and the highest; without walls, farther than any cell.
+#[must_use]
+pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
+    const NOWHERE: i32 = 1 << 24;
+    walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| [walls.lo.to_array(), (walls.hi - 1).to_array()])
+}

@@ -1,0 +1,39 @@
+//! Every program that runs on a device, and the constants that their sources share with Rust.
+
+use crate::brick::vulkan::{GATHER, PAGE_WORDS};
+use crate::brick::{AXIS_BITS, RECORD_BITS};
+use crate::grid::{BIN, BLOCK, FRACTION_BITS, TILE};
+use crate::stage::blur::vulkan::BLUR;
+use crate::stage::detail::vulkan::{GREATER, LOST};
+use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
+use crate::stage::indicator::vulkan::{INDICATE, OCTANT};
+use crate::stage::indicator::{DISTANCE_SCALE, THETA_PER_DISTANCE};
+use crate::units::FULL;
+use crate::vulkan::Program;
+
+/// All of them, in the order in which a frame needs them.
+pub const PROGRAMS: [&Program; 9] =
+    [&INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES, &EMIT];
+
+/// Constants of the sources: name, type and value.
+#[must_use]
+pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
+    const { assert!(RECORD_BITS <= 64 && 2 * AXIS_BITS > 32, "y lies in both words of a packed particle") };
+    vec![
+        ("FULL", "u32", FULL.into()),
+        ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
+        ("AXIS_BITS", "u32", AXIS_BITS.into()),
+        ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),
+        ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
+        ("TILE", "u32", TILE.into()),
+        ("BIN", "i32", BIN.into()),
+        ("BIN_BITS", "u32", BIN.ilog2().into()),
+        ("BLOCK", "i32", BLOCK.into()),
+        ("OCTANT", "u32", OCTANT.into()),
+        ("OCTANT_CELLS", "u32", OCTANT.pow(3).into()),
+        ("PAGE_WORDS", "u32", PAGE_WORDS.into()),
+        ("SIGN_TILES", "u32", SIGN_TILES.into()),
+        ("BLOCK_TILES", "u32", BLOCK_TILES.into()),
+        ("TILE_WORDS", "u32", TILE_WORDS.into()),
+    ]
+}

@@ -1,0 +1,376 @@
+//! Batches: commands that run in order, on one queue, while the host goes on.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
+
+use ash::vk;
+use bytemuck::Pod;
+
+use super::device::{QueueState, Shared};
+use super::{Buffer, Device, Kernel, Queue, View, VulkanError};
+
+/// Dispatches that a batch holds at the most.
+const DISPATCHES: u32 = 128;
+/// Stages that a batch times at the most.
+const STAGES: u32 = 32;
+
+/// A moment in the work of a queue: the end of a batch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ticket {
+    queue: Queue,
+    value: u64,
+}
+
+/// Commands to be recorded, submitted and waited for, again and again.
+///
+/// Every command sees the results of those before it. What the commands use is held until they are done.
+pub struct Batch {
+    device: Arc<Shared>,
+    queue: Queue,
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    sets: vk::DescriptorPool,
+    /// Null where the queue has no timestamps.
+    queries: vk::QueryPool,
+    buffers: Vec<Arc<Buffer>>,
+    kernels: Vec<Arc<Kernel>>,
+    stages: Vec<&'static str>,
+    pending: Option<Ticket>,
+}
+
+impl Device {
+    /// An empty batch for a queue.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where there is no memory for it.
+    pub fn batch(&self, queue: Queue) -> Result<Batch, VulkanError> {
+        let shared = &self.shared;
+        let QueueState { family, timestamps, .. } = *shared.queue(queue);
+        // From here on what is made is dropped with `batch` if a later step fails.
+        let mut batch = Batch {
+            device: Arc::clone(shared),
+            queue,
+            pool: vk::CommandPool::null(),
+            commands: vk::CommandBuffer::null(),
+            sets: vk::DescriptorPool::null(),
+            queries: vk::QueryPool::null(),
+            buffers: Vec::new(),
+            kernels: Vec::new(),
+            stages: Vec::new(),
+            pending: None,
+        };
+        // SAFETY: the device is alive, and what is pointed to outlives each call.
+        unsafe {
+            batch.pool = shared
+                .raw
+                .create_command_pool(&vk::CommandPoolCreateInfo::default().queue_family_index(family), None)
+                .map_err(VulkanError::of("vkCreateCommandPool"))?;
+            let info =
+                vk::CommandBufferAllocateInfo::default().command_pool(batch.pool).command_buffer_count(1);
+            batch.commands = shared
+                .raw
+                .allocate_command_buffers(&info)
+                .map_err(VulkanError::of("vkAllocateCommandBuffers"))?[0];
+            let sizes = [vk::DescriptorPoolSize {
+                ty: vk::DescriptorType::STORAGE_BUFFER,
+                descriptor_count: 8 * DISPATCHES,
+            }];
+            let info = vk::DescriptorPoolCreateInfo::default().max_sets(DISPATCHES).pool_sizes(&sizes);
+            batch.sets = shared
+                .raw
+                .create_descriptor_pool(&info, None)
+                .map_err(VulkanError::of("vkCreateDescriptorPool"))?;
+            if timestamps {
+                let info = vk::QueryPoolCreateInfo::default()
+                    .query_type(vk::QueryType::TIMESTAMP)
+                    .query_count(STAGES + 1);
+                batch.queries = shared
+                    .raw
+                    .create_query_pool(&info, None)
+                    .map_err(VulkanError::of("vkCreateQueryPool"))?;
+            }
+        }
+        Ok(batch)
+    }
+}
+
+impl Batch {
+    /// Waits until the last submission is done, and starts anew.
+    ///
+    /// # Errors
+    /// [`VulkanError::Lost`] and others of the driver.
+    pub fn begin(&mut self) -> Result<(), VulkanError> {
+        self.wait()?;
+        let raw = &self.device.raw;
+        // SAFETY: nothing of this batch is in use.
+        unsafe {
+            raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
+                .map_err(VulkanError::of("vkResetCommandPool"))?;
+            raw.reset_descriptor_pool(self.sets, vk::DescriptorPoolResetFlags::empty())
+                .map_err(VulkanError::of("vkResetDescriptorPool"))?;
+            let info =
+                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            raw.begin_command_buffer(self.commands, &info)
+                .map_err(VulkanError::of("vkBeginCommandBuffer"))?;
+            if self.queries != vk::QueryPool::null() {
+                raw.cmd_reset_query_pool(self.commands, self.queries, 0, STAGES + 1);
+            }
+        }
+        Ok(())
+    }
+
+    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`].
+    pub fn stage(&mut self, name: &'static str) {
+        self.timestamp();
+        self.stages.push(name);
+    }
+
+    fn timestamp(&self) {
+        if self.queries != vk::QueryPool::null() {
+            let number = self.stages.len() as u32;
+            assert!(number <= STAGES, "a batch times {STAGES} stages");
+            let when = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+            // SAFETY: the commands are being recorded, and the query was reset.
+            unsafe { self.device.raw.cmd_write_timestamp(self.commands, when, self.queries, number) };
+        }
+    }
+
+    /// Runs a kernel on `buffers`, in the order of its bindings, with so many work groups along each axis.
+    ///
+    /// # Errors
+    /// [`VulkanError::OutOfMemory`] where a buffer is larger than a shader can see.
+    ///
+    /// # Panics
+    /// If the arguments are not those of the kernel's program.
+    pub fn dispatch(
+        &mut self,
+        kernel: &Arc<Kernel>,
+        buffers: &[View],
+        push: &impl Pod,
+        groups: [u32; 3],
+    ) -> Result<(), VulkanError> {
+        let push = bytemuck::bytes_of(push);
+        assert_eq!(buffers.len(), kernel.program.buffers.len(), "buffers of {kernel:?}");
+        assert_eq!(push.len(), kernel.program.push_bytes() as usize, "push block of {kernel:?}");
+        let limits = self.device.limits;
+        assert!(groups.iter().all(|&n| n <= limits.groups), "{groups:?} groups of {kernel:?}");
+        if let Some(view) = buffers.iter().find(|view| view.bytes > limits.storage_range) {
+            return Err(VulkanError::OutOfMemory { bytes: view.bytes });
+        }
+        if groups.contains(&0) {
+            return Ok(());
+        }
+        self.barrier();
+        let raw = &self.device.raw;
+        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and kernel are held
+        // until they are done.
+        unsafe {
+            let layouts = [kernel.sets];
+            let info =
+                vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
+            let set =
+                raw.allocate_descriptor_sets(&info).map_err(VulkanError::of("vkAllocateDescriptorSets"))?;
+            let info = |view: &View| {
+                [vk::DescriptorBufferInfo {
+                    buffer: view.buffer.raw(),
+                    offset: view.offset,
+                    range: view.bytes,
+                }]
+            };
+            let infos: Vec<_> = buffers.iter().map(info).collect();
+            let writes: Vec<_> = (0..)
+                .zip(&infos)
+                .map(|(i, info)| {
+                    vk::WriteDescriptorSet::default()
+                        .dst_set(set[0])
+                        .dst_binding(i)
+                        .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                        .buffer_info(info)
+                })
+                .collect();
+            raw.update_descriptor_sets(&writes, &[]);
+            let compute = vk::PipelineBindPoint::COMPUTE;
+            raw.cmd_bind_pipeline(self.commands, compute, kernel.pipeline);
+            raw.cmd_bind_descriptor_sets(self.commands, compute, kernel.layout, 0, &set, &[]);
+            if !push.is_empty() {
+                let stages = vk::ShaderStageFlags::COMPUTE;
+                raw.cmd_push_constants(self.commands, kernel.layout, stages, 0, push);
+            }
+            raw.cmd_dispatch(self.commands, groups[0], groups[1], groups[2]);
+        }
+        self.buffers.extend(buffers.iter().map(|view| Arc::clone(&view.buffer)));
+        self.kernels.push(Arc::clone(kernel));
+        Ok(())
+    }
+
+    /// Copies one part of a buffer to another of the same size.
+    ///
+    /// # Panics
+    /// If the sizes differ.
+    pub fn copy(&mut self, from: &View, to: &View) {
+        assert_eq!(from.bytes, to.bytes);
+        if from.bytes == 0 {
+            return;
+        }
+        self.barrier();
+        let region = [vk::BufferCopy { src_offset: from.offset, dst_offset: to.offset, size: from.bytes }];
+        // SAFETY: the commands are being recorded, and both buffers are held until they are done.
+        unsafe {
+            self.device.raw.cmd_copy_buffer(self.commands, from.buffer.raw(), to.buffer.raw(), &region);
+        }
+        self.buffers.extend([Arc::clone(&from.buffer), Arc::clone(&to.buffer)]);
+    }
+
+    /// Fills a part of a buffer with zeros.
+    pub fn clear(&mut self, view: &View) {
+        if view.bytes == 0 {
+            return;
+        }
+        self.barrier();
+        // SAFETY: the commands are being recorded, and the buffer is held until they are done.
+        unsafe {
+            let raw = &self.device.raw;
+            raw.cmd_fill_buffer(self.commands, view.buffer.raw(), view.offset, view.bytes, 0);
+        }
+        self.buffers.push(Arc::clone(&view.buffer));
+    }
+
+    /// Lets what follows see what came before.
+    fn barrier(&self) {
+        let stages = match self.queue {
+            Queue::Compute => vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
+            Queue::Transfer => vk::PipelineStageFlags::TRANSFER,
+        };
+        let transfer = vk::AccessFlags::TRANSFER_READ | vk::AccessFlags::TRANSFER_WRITE;
+        let access = match self.queue {
+            Queue::Compute => vk::AccessFlags::SHADER_READ | vk::AccessFlags::SHADER_WRITE | transfer,
+            Queue::Transfer => transfer,
+        };
+        self.memory_barrier(stages, access, stages, access);
+    }
+
+    fn memory_barrier(
+        &self,
+        from: vk::PipelineStageFlags,
+        written: vk::AccessFlags,
+        to: vk::PipelineStageFlags,
+        read: vk::AccessFlags,
+    ) {
+        let barrier = [vk::MemoryBarrier::default().src_access_mask(written).dst_access_mask(read)];
+        // SAFETY: the commands are being recorded.
+        unsafe {
+            let none = vk::DependencyFlags::empty();
+            self.device.raw.cmd_pipeline_barrier(self.commands, from, to, none, &barrier, &[], &[]);
+        }
+    }
+
+    /// Hands the commands to the queue, to run when the batches of `after` are done.
+    ///
+    /// # Errors
+    /// [`VulkanError::Lost`] and others of the driver.
+    pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
+        self.timestamp();
+        self.memory_barrier(
+            vk::PipelineStageFlags::ALL_COMMANDS,
+            vk::AccessFlags::MEMORY_WRITE,
+            vk::PipelineStageFlags::HOST,
+            vk::AccessFlags::HOST_READ,
+        );
+        self.device.check_alive()?;
+        let raw = &self.device.raw;
+        let state = self.device.queue(self.queue);
+        // SAFETY: all handles are this device's. The queue is locked, so that values go up in order of submission.
+        unsafe {
+            raw.end_command_buffer(self.commands).map_err(VulkanError::of("vkEndCommandBuffer"))?;
+            let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
+            let value = state.last.load(Ordering::Relaxed) + 1;
+            let waits: Vec<_> = after.iter().map(|ticket| self.device.queue(ticket.queue).timeline).collect();
+            let wait_values: Vec<_> = after.iter().map(|ticket| ticket.value).collect();
+            let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; after.len()];
+            let (signals, signal_values) = ([state.timeline], [value]);
+            let commands = [self.commands];
+            let mut timeline = vk::TimelineSemaphoreSubmitInfo::default()
+                .wait_semaphore_values(&wait_values)
+                .signal_semaphore_values(&signal_values);
+            let info = vk::SubmitInfo::default()
+                .wait_semaphores(&waits)
+                .wait_dst_stage_mask(&wait_stages)
+                .command_buffers(&commands)
+                .signal_semaphores(&signals)
+                .push_next(&mut timeline);
+            raw.queue_submit(*queue, &[info], vk::Fence::null())
+                .map_err(self.device.noting("vkQueueSubmit"))?;
+            state.last.store(value, Ordering::Relaxed);
+            let ticket = Ticket { queue: self.queue, value };
+            self.pending = Some(ticket);
+            Ok(ticket)
+        }
+    }
+
+    /// Waits until the last submission is done, if there is one.
+    ///
+    /// # Errors
+    /// [`VulkanError::Lost`] and others of the driver.
+    pub fn wait(&mut self) -> Result<(), VulkanError> {
+        if let Some(ticket) = self.pending {
+            let timelines = [self.device.queue(ticket.queue).timeline];
+            let values = [ticket.value];
+            let info = vk::SemaphoreWaitInfo::default().semaphores(&timelines).values(&values);
+            // SAFETY: the semaphore is this device's.
+            unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
+                .map_err(self.device.noting("vkWaitSemaphores"))?;
+            self.pending = None;
+            self.record_times()?;
+        }
+        self.stages.clear();
+        self.buffers.clear();
+        self.kernels.clear();
+        Ok(())
+    }
+
+    fn record_times(&self) -> Result<(), VulkanError> {
+        if self.queries == vk::QueryPool::null() || self.stages.is_empty() {
+            return Ok(());
+        }
+        let mut stamps = vec![0_u64; self.stages.len() + 1];
+        // SAFETY: the batch is done, so all its timestamps are there.
+        unsafe {
+            self.device.raw.get_query_pool_results(
+                self.queries,
+                0,
+                &mut stamps,
+                vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
+            )
+        }
+        .map_err(self.device.noting("vkGetQueryPoolResults"))?;
+        for (&stage, stamps) in self.stages.iter().zip(stamps.windows(2)) {
+            let steps = stamps[1].saturating_sub(stamps[0]);
+            self.device.record(stage, steps as f64 * self.device.timestamp_period * 1e-9);
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Batch {
+    fn drop(&mut self) {
+        // A lost device is done with everything, so the outcome does not matter.
+        let _ = self.wait();
+        // SAFETY: nothing of this batch is in use.
+        unsafe {
+            self.device.raw.destroy_query_pool(self.queries, None);
+            self.device.raw.destroy_descriptor_pool(self.sets, None);
+            self.device.raw.destroy_command_pool(self.pool, None);
+        }
+    }
+}
+
+impl fmt::Debug for Batch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Batch")
+            .field("queue", &self.queue)
+            .field("pending", &self.pending)
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,203 @@
+//! Buffers, and the memory that they are in.
+
+use std::fmt;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+
+use ash::vk;
+use bytemuck::Pod;
+use gpu_allocator::MemoryLocation;
+use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
+
+use super::device::Shared;
+use super::{Device, Faults, VulkanError};
+
+/// Where a buffer is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// Where kernels are fastest; the host cannot see it.
+    Device,
+    /// Written by the host, read by the device.
+    Upload,
+    /// Written by the device, read by the host.
+    Download,
+}
+
+/// A piece of memory that kernels and copies work on.
+pub struct Buffer {
+    device: Arc<Shared>,
+    raw: vk::Buffer,
+    /// Unless it is a caller's.
+    owned: bool,
+    allocation: Option<Allocation>,
+    bytes: u64,
+}
+
+/// A part of a buffer.
+#[derive(Debug, Clone)]
+pub struct View {
+    pub(super) buffer: Arc<Buffer>,
+    /// In bytes.
+    pub(super) offset: u64,
+    pub(super) bytes: u64,
+}
+
+impl Device {
+    /// Makes a buffer of `bytes`, rounded up to whole words and never empty.
+    ///
+    /// # Errors
+    /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do not allow it.
+    pub fn buffer(&self, place: Place, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
+        let shared = &self.shared;
+        let bytes = bytes.next_multiple_of(4).max(4);
+        let exhausted = VulkanError::OutOfMemory { bytes };
+        let limit = shared.memory.unwrap_or(u64::MAX);
+        let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
+        // From here on what is made is dropped with `buffer` if a later step fails.
+        let mut buffer = Buffer {
+            device: Arc::clone(shared),
+            raw: vk::Buffer::null(),
+            owned: true,
+            allocation: None,
+            bytes,
+        };
+        if before.saturating_add(bytes) > limit
+            || bytes > shared.limits.allocation
+            || Faults::strikes(&shared.faults.allocation)
+        {
+            return Err(exhausted);
+        }
+        let families = shared.families();
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(
+            vk::BufferUsageFlags::STORAGE_BUFFER
+                | vk::BufferUsageFlags::TRANSFER_SRC
+                | vk::BufferUsageFlags::TRANSFER_DST
+                | vk::BufferUsageFlags::VERTEX_BUFFER
+                | vk::BufferUsageFlags::INDEX_BUFFER,
+        );
+        let info = match families[..] {
+            [_] => info,
+            _ => info.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families),
+        };
+        // SAFETY: the device is alive; the memory is bound before anything uses the buffer.
+        unsafe {
+            buffer.raw = shared.raw.create_buffer(&info, None).map_err(VulkanError::of("vkCreateBuffer"))?;
+            let allocation = shared
+                .allocator
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .allocate(&AllocationCreateDesc {
+                    name: "buffer",
+                    requirements: shared.raw.get_buffer_memory_requirements(buffer.raw),
+                    location: match place {
+                        Place::Device => MemoryLocation::GpuOnly,
+                        Place::Upload => MemoryLocation::CpuToGpu,
+                        Place::Download => MemoryLocation::GpuToCpu,
+                    },
+                    linear: true,
+                    allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+                })
+                .map_err(|_| exhausted)?;
+            let (memory, offset) = (allocation.memory(), allocation.offset());
+            buffer.allocation = Some(allocation);
+            shared
+                .raw
+                .bind_buffer_memory(buffer.raw, memory, offset)
+                .map_err(VulkanError::of("vkBindBufferMemory"))?;
+        }
+        Ok(Arc::new(buffer))
+    }
+
+    /// Refers to a buffer that the caller has made on the same device, and destroys.
+    ///
+    /// # Safety
+    /// The buffer must hold `bytes`, be usable as a storage buffer, and outlive what is returned.
+    #[must_use]
+    pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
+        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, owned: false, allocation: None, bytes })
+    }
+}
+
+impl Buffer {
+    /// Its size.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// The Vulkan handle, valid as long as this.
+    #[must_use]
+    pub fn raw(&self) -> vk::Buffer {
+        self.raw
+    }
+
+    /// All of it.
+    #[must_use]
+    pub fn whole(self: &Arc<Self>) -> View {
+        self.part(0, self.bytes)
+    }
+
+    /// `bytes` from `offset` on.
+    ///
+    /// # Panics
+    /// If the buffer ends before that.
+    #[must_use]
+    pub fn part(self: &Arc<Self>, offset: u64, bytes: u64) -> View {
+        assert!(offset + bytes <= self.bytes, "{offset} + {bytes} of {}", self.bytes);
+        View { buffer: Arc::clone(self), offset, bytes }
+    }
+
+    /// Writes into an upload buffer that no batch in flight reads.
+    ///
+    /// # Panics
+    /// If the buffer ends before the values do, or is not visible to the host.
+    pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(values);
+        let to = self.mapped(offset, bytes.len());
+        // SAFETY: `mapped` checked the range. Two hosts' threads may write at once only to different places.
+        unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) };
+    }
+
+    /// Reads from a download buffer that no batch in flight writes.
+    ///
+    /// # Panics
+    /// If the buffer ends before `count` values, or is not visible to the host.
+    #[must_use]
+    pub fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
+        let mut values = vec![T::zeroed(); count];
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
+        let from = self.mapped(offset, bytes.len());
+        // SAFETY: `mapped` checked the range.
+        unsafe { std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len()) };
+        values
+    }
+
+    fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
+        assert!(offset + len as u64 <= self.bytes, "{offset} + {len} of {}", self.bytes);
+        let mapped = self.allocation.as_ref().and_then(|allocation| allocation.mapped_ptr());
+        let base = mapped.expect("the buffer is visible to the host").as_ptr().cast::<u8>();
+        // SAFETY: the mapping is as long as the buffer.
+        unsafe { base.add(offset as usize) }
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        if !self.owned {
+            return;
+        }
+        self.device.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
+        // SAFETY: batches in flight hold their buffers, so nothing uses it.
+        unsafe { self.device.raw.destroy_buffer(self.raw, None) };
+        if let Some(allocation) = self.allocation.take() {
+            let mut allocator = self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
+            allocator.free(allocation).expect("the allocation is this allocator's");
+        }
+    }
+}
+
+impl fmt::Debug for Buffer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Buffer").field("bytes", &self.bytes).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,375 @@
+//! An open device: its queues, its memory, its pipeline cache.
+
+use std::fmt;
+use std::fs;
+use std::io::Write;
+use std::mem::ManuallyDrop;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ash::vk;
+use gpu_allocator::AllocationSizes;
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+
+use super::{DeviceChoice, Faults, Instance, VulkanError};
+
+/// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
+const PIECE: u64 = 16 << 20;
+
+/// What an open device may take and keep.
+#[derive(Debug, Clone, Default)]
+pub struct DeviceOptions {
+    /// Bytes of all buffers together; no limit where it is `None`.
+    pub memory: Option<u64>,
+    /// The folder in which compiled pipelines are kept from run to run.
+    pub pipeline_cache: Option<PathBuf>,
+}
+
+/// What shaders and buffers may be like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of a storage buffer as a shader sees it.
+    pub storage_range: u64,
+    /// Bytes of one allocation.
+    pub allocation: u64,
+    /// Work groups along an axis of a dispatch.
+    pub groups: u32,
+    /// What offsets of storage buffers must be multiples of.
+    pub alignment: u64,
+}
+
+/// A queue of the device. Both may be the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Queue {
+    /// For kernels.
+    Compute,
+    /// For copies, beside the kernels where the device can.
+    Transfer,
+}
+
+/// How long a stage took on the device.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timing {
+    /// Its name.
+    pub stage: &'static str,
+    /// Between the timestamps around it, all batches together.
+    pub seconds: f64,
+}
+
+/// A device that a caller has opened, and keeps open.
+pub struct Foreign {
+    /// The loader's functions for the instance.
+    pub instance: ash::Instance,
+    /// The device.
+    pub physical: vk::PhysicalDevice,
+    /// Opened from it, with timeline semaphores enabled.
+    pub device: ash::Device,
+    /// The family of `queue`.
+    pub family: u32,
+    /// For compute.
+    pub queue: vk::Queue,
+}
+
+/// An open device. Clones share it.
+#[derive(Debug, Clone)]
+pub struct Device {
+    pub(super) shared: Arc<Shared>,
+}
+
+pub(super) struct Shared {
+    pub(super) raw: ash::Device,
+    /// `None` where the device is a caller's, who destroys it.
+    instance: Option<Arc<Instance>>,
+    name: String,
+    pub(super) allocator: ManuallyDrop<Mutex<Allocator>>,
+    pub(super) pipeline_cache: vk::PipelineCache,
+    cache_file: Option<PathBuf>,
+    queues: Vec<QueueState>,
+    pub(super) limits: Limits,
+    /// Nanoseconds of a step of a timestamp.
+    pub(super) timestamp_period: f64,
+    pub(super) memory: Option<u64>,
+    pub(super) allocated: AtomicU64,
+    pub(super) faults: Faults,
+    lost: AtomicBool,
+    timings: Mutex<Vec<Timing>>,
+}
+
+pub(super) struct QueueState {
+    pub(super) raw: Mutex<vk::Queue>,
+    pub(super) family: u32,
+    pub(super) timestamps: bool,
+    pub(super) timeline: vk::Semaphore,
+    /// The value that the last submission will signal.
+    pub(super) last: AtomicU64,
+}
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where there is none to open, or it cannot be opened.
+    pub fn open(
+        instance: &Arc<Instance>,
+        choice: &DeviceChoice,
+        options: &DeviceOptions,
+    ) -> Result<Self, VulkanError> {
+        let info = instance.choose(choice)?;
+        // SAFETY: the device is one of the instance's.
+        let families = unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
+        let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
+            let fits = |f: &vk::QueueFamilyProperties| {
+                f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
+            };
+            families.iter().position(fits).map(|i| i as u32)
+        };
+        let (graphics, compute) = (vk::QueueFlags::GRAPHICS, vk::QueueFlags::COMPUTE);
+        let family = find(compute, graphics).or(find(compute, vk::QueueFlags::empty()));
+        let family = family.expect("a device without compute is refused");
+        let transfer = find(vk::QueueFlags::TRANSFER, graphics | compute);
+        let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
+        let queue_infos: Vec<_> = used
+            .iter()
+            .map(|&f| vk::DeviceQueueCreateInfo::default().queue_family_index(f).queue_priorities(&[1.0]))
+            .collect();
+        let mut features = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
+        let create =
+            vk::DeviceCreateInfo::default().queue_create_infos(&queue_infos).push_next(&mut features);
+        // SAFETY: everything that the structure points to outlives the call.
+        let raw = unsafe { instance.raw.create_device(info.physical, &create, None) }
+            .map_err(VulkanError::of("vkCreateDevice"))?;
+        let queues = used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
+        let owner = Some(Arc::clone(instance));
+        Self::around(&instance.raw, owner, info.physical, raw, queues, options)
+    }
+
+    /// Works on a device that the caller has opened.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where memory for the first few objects is refused.
+    ///
+    /// # Safety
+    /// All handles must belong together, with `timelineSemaphore` enabled. They must stay alive as long as what
+    /// is returned and everything made with it. Nobody else may submit to the queue during a call into this crate.
+    pub unsafe fn adopt(foreign: Foreign, options: &DeviceOptions) -> Result<Self, VulkanError> {
+        let Foreign { instance, physical, device, family, queue } = foreign;
+        Self::around(&instance, None, physical, device, vec![(family, queue)], options)
+    }
+
+    fn around(
+        instance: &ash::Instance,
+        owner: Option<Arc<Instance>>,
+        physical: vk::PhysicalDevice,
+        raw: ash::Device,
+        queues: Vec<(u32, vk::Queue)>,
+        options: &DeviceOptions,
+    ) -> Result<Self, VulkanError> {
+        let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
+        let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut vulkan11);
+        // SAFETY: the device is one of the instance's.
+        let (families, properties) = unsafe {
+            instance.get_physical_device_properties2(physical, &mut all);
+            (instance.get_physical_device_queue_family_properties(physical), all.properties)
+        };
+        let limits = Limits {
+            storage_range: u64::from(properties.limits.max_storage_buffer_range) & !3,
+            allocation: vulkan11.max_memory_allocation_size,
+            groups: properties.limits.max_compute_work_group_count.into_iter().min().unwrap_or(0),
+            alignment: properties.limits.min_storage_buffer_offset_alignment.max(4),
+        };
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: instance.clone(),
+            device: raw.clone(),
+            physical_device: physical,
+            debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
+            buffer_device_address: false,
+            allocation_sizes: AllocationSizes::new(PIECE, PIECE),
+        });
+        let allocator = match allocator {
+            Ok(allocator) => allocator,
+            Err(_) => {
+                if owner.is_some() {
+                    // SAFETY: nothing was made with the device.
+                    unsafe { raw.destroy_device(None) };
+                }
+                return Err(VulkanError::OutOfMemory { bytes: 0 });
+            }
+        };
+        let cache_file = options.pipeline_cache.as_deref().map(|folder| {
+            let id: String = properties.pipeline_cache_uuid.iter().map(|b| format!("{b:02x}")).collect();
+            folder.join(format!("pipelines-{id}"))
+        });
+        let known = cache_file.as_deref().and_then(read_cache).unwrap_or_default();
+        // From here on everything that is made is dropped with `shared` if a later step fails.
+        let mut shared = Shared {
+            raw,
+            instance: owner,
+            name: properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned(),
+            allocator: ManuallyDrop::new(Mutex::new(allocator)),
+            pipeline_cache: vk::PipelineCache::null(),
+            cache_file,
+            queues: Vec::new(),
+            limits,
+            timestamp_period: f64::from(properties.limits.timestamp_period),
+            memory: options.memory,
+            allocated: AtomicU64::new(0),
+            faults: Faults::default(),
+            lost: AtomicBool::new(false),
+            timings: Mutex::default(),
+        };
+        // SAFETY: the device is alive, and what is pointed to outlives each call.
+        unsafe {
+            let info = vk::PipelineCacheCreateInfo::default().initial_data(&known);
+            shared.pipeline_cache = shared
+                .raw
+                .create_pipeline_cache(&info, None)
+                .map_err(VulkanError::of("vkCreatePipelineCache"))?;
+            for (family, queue) in queues {
+                let mut kind = vk::SemaphoreTypeCreateInfo::default()
+                    .semaphore_type(vk::SemaphoreType::TIMELINE)
+                    .initial_value(0);
+                let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+                let timeline =
+                    shared.raw.create_semaphore(&info, None).map_err(VulkanError::of("vkCreateSemaphore"))?;
+                shared.queues.push(QueueState {
+                    raw: Mutex::new(queue),
+                    family,
+                    timestamps: families[family as usize].timestamp_valid_bits > 0,
+                    timeline,
+                    last: AtomicU64::new(0),
+                });
+            }
+        }
+        Ok(Self { shared: Arc::new(shared) })
+    }
+
+    /// As its driver calls it.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.shared.name
+    }
+
+    /// What shaders and buffers may be like.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        self.shared.limits
+    }
+
+    /// Bytes of all buffers that are alive.
+    #[must_use]
+    pub fn allocated(&self) -> u64 {
+        self.shared.allocated.load(Ordering::Relaxed)
+    }
+
+    /// Bytes that all buffers together may take.
+    #[must_use]
+    pub fn memory(&self) -> Option<u64> {
+        self.shared.memory
+    }
+
+    /// The failures to come.
+    #[must_use]
+    pub fn faults(&self) -> &Faults {
+        &self.shared.faults
+    }
+
+    /// The times of all stages since the last call, in the order in which they first ran.
+    #[must_use]
+    pub fn take_timings(&self) -> Vec<Timing> {
+        std::mem::take(&mut *self.shared.timings.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Shared {
+    pub(super) fn queue(&self, queue: Queue) -> &QueueState {
+        match queue {
+            Queue::Compute => &self.queues[0],
+            Queue::Transfer => self.queues.last().expect("there is a queue for compute"),
+        }
+    }
+
+    /// The families of all queues, where there are several.
+    pub(super) fn families(&self) -> Vec<u32> {
+        self.queues.iter().map(|queue| queue.family).collect()
+    }
+
+    /// Marks the device as lost where an error says so.
+    pub(super) fn noting(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
+        move |result| {
+            let error = VulkanError::of(call)(result);
+            if error == VulkanError::Lost {
+                self.lost.store(true, Ordering::Relaxed);
+            }
+            error
+        }
+    }
+
+    /// Fails once the device is lost, or if it is to be lost now.
+    pub(super) fn check_alive(&self) -> Result<(), VulkanError> {
+        if Faults::strikes(&self.faults.submission) {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+        if self.lost.load(Ordering::Relaxed) { Err(VulkanError::Lost) } else { Ok(()) }
+    }
+
+    pub(super) fn record(&self, stage: &'static str, seconds: f64) {
+        let mut timings = self.timings.lock().unwrap_or_else(PoisonError::into_inner);
+        match timings.iter_mut().find(|timing| timing.stage == stage) {
+            Some(timing) => timing.seconds += seconds,
+            None => timings.push(Timing { stage, seconds }),
+        }
+    }
+
+    fn save_cache(&self) -> Option<()> {
+        let file = self.cache_file.as_deref()?;
+        // SAFETY: the cache is this device's.
+        let data = unsafe { self.raw.get_pipeline_cache_data(self.pipeline_cache) }.ok()?;
+        if read_cache(file).as_deref() != Some(&data) {
+            let folder = file.parent()?;
+            fs::create_dir_all(folder).ok()?;
+            let mut new = tempfile::NamedTempFile::new_in(folder).ok()?;
+            new.write_all(&crc32fast::hash(&data).to_le_bytes()).ok()?;
+            new.write_all(&data).ok()?;
+            new.persist(file).ok()?;
+        }
+        Some(())
+    }
+}
+
+/// The pipelines of earlier runs, unless the file is damaged: drivers trust what they are given.
+fn read_cache(file: &Path) -> Option<Vec<u8>> {
+    let bytes = fs::read(file).ok()?;
+    let (checksum, data) = bytes.split_first_chunk()?;
+    (u32::from_le_bytes(*checksum) == crc32fast::hash(data)).then(|| data.to_vec())
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // A cache that cannot be kept costs time in the next run, and nothing else.
+        let _ = self.save_cache();
+        // SAFETY: buffers, kernels and batches hold this, so none is left. The allocator goes before its device.
+        unsafe {
+            ManuallyDrop::drop(&mut self.allocator);
+            for queue in &self.queues {
+                self.raw.destroy_semaphore(queue.timeline, None);
+            }
+            self.raw.destroy_pipeline_cache(self.pipeline_cache, None);
+            if self.instance.is_some() {
+                self.raw.destroy_device(None);
+            }
+        }
+    }
+}
+
+impl fmt::Debug for Shared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Device").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for Foreign {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Foreign").field("family", &self.family).finish_non_exhaustive()
+    }
+}

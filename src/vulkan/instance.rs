@@ -1,0 +1,295 @@
+//! The loader, the devices that it knows, and what the validation layer says.
+
+use std::ffi::{CStr, c_void};
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ash::{ext, vk};
+
+use super::VulkanError;
+
+const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// A connection to the Vulkan loader.
+pub struct Instance {
+    pub(super) entry: ash::Entry,
+    pub(super) raw: ash::Instance,
+    messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    log: ValidationLog,
+}
+
+/// What the validation layer has found so far.
+#[derive(Debug, Clone, Default)]
+pub struct ValidationLog(Arc<Mutex<Vec<String>>>);
+
+impl ValidationLog {
+    /// All warnings and errors, in order.
+    #[must_use]
+    pub fn messages(&self) -> Vec<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// Which device to use.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum DeviceChoice {
+    /// The first of the best kind.
+    #[default]
+    Best,
+    /// By its number in [`Instance::devices`], or by a part of its name in any case.
+    Named(String),
+}
+
+/// What a device is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[allow(missing_docs)]
+pub enum DeviceKind {
+    Discrete,
+    Integrated,
+    Virtual,
+    Other,
+    /// A driver that computes on the processor, such as lavapipe.
+    Cpu,
+}
+
+impl fmt::Display for DeviceKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Discrete => "discrete GPU",
+            Self::Integrated => "integrated GPU",
+            Self::Virtual => "virtual GPU",
+            Self::Other => "other",
+            Self::Cpu => "CPU",
+        })
+    }
+}
+
+/// What there is to know of a device before it is opened.
+#[derive(Debug, Clone)]
+pub struct DeviceInfo {
+    /// Its place among the loader's devices.
+    pub index: usize,
+    /// As its driver calls it.
+    pub name: String,
+    /// What it is.
+    pub kind: DeviceKind,
+    /// The version of Vulkan that it offers: major, minor, patch.
+    pub api: [u32; 3],
+    /// Its driver's name and version.
+    pub driver: String,
+    /// Bytes of its own memory.
+    pub memory: u64,
+    /// Why it cannot be used, if it cannot.
+    pub lacks: Option<&'static str>,
+    pub(super) physical: vk::PhysicalDevice,
+}
+
+impl Instance {
+    /// Connects to the loader; with `validation`, through the Khronos validation layer, synchronisation
+    /// checks included.
+    ///
+    /// # Errors
+    /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] where they are not installed.
+    pub fn connect(validation: bool) -> Result<Arc<Self>, VulkanError> {
+        // SAFETY: the library that is loaded is the system's Vulkan loader.
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| VulkanError::NoLoader(e.to_string()))?;
+        // SAFETY: no instance is needed to ask.
+        let layers = unsafe { entry.enumerate_instance_layer_properties() }.unwrap_or_default();
+        if validation && !layers.iter().any(|layer| layer.layer_name_as_c_str() == Ok(VALIDATION)) {
+            return Err(VulkanError::NoValidation);
+        }
+        let application = vk::ApplicationInfo::default()
+            .application_name(c"meniscus")
+            .engine_name(c"meniscus")
+            .api_version(vk::API_VERSION_1_2);
+        let layers = [VALIDATION.as_ptr()];
+        let extensions = [ext::debug_utils::NAME.as_ptr(), ext::validation_features::NAME.as_ptr()];
+        let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+        let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+        let log = ValidationLog::default();
+        let mut messages = messenger_info(&log);
+        let mut info = vk::InstanceCreateInfo::default().application_info(&application);
+        if validation {
+            info = info
+                .enabled_layer_names(&layers)
+                .enabled_extension_names(&extensions)
+                .push_next(&mut features)
+                .push_next(&mut messages);
+        }
+        // SAFETY: everything that the structure points to outlives the call.
+        let raw = unsafe { entry.create_instance(&info, None) }
+            .map_err(|e| VulkanError::NoLoader(format!("no instance can be made: {e}")))?;
+        let messenger = if validation {
+            let debug = ext::debug_utils::Instance::new(&entry, &raw);
+            // SAFETY: the log that the messenger writes to lives as long as this instance.
+            let made = unsafe { debug.create_debug_utils_messenger(&messenger_info(&log), None) };
+            Some((debug, made.map_err(VulkanError::of("vkCreateDebugUtilsMessengerEXT"))?))
+        } else {
+            None
+        };
+        Ok(Arc::new(Self { entry, raw, messenger, log }))
+    }
+
+    /// What the validation layer found; it can be read when the instance is gone.
+    #[must_use]
+    pub fn log(&self) -> ValidationLog {
+        self.log.clone()
+    }
+
+    /// All devices, in the loader's order.
+    ///
+    /// # Errors
+    /// Those of the loader.
+    pub fn devices(&self) -> Result<Vec<DeviceInfo>, VulkanError> {
+        // SAFETY: the instance is alive.
+        let devices = unsafe { self.raw.enumerate_physical_devices() }
+            .map_err(VulkanError::of("vkEnumeratePhysicalDevices"))?;
+        Ok(devices.into_iter().enumerate().map(|(i, physical)| self.info(i, physical)).collect())
+    }
+
+    /// The device of a choice.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where there is none, or it cannot be used.
+    pub fn choose(&self, choice: &DeviceChoice) -> Result<DeviceInfo, VulkanError> {
+        let devices = self.devices()?;
+        let found = match choice {
+            DeviceChoice::Best => {
+                let usable = devices.iter().filter(|device| device.lacks.is_none());
+                usable.min_by_key(|device| device.kind).or(devices.first())
+            }
+            DeviceChoice::Named(wanted) => match wanted.parse() {
+                Ok(index) => devices.get::<usize>(index),
+                Err(_) => {
+                    let wanted = wanted.to_lowercase();
+                    devices.iter().find(|device| device.name.to_lowercase().contains(&wanted))
+                }
+            },
+        };
+        let Some(found) = found else {
+            return Err(match choice {
+                DeviceChoice::Named(wanted) if !devices.is_empty() => {
+                    let known: Vec<_> = devices.iter().map(|d| format!("{} {}", d.index, d.name)).collect();
+                    VulkanError::NotFound { wanted: wanted.clone(), known: known.join(", ") }
+                }
+                _ => VulkanError::NoDevice,
+            });
+        };
+        match found.lacks {
+            Some(lacks) => Err(VulkanError::Unfit { device: found.name.clone(), lacks }),
+            None => Ok(found.clone()),
+        }
+    }
+
+    fn info(&self, index: usize, physical: vk::PhysicalDevice) -> DeviceInfo {
+        let mut driver = vk::PhysicalDeviceDriverProperties::default();
+        let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut driver);
+        // SAFETY: the device is one of this instance's.
+        let (memory, base) = unsafe {
+            self.raw.get_physical_device_properties2(physical, &mut properties);
+            (self.raw.get_physical_device_memory_properties(physical), properties.properties)
+        };
+        let text = |text: Result<&CStr, _>| text.unwrap_or(c"").to_string_lossy().into_owned();
+        let local = |heap: &&vk::MemoryHeap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+        let version = base.api_version;
+        DeviceInfo {
+            index,
+            name: text(base.device_name_as_c_str()),
+            kind: match base.device_type {
+                vk::PhysicalDeviceType::DISCRETE_GPU => DeviceKind::Discrete,
+                vk::PhysicalDeviceType::INTEGRATED_GPU => DeviceKind::Integrated,
+                vk::PhysicalDeviceType::VIRTUAL_GPU => DeviceKind::Virtual,
+                vk::PhysicalDeviceType::CPU => DeviceKind::Cpu,
+                _ => DeviceKind::Other,
+            },
+            api: [
+                vk::api_version_major(version),
+                vk::api_version_minor(version),
+                vk::api_version_patch(version),
+            ],
+            driver: format!(
+                "{} {}",
+                text(driver.driver_name_as_c_str()),
+                text(driver.driver_info_as_c_str())
+            ),
+            memory: memory.memory_heaps_as_slice().iter().filter(local).map(|heap| heap.size).sum(),
+            lacks: self.lacks(physical, &base),
+            physical,
+        }
+    }
+
+    /// What a device would need and has not got.
+    fn lacks(
+        &self,
+        physical: vk::PhysicalDevice,
+        properties: &vk::PhysicalDeviceProperties,
+    ) -> Option<&'static str> {
+        if properties.api_version < vk::API_VERSION_1_2 {
+            return Some("it offers less than Vulkan 1.2");
+        }
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
+        let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
+        // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
+        let families = unsafe {
+            self.raw.get_physical_device_features2(physical, &mut features);
+            self.raw.get_physical_device_queue_family_properties(physical)
+        };
+        let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+        let limits = &properties.limits;
+        match () {
+            () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
+            () if !families.iter().any(computes) => Some("it has no queue for compute"),
+            () if limits.max_compute_work_group_invocations < 256 => Some("its work groups are too small"),
+            () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
+            () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
+            () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
+            () => None,
+        }
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        // SAFETY: devices hold their instance, so none is left.
+        unsafe {
+            if let Some((debug, messenger)) = &self.messenger {
+                debug.destroy_debug_utils_messenger(*messenger, None);
+            }
+            self.raw.destroy_instance(None);
+        }
+    }
+}
+
+impl fmt::Debug for Instance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Instance").finish_non_exhaustive()
+    }
+}
+
+fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'static> {
+    vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(
+            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+        )
+        .message_type(
+            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
+                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
+                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+        )
+        .pfn_user_callback(Some(note))
+        .user_data(Arc::as_ptr(&log.0).cast_mut().cast())
+}
+
+/// Appends a message to the log that `log` points to.
+unsafe extern "system" fn note(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    log: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the layer gives a valid message, and the log lives as long as its instance.
+    let (message, log) =
+        unsafe { (CStr::from_ptr((*data).p_message), &*log.cast::<Mutex<Vec<String>>>().cast_const()) };
+    log.lock().unwrap_or_else(PoisonError::into_inner).push(message.to_string_lossy().into_owned());
+    vk::FALSE
+}

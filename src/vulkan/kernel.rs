@@ -1,0 +1,150 @@
+//! Compute pipelines.
+
+use std::fmt;
+use std::sync::Arc;
+
+use ash::{util::read_spv, vk};
+
+use super::device::Shared;
+use super::{Device, VulkanError};
+
+/// A compute shader, and what Rust believes of its interface.
+#[derive(Debug, Clone, Copy)]
+pub struct Program {
+    /// Of its source, without extension, and of its entry point.
+    pub name: &'static str,
+    /// Its SPIR-V.
+    pub code: &'static [u8],
+    /// Storage buffers, bound to 0, 1, ... of set 0, by the names that its source gives them.
+    pub buffers: &'static [&'static str],
+    /// The push block's fields.
+    pub push: &'static [Field],
+    /// Threads of a work group along x, y and z.
+    pub group: [u32; 3],
+}
+
+impl Program {
+    /// Bytes of the push block.
+    #[must_use]
+    pub fn push_bytes(&self) -> u32 {
+        self.push.last().map_or(0, |field| field.offset + field.bytes)
+    }
+}
+
+/// A field of a push block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// As in the shader.
+    pub name: &'static str,
+    /// In bytes, from the block's begin.
+    pub offset: u32,
+    /// Its size.
+    pub bytes: u32,
+}
+
+/// Declares a push block: a plain structure, and the list of its fields as [`Program::push`] wants it.
+macro_rules! push_block {
+    ($(#[$meta:meta])* $visibility:vis struct $name:ident { $($(#[$about:meta])* $field:ident: $kind:ty,)* }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, Default, bytemuck::Pod, bytemuck::Zeroable)]
+        #[repr(C)]
+        $visibility struct $name { $($(#[$about])* pub $field: $kind,)* }
+
+        impl $name {
+            /// Its layout.
+            pub const FIELDS: &'static [$crate::vulkan::Field] = &[$($crate::vulkan::Field {
+                name: stringify!($field),
+                offset: std::mem::offset_of!($name, $field) as u32,
+                bytes: size_of::<$kind>() as u32,
+            },)*];
+        }
+    };
+}
+pub(crate) use push_block;
+
+/// A program ready to run on a device.
+pub struct Kernel {
+    device: Arc<Shared>,
+    pub(super) program: &'static Program,
+    pub(super) sets: vk::DescriptorSetLayout,
+    pub(super) layout: vk::PipelineLayout,
+    pub(super) pipeline: vk::Pipeline,
+}
+
+impl fmt::Debug for Kernel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Kernel").field(&self.program.name).finish()
+    }
+}
+
+impl Device {
+    /// Compiles a program, or takes what the pipeline cache has of it.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where the driver refuses it.
+    pub fn kernel(&self, program: &'static Program) -> Result<Kernel, VulkanError> {
+        let raw = &self.shared.raw;
+        let binding = |i| {
+            vk::DescriptorSetLayoutBinding::default()
+                .binding(i)
+                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                .descriptor_count(1)
+                .stage_flags(vk::ShaderStageFlags::COMPUTE)
+        };
+        let bindings: Vec<_> = (0..program.buffers.len() as u32).map(binding).collect();
+        let push = [vk::PushConstantRange::default()
+            .stage_flags(vk::ShaderStageFlags::COMPUTE)
+            .size(program.push_bytes())];
+        let code = read_spv(&mut std::io::Cursor::new(program.code)).expect("the build holds whole SPIR-V");
+        // From here on what is made is dropped with `kernel` if a later step fails.
+        let mut kernel = Kernel {
+            device: Arc::clone(&self.shared),
+            program,
+            sets: vk::DescriptorSetLayout::null(),
+            layout: vk::PipelineLayout::null(),
+            pipeline: vk::Pipeline::null(),
+        };
+        // SAFETY: all handles are this device's, and everything that is pointed to outlives each call.
+        unsafe {
+            kernel.sets = raw
+                .create_descriptor_set_layout(
+                    &vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings),
+                    None,
+                )
+                .map_err(VulkanError::of("vkCreateDescriptorSetLayout"))?;
+            let sets = [kernel.sets];
+            let mut layout = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
+            if !program.push.is_empty() {
+                layout = layout.push_constant_ranges(&push);
+            }
+            kernel.layout = raw
+                .create_pipeline_layout(&layout, None)
+                .map_err(VulkanError::of("vkCreatePipelineLayout"))?;
+            let module = raw
+                .create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None)
+                .map_err(VulkanError::of("vkCreateShaderModule"))?;
+            let entry = std::ffi::CString::new(program.name).expect("a plain name");
+            let stage = vk::PipelineShaderStageCreateInfo::default()
+                .stage(vk::ShaderStageFlags::COMPUTE)
+                .module(module)
+                .name(&entry);
+            let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(kernel.layout)];
+            let made = raw.create_compute_pipelines(self.shared.pipeline_cache, &info, None);
+            raw.destroy_shader_module(module, None);
+            kernel.pipeline =
+                made.map_err(|(_, result)| VulkanError::of("vkCreateComputePipelines")(result))?[0];
+        }
+        Ok(kernel)
+    }
+}
+
+impl Drop for Kernel {
+    fn drop(&mut self) {
+        // SAFETY: batches hold the kernels that they run, so none of them is in use.
+        unsafe {
+            self.device.raw.destroy_pipeline(self.pipeline, None);
+            self.device.raw.destroy_pipeline_layout(self.layout, None);
+            self.device.raw.destroy_descriptor_set_layout(self.sets, None);
+        }
+    }
+}

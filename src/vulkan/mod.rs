@@ -1,0 +1,81 @@
+//! Compute on a Vulkan device: choosing one, its memory, its kernels, and batches of commands.
+//!
+//! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
+
+mod batch;
+mod buffer;
+mod device;
+mod faults;
+mod instance;
+mod kernel;
+
+pub use batch::{Batch, Ticket};
+pub use buffer::{Buffer, Place, View};
+pub use device::{Device, DeviceOptions, Foreign, Limits, Queue, Timing};
+pub use faults::Faults;
+pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
+pub(crate) use kernel::push_block;
+pub use kernel::{Field, Kernel, Program};
+
+use ash::vk;
+use thiserror::Error;
+
+/// What a device, its driver or the loader refused.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum VulkanError {
+    /// There is no Vulkan loader on this machine, or it does not start.
+    #[error("no Vulkan loader: {0}")]
+    NoLoader(String),
+    /// The validation layer was asked for and is not installed.
+    #[error("the Vulkan validation layer is not installed")]
+    NoValidation,
+    /// The loader knows no device at all.
+    #[error("no Vulkan device: the loader knows none")]
+    NoDevice,
+    /// No device of that number or name.
+    #[error("no Vulkan device {wanted:?}; there are: {known}")]
+    NotFound {
+        /// What was asked for.
+        wanted: String,
+        /// Number and name of each.
+        known: String,
+    },
+    /// A device that lacks what is needed.
+    #[error("{device} cannot be used: {lacks}")]
+    Unfit {
+        /// Its name.
+        device: String,
+        /// What it lacks.
+        lacks: &'static str,
+    },
+    /// Memory of the device, or the share of it that may be used, is exhausted.
+    #[error("device memory is exhausted: {bytes} more bytes were asked for")]
+    OutOfMemory {
+        /// How many were asked for.
+        bytes: u64,
+    },
+    /// The device stopped working.
+    #[error("the Vulkan device was lost")]
+    Lost,
+    /// Any other call that failed.
+    #[error("{call} failed: {result}")]
+    Call {
+        /// Its name.
+        call: &'static str,
+        /// What it returned.
+        result: vk::Result,
+    },
+}
+
+impl VulkanError {
+    /// The error of a call.
+    fn of(call: &'static str) -> impl Fn(vk::Result) -> Self {
+        move |result| match result {
+            vk::Result::ERROR_DEVICE_LOST => Self::Lost,
+            vk::Result::ERROR_OUT_OF_DEVICE_MEMORY | vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
+                Self::OutOfMemory { bytes: 0 }
+            }
+            result => Self::Call { call, result },
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! The shaders' binaries are those of their sources, and their interfaces are what Rust believes.
+//!
+//! `MENISCUS_WRITE_SPIRV=1 cargo test --test shaders` writes the binaries anew.
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use meniscus::programs::{PROGRAMS, constants};
+use meniscus::vulkan::Program;
+use naga::back::spv;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, Module, TypeInner};
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("spirv")
+}
+
+/// The constants, the parts that the first line names, and the file itself.
+fn source(name: &str) -> String {
+    let read = |name: &str| fs::read_to_string(folder().join(name).with_extension("wgsl")).unwrap();
+    let own = read(name);
+    let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
+    let constants =
+        constants().into_iter().map(|(name, kind, value)| format!("const {name}: {kind} = {value};\n"));
+    constants.chain(parts.split_whitespace().map(read)).chain([own.clone()]).collect()
+}
+
+fn parsed(program: &Program) -> Module {
+    let source = source(program.name);
+    naga::front::wgsl::parse_str(&source)
+        .unwrap_or_else(|e| panic!("{}: {}", program.name, e.emit_to_string(&source)))
+}
+
+fn compiled(program: &Program) -> Vec<u8> {
+    let mut module = parsed(program);
+    naga::compact::compact(&mut module, naga::compact::KeepUnused::No);
+    let info = Validator::new(ValidationFlags::all(), Capabilities::IMMEDIATES)
+        .validate(&module)
+        .unwrap_or_else(|e| panic!("{}: {}", program.name, e.emit_to_string(&source(program.name))));
+    let options = spv::Options {
+        lang_version: (1, 3),
+        flags: spv::WriterFlags::empty(),
+        zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
+        use_storage_input_output_16: false,
+        force_loop_bounding: false,
+        ..spv::Options::default()
+    };
+    let words = spv::write_vec(&module, &info, &options, None).unwrap();
+    words.iter().flat_map(|word| word.to_le_bytes()).collect()
+}
+
+#[test]
+fn every_binary_is_what_its_source_compiles_to() {
+    let write = std::env::var_os("MENISCUS_WRITE_SPIRV").is_some();
+    for program in PROGRAMS {
+        let code = compiled(program);
+        let file = folder().join(program.name).with_extension("spv");
+        if write {
+            fs::write(&file, &code).unwrap();
+        }
+        assert!(fs::read(&file).unwrap() == code, "{}: write it anew", file.display());
+    }
+}
+
+#[test]
+fn no_binary_is_without_a_program_and_no_source_unused() {
+    let mut used: Vec<String> = PROGRAMS.iter().map(|p| p.name.to_owned()).collect();
+    let mut binaries = Vec::new();
+    let mut sources = Vec::new();
+    for file in fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path()) {
+        let stem = file.file_stem().unwrap().to_str().unwrap().to_owned();
+        match file.extension().unwrap().to_str().unwrap() {
+            "spv" => binaries.push(stem),
+            "wgsl" => sources.push(stem),
+            other => panic!("{other} in spirv"),
+        }
+    }
+    binaries.sort();
+    used.sort();
+    assert_eq!(binaries, used);
+    let all: String =
+        PROGRAMS.iter().map(|p| source(p.name).lines().next_back().unwrap().to_owned()).collect();
+    assert!(!all.is_empty());
+    for part in sources.iter().filter(|s| !used.contains(s)) {
+        let named = |p: &&Program| {
+            let text = fs::read_to_string(folder().join(p.name).with_extension("wgsl")).unwrap();
+            text.lines().next().unwrap().split_whitespace().any(|word| word == part)
+        };
+        assert!(PROGRAMS.iter().any(|p| named(p)), "nothing uses {part}.wgsl");
+    }
+}
+
+#[test]
+fn bindings_push_blocks_and_groups_are_what_rust_believes() {
+    for program in PROGRAMS {
+        let module = parsed(program);
+        let [entry] = &module.entry_points[..] else { panic!("{}: one entry point", program.name) };
+        assert_eq!((entry.name.as_str(), entry.workgroup_size), (program.name, program.group));
+        let mut bound: Vec<(u32, &str)> = Vec::new();
+        let mut push = Vec::new();
+        for (_, variable) in module.global_variables.iter() {
+            if let Some(binding) = &variable.binding {
+                assert_eq!(binding.group, 0, "{}", program.name);
+                assert!(matches!(variable.space, AddressSpace::Storage { .. }), "{}", program.name);
+                bound.push((binding.binding, variable.name.as_deref().unwrap()));
+            } else if variable.space == AddressSpace::Immediate {
+                let TypeInner::Struct { members, .. } = &module.types[variable.ty].inner else {
+                    panic!("{}: the push block is a structure", program.name)
+                };
+                push = members
+                    .iter()
+                    .map(|m| {
+                        let bytes = module.types[m.ty].inner.size(module.to_ctx());
+                        (m.name.as_deref().unwrap(), m.offset, bytes)
+                    })
+                    .collect();
+            }
+        }
+        bound.sort_unstable();
+        let believed: Vec<_> = (0..).zip(program.buffers.iter().copied()).collect();
+        assert_eq!(bound, believed, "{}", program.name);
+        let believed: Vec<_> = program.push.iter().map(|f| (f.name, f.offset, f.bytes)).collect();
+        assert_eq!(push, believed, "{}", program.name);
+        assert!(program.push_bytes() <= 128, "{}", program.name);
+    }
+}
+
+#[test]
+fn spirv_val_accepts_every_binary() {
+    if Command::new("spirv-val").arg("--version").output().is_err() {
+        assert!(std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(), "spirv-val is not installed");
+        eprintln!("skipped: spirv-val is not installed");
+        return;
+    }
+    for program in PROGRAMS {
+        let mut validator = Command::new("spirv-val")
+            .args(["--target-env", "vulkan1.2", "-"])
+            .stdin(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        validator.stdin.take().unwrap().write_all(program.code).unwrap();
+        let output = validator.wait_with_output().unwrap();
+        assert!(output.status.success(), "{}: {}", program.name, String::from_utf8_lossy(&output.stderr));
+    }
+}
