@@ -9,6 +9,7 @@ use crate::grid::DomainError;
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 use crate::mesh::compare::CompareError;
 use crate::units::UnitError;
+use crate::vulkan::VulkanError;
 
 /// Anything that can go wrong between a particle file and a mesh file.
 #[derive(Debug, Error)]
@@ -25,6 +26,9 @@ pub enum Error {
     /// An input file.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// The Vulkan device that was asked for.
+    #[error(transparent)]
+    Vulkan(#[from] VulkanError),
     /// An output file.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -66,6 +70,8 @@ pub enum Cause {
     Input,
     /// The output cannot be written.
     Output,
+    /// The device that was asked for cannot be used.
+    Device,
 }
 
 impl Error {
@@ -89,6 +95,7 @@ impl Error {
             | Self::NoSpacing { .. }
             | Self::Mesh { .. }
             | Self::Read(_) => Cause::Input,
+            Self::Vulkan(_) => Cause::Device,
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,
                 WriteFault::Exists | WriteFault::UnknownExtension { .. } | WriteFault::Unsupported(_) => {

@@ -27,7 +27,7 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 /// Bytes, by what they are for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
-    /// The program, its threads, and an input that had to be unpacked.
+    /// The program, its threads, its backend, and an input that had to be unpacked.
     pub program: u64,
     /// Tables of bins.
     pub index: u64,
@@ -84,20 +84,20 @@ pub fn bin_limit(budget: MemoryBudget) -> usize {
 }
 
 impl Estimate {
-    /// For particles counted by bin, with so many attribute components each, and an input of which
-    /// `input_bytes` are in memory all the time.
+    /// For particles counted by bin, with so many attribute components each, and an input and a backend of which
+    /// `in_memory` bytes are taken all the time.
     #[must_use]
     pub fn of(
         counts: impl Iterator<Item = usize>,
         side: BrickSide,
         carried_components: usize,
-        input_bytes: u64,
+        in_memory: u64,
     ) -> Self {
         let brick_bytes = (size_of::<u16>() * side.samples()) as u64;
         let bricks_a_bin = side.bricks_a_bin() as u64;
         let components = 4 * carried_components as u64;
         let mut estimate = Self {
-            program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + input_bytes,
+            program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + in_memory,
             carried: carried_components > 0,
             ..Self::default()
         };
@@ -111,10 +111,11 @@ impl Estimate {
         estimate
     }
 
-    /// For pages with so many full cells each, of which the DIF is in a file.
+    /// For pages with so many full cells each, of which the DIF is in a file, and `in_memory` bytes that are taken all
+    /// the time.
     #[must_use]
-    pub fn of_surface(full_cells: impl Iterator<Item = usize>) -> Self {
-        Self { particles: 0, ..Self::of(full_cells, BrickSide::default(), 0, 0) }
+    pub fn of_surface(full_cells: impl Iterator<Item = usize>, in_memory: u64) -> Self {
+        Self { particles: 0, ..Self::of(full_cells, BrickSide::default(), 0, in_memory) }
     }
 
     /// The peak with everything in memory.

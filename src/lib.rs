@@ -32,7 +32,7 @@
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),
 //!     spacing: None,
-//!     resources: Resources { budget: meniscus::memory::default_budget(), scratch: std::env::temp_dir() },
+//!     resources: Resources::new(meniscus::memory::default_budget(), std::env::temp_dir()),
 //! };
 //! let surfacing =
 //!     Surfacing { sigma: Sigma::new(1.0)?, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
@@ -42,6 +42,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod backend;
 pub mod brick;
 pub mod error;
 pub mod estimate;

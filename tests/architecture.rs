@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 23] = [
+const ROOMS: [&str; 24] = [
     "units",
     "particles",
     "grid",
@@ -23,6 +23,7 @@ const ROOMS: [&str; 23] = [
     "stage/attribute",
     "programs",
     "recipe",
+    "backend",
     "plateau",
     "stitch",
     "estimate",

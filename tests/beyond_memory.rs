@@ -61,8 +61,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
             // Far less than the program itself takes: every share is as small as it gets.
             for budget in [1 << 18, 1 << 20, 1 << 22] {
-                let resources =
-                    Resources { budget: MemoryBudget(budget), scratch: scratch.path().to_owned() };
+                let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
                 let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 let what = format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);

@@ -77,6 +77,12 @@ pub struct BinContents<'a> {
 }
 
 impl BinContents<'_> {
+    /// The particles as they are stored: per axis, from x on, the offset in the cell and then the cell in the bin.
+    #[must_use]
+    pub fn packed(&self) -> &[u64] {
+        &self.records
+    }
+
     /// Each particle's cell in the bin (x fastest), and its offset in the cell.
     pub fn particles(&self) -> impl Iterator<Item = (usize, [u32; 3])> + '_ {
         self.records.iter().map(|&record| unpack(record))
@@ -88,6 +94,12 @@ impl Bins {
     #[must_use]
     pub fn keys(&self) -> &[MortonKey] {
         &self.keys
+    }
+
+    /// How many particles bin number `bin` holds.
+    #[must_use]
+    pub fn count(&self, bin: usize) -> usize {
+        self.first[bin + 1] - self.first[bin]
     }
 
     /// The particles of bin number `bin`, in no particular order.

@@ -136,6 +136,28 @@ impl DifField {
         block
     }
 
+    /// Writes the samples of a whole bin as they are stored, x fastest: counts, where there is a table for them.
+    ///
+    /// # Panics
+    /// If no page is there, or `dense` is not as long as a bin.
+    pub fn write_stored(&self, bin: IVec3, dense: &mut [u16]) {
+        let rank = self.rank[&bin];
+        let samples = self.store.cached(rank);
+        self.infos[rank as usize].write_dense(&samples, dense, self.side);
+    }
+
+    /// Whether a bin has a page.
+    #[must_use]
+    pub fn has_page(&self, bin: IVec3) -> bool {
+        self.rank.contains_key(&bin)
+    }
+
+    /// theta by the number of particles, and 1 for all numbers beyond, where what is stored is counts.
+    #[must_use]
+    pub fn decode_table(&self) -> Option<&[u16]> {
+        self.decode.as_ref().map(|table| &*table.0)
+    }
+
     /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell along
     /// every axis, as boxes of cells, in the Morton order of their blocks.
     #[must_use]

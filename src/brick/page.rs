@@ -120,6 +120,22 @@ impl PageInfo {
         true
     }
 
+    /// The inverse of [`from_dense`](Self::from_dense).
+    pub(super) fn write_dense(&self, samples: &[u16], dense: &mut [u16], side: BrickSide) {
+        dense.fill(0);
+        let edge = side.cells();
+        for index in (0..side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
+            let local = local_from_morton(index);
+            let Some(samples) = self.brick(samples, local, side) else { continue };
+            let corner = local * edge;
+            for (row, from) in (0..).zip(samples.chunks_exact(edge as usize)) {
+                let (y, z) = (corner.y + row % edge, corner.z + row / edge);
+                let first = (corner.x + BIN * (y + BIN * z)) as usize;
+                dense[first..first + edge as usize].copy_from_slice(from);
+            }
+        }
+    }
+
     /// How many samples are stored.
     #[must_use]
     pub fn samples(&self, side: BrickSide) -> usize {

@@ -2,12 +2,16 @@
 
 mod sink;
 
+pub use crate::stage::dual_mc::Normals;
+
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 use thiserror::Error;
 
+use crate::backend::{Backend, Cpu, Stages, Surfaces};
 use crate::brick::{
     BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, SortedStore,
 };
@@ -22,7 +26,6 @@ use crate::plateau::Plateau;
 use crate::recipe::Recipe;
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::{Kernel, Smoothing};
-use crate::stage::dual_mc::{contour, normals};
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma, UnitError};
@@ -83,9 +86,21 @@ pub struct Resources {
     pub budget: MemoryBudget,
     /// The folder for what exceeds it.
     pub scratch: PathBuf,
+    /// What the stages run on.
+    pub backend: Arc<dyn Backend>,
 }
 
 impl Resources {
+    /// Of the processor.
+    #[must_use]
+    pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
+        Self { budget, scratch, backend: Arc::new(Cpu) }
+    }
+
+    fn host_bytes(&self) -> u64 {
+        self.backend.host_bytes(self.budget)
+    }
+
     fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {
         |fault| FrameError::Scratch { folder: self.scratch.clone(), fault }
     }
@@ -133,14 +148,6 @@ pub enum Detail {
     Recovered,
 }
 
-/// Whether vertices get normals.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum Normals {
-    None,
-    Gradient,
-}
-
 /// What reconstructing `particles` would take, without doing it.
 ///
 /// # Errors
@@ -175,7 +182,8 @@ fn count<'a>(
     }
     let attributes = particles.attributes();
     let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-    let estimate = Estimate::of(plan.counts(), sampling.side, components, particles.resident_bytes());
+    let in_memory = particles.resident_bytes() + resources.host_bytes();
+    let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
     Ok((plan, estimate))
 }
 
@@ -213,6 +221,7 @@ pub struct Frame {
     /// Bytes of the surface that may be in memory.
     surface_share: u64,
     resources: Resources,
+    stages: Box<dyn Stages>,
 }
 
 /// A surface, and what was found on the way.
@@ -245,15 +254,17 @@ impl Frame {
         let in_scratch = resources.scratch_error();
         let mut sink = FieldSink::new(plan, &estimate, *side, &resources.scratch).map_err(&in_scratch)?;
 
+        let stages = resources.backend.start(resources.budget);
         let bins = match plan {
             Plan::InCore => {
                 let bins = bin_plan.fill(particles, carried);
                 laps.lap("bin");
-                sink.take(&bins, *indicator, *side).map_err(&in_scratch)?;
+                sink.take(&*stages, &bins, *indicator, *side).map_err(&in_scratch)?;
                 (!carried.is_empty()).then_some(bins)
             }
             Plan::OutOfCore(shares) => {
-                spill(bin_plan, particles, sampling, shares, &mut sink, laps).map_err(&in_scratch)?
+                spill(bin_plan, particles, sampling, shares, &*stages, &mut sink, laps)
+                    .map_err(&in_scratch)?
             }
         };
         let carried = bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
@@ -269,15 +280,17 @@ impl Frame {
         let dif = sink.finish(&facts, *side, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
         let surface_share = estimate.surface_share(resources.budget);
-        Ok(Self { facts, dif, carried, surface_share, resources: resources.clone() })
+        Ok(Self { facts, dif, carried, surface_share, resources: resources.clone(), stages })
     }
 
     /// Joins a DIF that was read from a frame file to what the file says of it.
     #[must_use]
     pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
-        let estimate = Estimate::of_surface(dif.infos().iter().map(|info| info.full_count as usize));
+        let full_cells = dif.infos().iter().map(|info| info.full_count as usize);
+        let estimate = Estimate::of_surface(full_cells, resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
-        Self { facts, dif, carried: None, surface_share, resources }
+        let stages = resources.backend.start(resources.budget);
+        Self { facts, dif, carried: None, surface_share, resources, stages }
     }
 
     /// Writes the frame as a .mnf file.
@@ -286,6 +299,18 @@ impl Frame {
     /// Those of `out`.
     pub fn pack(&self, out: &mut dyn Write) -> io::Result<()> {
         write_frame(out, &self.facts, &self.dif).map(drop)
+    }
+
+    /// What the stages run on.
+    #[must_use]
+    pub fn backend(&self) -> String {
+        self.resources.backend.name()
+    }
+
+    /// What went wrong with the backend so far, and was made good.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        self.stages.warnings()
     }
 
     /// What the frame was made with.
@@ -351,14 +376,13 @@ impl Frame {
 
     /// Meshes all blocks in Morton order into `spool`.
     fn mesh_blocks(&self, recipe: &Recipe, normals: Normals, spool: &mut Spool) -> io::Result<()> {
+        let domain = self.facts.domain.as_ref();
+        let surfaces = Surfaces { dif: &self.dif, recipe, domain, normals };
         for regions in self.regions(recipe).chunks(BATCH) {
-            let blocks: Vec<Option<BlockMesh>> = regions
-                .par_iter()
-                .map(|&region| self.block_mesh(recipe, region, normals))
-                .collect::<io::Result<_>>()?;
-            for block in blocks.into_iter().flatten() {
-                spool.push(block)?;
-            }
+            let mut blocks: Vec<BlockMesh> =
+                self.stages.contour(&surfaces, regions).into_iter().flatten().collect();
+            blocks.par_iter_mut().try_for_each(|block| self.carry(recipe, block))?;
+            blocks.into_iter().try_for_each(|block| spool.push(block))?;
             if spool.bytes() > self.surface_share {
                 spool.move_to_file(&self.resources.scratch)?;
             }
@@ -378,41 +402,16 @@ impl Frame {
             .collect()
     }
 
-    /// The surface through one region of a block; `None` where there is none.
-    fn block_mesh(
-        &self,
-        recipe: &Recipe,
-        region: CellBox,
-        with_normals: Normals,
-    ) -> io::Result<Option<BlockMesh>> {
-        let domain = self.facts.domain.as_ref();
-        let walls = domain.map(Domain::cells);
-        let dual = region.tiled().grown(0, 1);
-        let cells = match with_normals {
-            Normals::None => dual,
-            Normals::Gradient => dual.grown(1, 1),
-        };
-        let dif = recipe.gather(&self.dif, cells, domain);
-        let inside_walls = walls.is_none_or(|walls| walls.covers(&dual));
-        if !recipe.iso.may_cut(dif.samples(), inside_walls) {
-            return Ok(None);
+    /// Carries the particles' attributes to the vertices.
+    fn carry(&self, recipe: &Recipe, mesh: &mut BlockMesh) -> io::Result<()> {
+        let Some((bins, infos)) = &self.carried else { return Ok(()) };
+        let walls = self.facts.domain.as_ref().map(Domain::cells);
+        for (i, info) in infos.iter().enumerate() {
+            let attribute = (i, info.components);
+            let values = vertex_values(bins, attribute, &recipe.smoothing, mesh, recipe.iso, walls)?;
+            mesh.attributes.push(values);
         }
-        let field = recipe.field(&dif, domain);
-        let mut mesh = contour(&field, region, recipe.iso, walls);
-        if mesh.tiles.is_empty() {
-            return Ok(None);
-        }
-        if with_normals == Normals::Gradient {
-            mesh.normals = normals(&field, &mesh, recipe.iso, walls);
-        }
-        if let Some((bins, infos)) = &self.carried {
-            for (i, info) in infos.iter().enumerate() {
-                let attribute = (i, info.components);
-                let values = vertex_values(bins, attribute, &recipe.smoothing, &mesh, recipe.iso, walls)?;
-                mesh.attributes.push(values);
-            }
-        }
-        Ok(Some(mesh))
+        Ok(())
     }
 }
 
@@ -423,6 +422,7 @@ fn spill(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     shares: Shares,
+    stages: &dyn Stages,
     sink: &mut FieldSink,
     laps: &mut Laps,
 ) -> io::Result<Option<Bins>> {
@@ -438,7 +438,7 @@ fn spill(
     };
     for run in 0..spilled.runs().len() {
         let bins = spilled.load(run)?;
-        sink.take(&bins, *indicator, *side)?;
+        sink.take(stages, &bins, *indicator, *side)?;
         if let Some(sorted) = &mut sorted {
             sorted.push(&bins)?;
         }

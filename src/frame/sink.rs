@@ -4,10 +4,11 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use crate::backend::Stages;
 use crate::brick::{Bins, BrickSide, DifField, PageInfo};
 use crate::estimate::{Estimate, Plan, Shares};
 use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
-use crate::stage::indicator::{Indicator, count_table, indicate};
+use crate::stage::indicator::{Indicator, count_table};
 
 /// Bins whose pages are made at once.
 const BATCH: usize = 1024;
@@ -32,10 +33,16 @@ impl FieldSink {
     }
 
     /// Takes the pages of all `bins`.
-    pub(super) fn take(&mut self, bins: &Bins, indicator: Indicator, side: BrickSide) -> io::Result<()> {
+    pub(super) fn take(
+        &mut self,
+        stages: &dyn Stages,
+        bins: &Bins,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> io::Result<()> {
         let end = bins.keys().len();
         for first in (0..end).step_by(BATCH) {
-            let pages = indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
+            let pages = stages.indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
             match self {
                 Self::Memory(kept) => kept.extend(pages),
                 Self::File { writer, full_cells, .. } => {

@@ -205,12 +205,12 @@ impl Batch {
         Ok(())
     }
 
-    /// Copies one part of a buffer to another of the same size.
+    /// Copies one part of a buffer to the begin of another.
     ///
     /// # Panics
-    /// If the sizes differ.
+    /// If it does not fit.
     pub fn copy(&mut self, from: &View, to: &View) {
-        assert_eq!(from.bytes, to.bytes);
+        assert!(from.bytes <= to.bytes, "{} bytes into {}", from.bytes, to.bytes);
         if from.bytes == 0 {
             return;
         }

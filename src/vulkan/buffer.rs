@@ -181,6 +181,35 @@ impl Buffer {
     }
 }
 
+impl View {
+    /// Its size.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// `bytes` of it from `offset` on.
+    ///
+    /// # Panics
+    /// If it ends before that.
+    #[must_use]
+    pub fn part(&self, offset: u64, bytes: u64) -> Self {
+        assert!(offset + bytes <= self.bytes, "{offset} + {bytes} of {}", self.bytes);
+        self.buffer.part(self.offset + offset, bytes)
+    }
+
+    /// [`Buffer::write`] into this part.
+    pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
+        self.buffer.write(self.offset + offset, values);
+    }
+
+    /// [`Buffer::read`] from this part.
+    #[must_use]
+    pub fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
+        self.buffer.read(self.offset + offset, count)
+    }
+}
+
 impl Drop for Buffer {
     fn drop(&mut self) {
         if !self.owned {

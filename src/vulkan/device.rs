@@ -82,6 +82,7 @@ pub(super) struct Shared {
     /// `None` where the device is a caller's, who destroys it.
     instance: Option<Arc<Instance>>,
     name: String,
+    shares_host_memory: bool,
     pub(super) allocator: ManuallyDrop<Mutex<Allocator>>,
     pub(super) pipeline_cache: vk::PipelineCache,
     cache_file: Option<PathBuf>,
@@ -206,6 +207,10 @@ impl Device {
             raw,
             instance: owner,
             name: properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned(),
+            shares_host_memory: matches!(
+                properties.device_type,
+                vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
+            ),
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             pipeline_cache: vk::PipelineCache::null(),
             cache_file,
@@ -254,6 +259,12 @@ impl Device {
     #[must_use]
     pub fn limits(&self) -> Limits {
         self.shared.limits
+    }
+
+    /// Whether its memory is the host's.
+    #[must_use]
+    pub fn shares_host_memory(&self) -> bool {
+        self.shared.shares_host_memory
     }
 
     /// Bytes of all buffers that are alive.

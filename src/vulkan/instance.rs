@@ -12,7 +12,8 @@ const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
 
 /// A connection to the Vulkan loader.
 pub struct Instance {
-    pub(super) entry: ash::Entry,
+    /// Keeps the loader in the process.
+    _entry: ash::Entry,
     pub(super) raw: ash::Instance,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     log: ValidationLog,
@@ -127,7 +128,7 @@ impl Instance {
         } else {
             None
         };
-        Ok(Arc::new(Self { entry, raw, messenger, log }))
+        Ok(Arc::new(Self { _entry: entry, raw, messenger, log }))
     }
 
     /// What the validation layer found; it can be read when the instance is gone.

@@ -26,7 +26,7 @@ pub fn sampling() -> Sampling {
         side: BrickSide::Eight,
         carried: Vec::new(),
         spacing: None,
-        resources: Resources { budget: MemoryBudget(8 << 30), scratch: std::env::temp_dir() },
+        resources: Resources::new(MemoryBudget(8 << 30), std::env::temp_dir()),
     }
 }
 

@@ -90,7 +90,7 @@ fn main() {
         side: BrickSide::Eight,
         carried: Vec::new(),
         spacing: None,
-        resources: Resources { budget: MemoryBudget(u64::MAX), scratch: std::env::temp_dir() },
+        resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
     let surfacing = Surfacing {
         sigma: Sigma::new(1.0).expect("a valid sigma"),

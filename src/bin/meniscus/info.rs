@@ -172,7 +172,7 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         side: BrickSide::default(),
         carried: Vec::new(),
         spacing: None,
-        resources: Resources { budget: MemoryBudget(u64::MAX), scratch: PathBuf::new() },
+        resources: Resources::new(MemoryBudget(u64::MAX), PathBuf::new()),
     };
     let (_, estimate) = frame::estimate(particles, &sampling).ok()?;
     Some(estimate.in_core())

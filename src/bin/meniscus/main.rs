@@ -1,5 +1,6 @@
 //! The command line: sees only the public interface of the library.
 
+mod devices;
 mod info;
 mod inspect;
 mod interrupt;
@@ -31,6 +32,8 @@ enum Command {
     Info(info::Options),
     /// Check that meshes are closed, oriented 2-manifolds, and measure them.
     Check(inspect::CheckOptions),
+    /// List the Vulkan devices of this machine.
+    Devices(devices::Options),
     /// Measure how far a mesh lies from a reference.
     Compare(inspect::CompareOptions),
 }
@@ -49,6 +52,7 @@ fn main() -> ExitCode {
         Command::Reconstruct(options) => reconstruct::run(&options),
         Command::Pack(options) => pack::run(&options),
         Command::Info(options) => info::run(&options),
+        Command::Devices(options) => devices::run(&options),
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),
     };
@@ -61,6 +65,7 @@ fn main() -> ExitCode {
                 Cause::Request => 2,
                 Cause::Input => 3,
                 Cause::Output => 4,
+                Cause::Device => 5,
             })
         }
     }

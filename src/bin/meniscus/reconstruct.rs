@@ -229,6 +229,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     report_frame(&frame, &notes);
     let in_file = |fault| Error::Frame { path: options.input.clone(), fault };
     let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
+    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     report_isovalue(&surface, surfacing.iso, &notes);
 
     let width = coordinate_width(&surface, frame.facts().grid.cell_size(), format, &notes)?;
@@ -282,6 +283,7 @@ fn record(options: &Options, frame: &Frame, surface: &Surface, bytes: u64, laps:
         "output_bytes": bytes,
         "seconds": seconds.collect::<serde_json::Map<_, _>>(),
         "total_seconds": laps.total(),
+        "backend": frame.backend(),
         "threads": rayon::current_num_threads(),
         "peak_resident_bytes": peak_resident(),
     })

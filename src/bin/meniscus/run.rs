@@ -1,15 +1,18 @@
 //! Options on what a run takes and says: threads, memory, scratch, and notes on standard error.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
+use meniscus::backend::{Backend, Cpu, Vulkan};
 use meniscus::error::Error;
 use meniscus::estimate::SMALLEST_BUDGET;
 use meniscus::frame::Resources;
 use meniscus::io::bytes::Unpacking;
 use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
+use meniscus::vulkan::{Device, DeviceChoice, DeviceKind, DeviceOptions, Instance};
 
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
@@ -19,6 +22,9 @@ pub struct RunOptions {
     /// Where the stages run.
     #[arg(long, value_enum, default_value_t = BackendName::Auto)]
     backend: BackendName,
+    /// The Vulkan device, by its number or a part of its name: see `meniscus devices` [default: the best].
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<String>,
     /// Threads to use [default: all cores].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -41,10 +47,12 @@ pub struct RunOptions {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum BackendName {
-    /// The best there is.
+    /// A discrete GPU where there is one, else the CPU.
     Auto,
     /// All cores of this machine.
     Cpu,
+    /// A Vulkan device.
+    Vulkan,
 }
 
 impl RunOptions {
@@ -64,7 +72,35 @@ impl RunOptions {
         }
         let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty());
         let scratch = self.scratch.as_deref().or(beside).unwrap_or(Path::new("."));
-        Ok(Resources { budget, scratch: scratch.to_owned() })
+        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend()? })
+    }
+
+    fn backend(&self) -> Result<Arc<dyn Backend>, Error> {
+        match (self.backend, &self.device) {
+            (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
+            (BackendName::Cpu, None) => Ok(Arc::new(Cpu)),
+            (BackendName::Auto, None) => match self.vulkan(Some(DeviceKind::Discrete)) {
+                Ok(Some(vulkan)) => Ok(Arc::new(vulkan)),
+                Ok(None) | Err(_) => Ok(Arc::new(Cpu)),
+            },
+            (BackendName::Auto, Some(_)) | (BackendName::Vulkan, _) => {
+                let vulkan = self.vulkan(None)?;
+                Ok(Arc::new(vulkan.expect("any kind will do")))
+            }
+        }
+    }
+
+    /// The device of choice; `None` if it is of another kind than `kind`.
+    fn vulkan(&self, kind: Option<DeviceKind>) -> Result<Option<Vulkan>, Error> {
+        let instance = Instance::connect(false)?;
+        let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
+        let info = instance.choose(&choice)?;
+        if kind.is_some_and(|kind| kind != info.kind) {
+            return Ok(None);
+        }
+        let pipeline_cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
+        let options = DeviceOptions { memory: Some(info.memory / 4 * 3), pipeline_cache };
+        Ok(Some(Vulkan::new(Device::open(&instance, &choice, &options)?)?))
     }
 
     pub fn notes(&self) -> Notes {

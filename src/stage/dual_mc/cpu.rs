@@ -7,6 +7,7 @@ use crate::grid::{BLOCK, CellBox, TILE, local_from_morton, local_morton};
 use crate::mesh::{BlockMesh, Tile, TileMask, bits};
 use crate::units::Isovalue;
 
+use super::Falls;
 use super::table::TABLE;
 
 /// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
@@ -71,29 +72,42 @@ pub fn vertex_fraction([lower, upper]: [u16; 2], iso: Isovalue) -> f64 {
 pub fn normals(field: &Block, mesh: &BlockMesh, iso: Isovalue, walls: Option<CellBox>) -> Vec<[f32; 3]> {
     let strides = field.strides();
     let samples = field.samples();
-    let falling = |index: usize| {
-        DVec3::from(strides.map(|s| f64::from(samples[index - s]) - f64::from(samples[index + s])))
-    };
+    let falling =
+        |index: usize| strides.map(|s| i32::from(samples[index - s]) - i32::from(samples[index + s]));
     mesh.edges()
         .zip(&mesh.ends)
         .map(|((cell, axis), &ends)| {
-            let along = DVec3::AXES[axis];
-            if let Some(walls) = walls {
-                if !walls.contains(cell) {
-                    return (-along).as_vec3().to_array();
-                }
-                if !walls.contains(cell + IVec3::AXES[axis]) {
-                    return along.as_vec3().to_array();
-                }
-            }
             let lower = field.index(cell);
-            let a = vertex_fraction(ends, iso);
-            let normal = falling(lower) * (1.0 - a) + falling(lower + strides[axis]) * a;
-            // Where the gradient vanishes, the edge itself tells outside from inside.
-            let fallback = if ends[0] > ends[1] { along } else { -along };
-            normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
+            normal((cell, axis), ends, [lower, lower + strides[axis]].map(falling), iso, walls)
         })
         .collect()
+}
+
+/// The normal of one vertex, given its edge, the samples at the edge's ends, and by how much the field falls along
+/// each axis around both.
+#[must_use]
+pub fn normal(
+    (cell, axis): (IVec3, usize),
+    ends: [u16; 2],
+    falls: Falls,
+    iso: Isovalue,
+    walls: Option<CellBox>,
+) -> [f32; 3] {
+    let along = DVec3::AXES[axis];
+    if let Some(walls) = walls {
+        if !walls.contains(cell) {
+            return (-along).as_vec3().to_array();
+        }
+        if !walls.contains(cell + IVec3::AXES[axis]) {
+            return along.as_vec3().to_array();
+        }
+    }
+    let a = vertex_fraction(ends, iso);
+    let [lower, upper] = falls.map(|fall| DVec3::from(fall.map(f64::from)));
+    let normal = lower * (1.0 - a) + upper * a;
+    // Where the gradient vanishes, the edge itself tells outside from inside.
+    let fallback = if ends[0] > ends[1] { along } else { -along };
+    normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
 /// A sign word for every tile of a region and for those beyond its upper faces, of which only the first

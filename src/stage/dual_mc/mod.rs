@@ -13,4 +13,16 @@ mod cpu;
 pub mod table;
 pub mod vulkan;
 
-pub use cpu::{contour, normals, vertex_fraction};
+pub use cpu::{contour, normal, normals, vertex_fraction};
+
+/// By how much the field falls from one cell below to one cell above along each axis, around the lower and the upper
+/// end of a vertex's edge.
+pub type Falls = [[i32; 3]; 2];
+
+/// Whether vertices get normals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Normals {
+    None,
+    Gradient,
+}

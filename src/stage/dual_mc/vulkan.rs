@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
-use glam::IVec3;
 
 use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
 use crate::grid::{BLOCK, CellBox, TILE};
@@ -108,9 +107,6 @@ pub struct Slot {
     spare: u32,
 }
 
-/// The differences of the field around both ends of a vertex's edge, against its axes.
-pub type Falls = [[i32; 3]; 2];
-
 /// The kernels of this stage.
 #[derive(Debug)]
 pub struct Kernels {
@@ -139,7 +135,7 @@ pub struct Outputs {
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// [`Falls`] for every vertex, if there are to be normals.
+    /// [`Falls`](super::Falls) for every vertex, if there are to be normals.
     pub falls: View,
     /// Vertices that there is room for; nothing is written of more than that.
     pub room: u32,
@@ -188,10 +184,4 @@ pub fn contour(
         &EmitPush { walls_lo, room: *room, walls_hi, normals: normals.into() },
         [BLOCK_TILES, blocks.count, 1],
     )
-}
-
-/// A fall as the routine that places normals takes it.
-#[must_use]
-pub fn fall(differences: [i32; 3]) -> glam::DVec3 {
-    IVec3::from(differences).as_dvec3()
 }

@@ -1,0 +1,72 @@
+//! The stages on the processor's cores.
+
+use std::io;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::brick::{Bins, BrickSide};
+use crate::grid::CellBox;
+use crate::mesh::BlockMesh;
+use crate::stage::dual_mc::{Normals, contour, normals};
+use crate::stage::indicator::{Indicator, indicate};
+use crate::units::MemoryBudget;
+
+use super::{Backend, Pages, Stages, Surfaces};
+
+/// All threads of the pool that a call is made in.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Cpu;
+
+impl Backend for Cpu {
+    fn name(&self) -> String {
+        format!("CPU, {} threads", rayon::current_num_threads())
+    }
+
+    fn host_bytes(&self, _: MemoryBudget) -> u64 {
+        0
+    }
+
+    fn start(&self, _: MemoryBudget) -> Box<dyn Stages> {
+        Box::new(Self)
+    }
+}
+
+impl Stages for Cpu {
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> io::Result<Pages> {
+        indicate(bins, range, indicator, side)
+    }
+
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
+        regions.par_iter().map(|&region| block_mesh(surfaces, region)).collect()
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
+    let &Surfaces { dif, recipe, domain, .. } = surfaces;
+    let walls = surfaces.walls();
+    let dif = recipe.gather(dif, surfaces.field(region), domain);
+    let inside_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
+    if !recipe.iso.may_cut(dif.samples(), inside_walls) {
+        return None;
+    }
+    let field = recipe.field(&dif, domain);
+    let mut mesh = contour(&field, region, recipe.iso, walls);
+    if mesh.tiles.is_empty() {
+        return None;
+    }
+    if surfaces.normals == Normals::Gradient {
+        mesh.normals = normals(&field, &mesh, recipe.iso, walls);
+    }
+    Some(mesh)
+}

@@ -1,0 +1,87 @@
+//! What the stages of a frame run on: the processor's cores, or a Vulkan device. Both give the same bytes.
+
+mod cpu;
+mod vulkan;
+
+pub use cpu::Cpu;
+pub use vulkan::Vulkan;
+
+use std::fmt::Debug;
+use std::io;
+use std::ops::Range;
+
+use crate::brick::{Bins, BrickSide, DifField, PageInfo};
+use crate::grid::{CellBox, Domain};
+use crate::mesh::BlockMesh;
+use crate::recipe::Recipe;
+use crate::stage::dual_mc::Normals;
+use crate::stage::indicator::Indicator;
+use crate::units::MemoryBudget;
+
+/// Pages of the DIF, each with what there is to know of it.
+pub type Pages = Vec<(PageInfo, Box<[u16]>)>;
+
+/// Something that stages run on.
+pub trait Backend: Debug + Send + Sync {
+    /// What it is, for people.
+    fn name(&self) -> String;
+
+    /// Bytes of the host's memory that a frame takes under `budget`, besides what every frame takes.
+    fn host_bytes(&self, budget: MemoryBudget) -> u64;
+
+    /// Starts a frame. What it keeps on a device goes with it.
+    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages>;
+}
+
+/// The stages of one frame.
+pub trait Stages: Debug + Send + Sync {
+    /// The pages of a range of bins: theta by symmetry; the numbers of particles for counting.
+    ///
+    /// # Errors
+    /// Where particles are in a scratch file that cannot be read.
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> io::Result<Pages>;
+
+    /// The surfaces through some regions of blocks, each `None` where there is none.
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>>;
+
+    /// What went wrong so far and was made good.
+    fn warnings(&self) -> Vec<String>;
+}
+
+/// What surfaces are drawn through, and how.
+#[derive(Debug, Clone, Copy)]
+pub struct Surfaces<'a> {
+    /// The frame's DIF.
+    pub dif: &'a DifField,
+    /// From there to the field.
+    pub recipe: &'a Recipe,
+    /// Walls, if there are any.
+    pub domain: Option<&'a Domain>,
+    /// Whether vertices get normals.
+    pub normals: Normals,
+}
+
+impl Surfaces<'_> {
+    /// The cells that stand around the dual cells of a region.
+    fn dual(&self, region: CellBox) -> CellBox {
+        region.tiled().grown(0, 1)
+    }
+
+    /// The cells whose field is needed for a region.
+    fn field(&self, region: CellBox) -> CellBox {
+        match self.normals {
+            Normals::None => self.dual(region),
+            Normals::Gradient => self.dual(region).grown(1, 1),
+        }
+    }
+
+    fn walls(&self) -> Option<CellBox> {
+        self.domain.map(Domain::cells)
+    }
+}
