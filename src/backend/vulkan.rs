@@ -273,7 +273,10 @@ impl State {
         self.resident = None;
         if bytes <= self.resident_bytes.min(device.limits().storage_range) {
             let numbers = bins.keys().iter().map(|key| key.coord()).zip(0..).collect();
-            self.resident = device.buffer(Place::Device, bytes).ok().map(|pages| Resident { pages, numbers });
+            match device.buffer(Place::Device, bytes) {
+                Ok(pages) => self.resident = Some(Resident { pages, numbers }),
+                Err(error) => self.warn(format!("{error}; the field is sent anew for every batch")),
+            }
         }
         // Only once: runs of bins that follow one another do not fit together.
         self.resident_bytes = 0;
@@ -366,7 +369,7 @@ impl DeviceFrame {
         done: &mut Pages,
     ) -> Result<(), Fault> {
         state.make_resident(&self.device, bins);
-        let room = state.batch_bytes.min(self.device.limits().storage_range);
+        let room = state.batch_bytes;
         let State { resident, .. } = &*state;
         let resident = resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         state.lanes(&self.device)?;
@@ -377,7 +380,7 @@ impl DeviceFrame {
             if next < range.end
                 && let Some(number) = idle.pop()
             {
-                let batch = bin_batch(bins, next..range.end, room)?;
+                let batch = bin_batch(bins, next..range.end, room);
                 next = batch.end;
                 let lane = &mut state.lanes[number];
                 let resident = resident.as_ref();
@@ -476,18 +479,17 @@ impl DeviceFrame {
 }
 
 /// As many bins as a batch has room for, at least one.
-fn bin_batch(bins: &Bins, range: Range<usize>, room: u64) -> Result<Range<usize>, VulkanError> {
+fn bin_batch(bins: &Bins, range: Range<usize>, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;
     while end < range.end && end - range.start < BATCH {
         bytes += 2 * (8 * bins.count(end) as u64 + PAGE_BYTES);
-        if bytes > room {
+        if end > range.start && bytes > room {
             break;
         }
         end += 1;
     }
-    // What one bin takes alone is too much for any batch.
-    if end == range.start { Err(VulkanError::OutOfMemory { bytes }) } else { Ok(range.start..end) }
+    range.start..end
 }
 
 fn upload(lane: &mut Lane, staged: &View, inputs: &View) -> Result<Ticket, VulkanError> {

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test file uses its part")]
 
 pub mod dense;
+pub mod device;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 

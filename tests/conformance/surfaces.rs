@@ -1,12 +1,9 @@
 //! Surfaces of known shape: closed, oriented, manifold, of the right genus and volume, with outward normals.
-#![allow(clippy::unwrap_used)]
-
-mod common;
 
 use std::f64::consts::PI;
 
-use common::scene::Random;
-use common::{Reconstructed, fill, reconstruct, sampling, splashes, surfacing, tank};
+use crate::common::scene::Random;
+use crate::common::{Reconstructed, fill, reconstruct, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
 use meniscus::brick::Block;
 use meniscus::frame::{Detail, Frame, FrameError, Normals, Sampling, Surfacing};
@@ -21,6 +18,8 @@ use meniscus::stage::dual_mc::contour;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, Sigma};
+
+use super::sampling;
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
     let report = check(mesh);

@@ -1,11 +1,8 @@
 //! The sparse pipeline against the method on one dense array.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::dense::{self, Dense, Method};
-use common::scene::Random;
-use common::{reconstruct, sampling, shuffle, splashes, surfacing, tank};
+use crate::common::dense::{self, Dense, Method};
+use crate::common::scene::Random;
+use crate::common::{reconstruct, shuffle, splashes, surfacing, tank};
 use glam::IVec3;
 use meniscus::brick::BrickSide;
 use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
@@ -13,6 +10,8 @@ use meniscus::grid::{BLOCK, CellBox, Grid};
 use meniscus::laps::Laps;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
+
+use super::sampling;
 
 /// Every way to compute a field that the oracle knows.
 fn variants() -> Vec<(Sampling, Surfacing)> {

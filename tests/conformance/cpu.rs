@@ -1,0 +1,13 @@
+//! The list on the CPU.
+
+use crate::common;
+use meniscus::frame::Sampling;
+
+#[path = "oracle.rs"]
+mod oracle;
+#[path = "surfaces.rs"]
+mod surfaces;
+
+fn sampling() -> Sampling {
+    common::sampling()
+}

@@ -1,0 +1,324 @@
+//! The Vulkan backend: each stage against its twin, whole frames, little memory, failures. All validated.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use common::scene::Random;
+use common::{device, reconstruct, sampling, splashes, surfacing, tank};
+use glam::IVec3;
+use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan};
+use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
+use meniscus::brick::{BinPlan, Block, BrickSide, DifField, InvalidParticles};
+use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::{CellBox, Grid};
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::open_particles;
+use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
+use meniscus::recipe::Recipe;
+use meniscus::stage::blur::{self, Kernel, Smoothing};
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, ValidationLog};
+
+const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
+const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
+
+/// Runs a test on a device of its own, and looks at what validation found when all of it is gone.
+fn validated(test: impl FnOnce(&Device)) {
+    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
+    test(&device);
+    assert_eq!(device.allocated(), 0, "buffers are left");
+    drop(device);
+    assert_clean(&log);
+}
+
+fn assert_clean(log: &ValidationLog) {
+    assert_eq!(log.messages(), [""; 0]);
+}
+
+fn random_block(cells: CellBox, seed: u64) -> Block {
+    let mut random = Random::new(seed);
+    let mut block = Block::zero(cells);
+    block.samples_mut().iter_mut().for_each(|sample| *sample = random.bits() as u16);
+    block
+}
+
+#[test]
+fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
+    validated(|device| {
+        let program = Arc::new(device.kernel(&blur::vulkan::BLUR).unwrap());
+        for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
+            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
+            let reach = kernel.reach();
+            let inner = CellBox { lo: IVec3::new(-5, 3, -20), hi: IVec3::new(6, 12, -13) };
+            let mut dif = random_block(inner.grown(reach, reach), seed);
+            for walls in [None, Some(CellBox { lo: inner.lo + 2, hi: inner.hi + 1 })] {
+                if let Some(walls) = walls {
+                    dif.repeat_edges(walls);
+                }
+                let expected = blur::blur(&dif, &kernel);
+                let (block, samples) = blurred_on(device, &program, &dif, &kernel, walls);
+                let inside = walls.map_or(inner, |walls| inner.intersection(&walls));
+                for ([y, z], row) in expected.rows(inside) {
+                    for (x, &sample) in (inside.lo.x..).zip(row) {
+                        let at = IVec3::new(x, y, z) - IVec3::from(block.lo);
+                        let [width, height, _] = block.size.map(|n| n as i32);
+                        let found = samples[(at.x + width * (at.y + height * at.z)) as usize];
+                        assert_eq!(found, sample, "sigma {sigma}, walls {walls:?}, cell {x} {y} {z}");
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// A block as the device keeps it, and its samples after a blur.
+fn blurred_on(
+    device: &Device,
+    program: &Arc<meniscus::vulkan::Kernel>,
+    dif: &Block,
+    kernel: &Kernel,
+    walls: Option<CellBox>,
+) -> (DeviceBlock, Vec<u16>) {
+    let block = DeviceBlock::new(dif.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO });
+    let mut padded = Block::<u16>::zero(block.cells());
+    for ([y, z], row) in dif.rows(dif.cells()) {
+        let to = padded.index(IVec3::new(dif.cells().lo.x, y, z));
+        padded.samples_mut()[to..to + row.len()].copy_from_slice(row);
+    }
+    let upload = |bytes: &[u8]| {
+        let buffer = device.buffer(Place::Upload, bytes.len() as u64).unwrap();
+        buffer.write(0, bytes);
+        buffer.whole()
+    };
+    let field = upload(bytemuck::cast_slice(padded.samples()));
+    let weights = upload(bytemuck::cast_slice(kernel.half()));
+    let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
+    let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
+    let blocks = DeviceBlocks {
+        blocks: upload(bytemuck::bytes_of(&block)),
+        count: 1,
+        largest: block.words(),
+        words: block.words(),
+    };
+    let mut batch = device.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    let views = [&field, &through, &to];
+    blur::vulkan::blur(&mut batch, program, &blocks, (kernel, &weights), walls, 0, views).unwrap();
+    batch.submit(&[]).unwrap();
+    batch.wait().unwrap();
+    (block, to.read(0, padded.samples().len()))
+}
+
+/// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
+fn crowds() -> Vec<[f64; 3]> {
+    let mut random = Random::new(5);
+    let mut particles = splashes(5);
+    particles.extend(std::iter::repeat_n([3.999_999, 3.0, 3.5], 600_000));
+    particles.extend((0..300_000).map(|_| [9.0 + random.unit(), 3.0 + random.unit(), 5.999_99]));
+    particles.extend((0..70_000).map(|_| std::array::from_fn(|_| -17.0 + random.unit())));
+    particles
+}
+
+#[test]
+fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
+    let particles = crowds();
+    let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
+    let plan = BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, usize::MAX).unwrap();
+    let bins = plan.fill(&particles[..], &[]);
+    validated(|device| {
+        let vulkan = Vulkan::new(device.clone()).unwrap();
+        for budget in [MemoryBudget(1 << 30), MemoryBudget(200 << 20)] {
+            for indicator in INDICATORS {
+                let frame = vulkan.start(budget);
+                let all = 0..bins.keys().len();
+                let pages = frame.indicate(&bins, all.clone(), indicator, BrickSide::Eight).unwrap();
+                let expected = Cpu.start(budget).indicate(&bins, all, indicator, BrickSide::Eight).unwrap();
+                assert!(pages == expected, "{indicator:?} under {budget:?}");
+                assert_eq!(frame.warnings(), [""; 0]);
+            }
+        }
+    });
+}
+
+/// All ways to compute a surface, on the CPU and on a device.
+fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
+    for indicator in INDICATORS {
+        for walls in [false, true] {
+            let mut sampling = Sampling { indicator, ..sampling() };
+            sampling.domain = walls.then(|| tank(&sampling.grid));
+            for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[1], 0.8)] {
+                let sigma = Sigma::new(sigma).unwrap();
+                let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
+                let (_, expected) = reconstruct(particles, &sampling, &surfacing);
+                let mut resources = Resources::new(budget, std::env::temp_dir());
+                resources.backend = Arc::clone(vulkan) as Arc<dyn Backend>;
+                let sampling = Sampling { resources, ..sampling.clone() };
+                let (frame, surface) = reconstruct(particles, &sampling, &surfacing);
+                assert!(surface.mesh == expected.mesh, "{what}: {indicator:?}, {detail:?}, walls {walls}");
+                assert_eq!(frame.warnings(), [""; 0], "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
+    let particles = splashes(23);
+    validated(|device| {
+        let vulkan = Arc::new(Vulkan::new(device.clone()).unwrap());
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
+        // A quarter of it is the device's, half of that for batches.
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
+    });
+}
+
+#[test]
+fn the_shared_frames_have_the_same_surfaces_on_the_device() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    validated(|device| {
+        let vulkan = Arc::new(Vulkan::new(device.clone()).unwrap());
+        for file in ["dambreak_small/ParticleData_Fluid_20.bgeo"] {
+            let scratch = std::env::temp_dir();
+            let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
+            let file = open_particles(&data.join(file), unpacking).unwrap();
+            let grid = Grid::new(glam::DVec3::ZERO, 0.05).unwrap();
+            for indicator in INDICATORS {
+                for detail in DETAILS {
+                    let mut sampling = Sampling { indicator, grid, ..sampling() };
+                    let surfacing = Surfacing { detail, ..surfacing() };
+                    let (_, expected) = reconstruct(&file.particles, &sampling, &surfacing);
+                    sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+                    let (_, surface) = reconstruct(&file.particles, &sampling, &surfacing);
+                    assert!(surface.mesh == expected.mesh, "{indicator:?}, {detail:?}");
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
+    // White noise has a vertex on nearly every other edge, far more than a fluid.
+    let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
+    let mut random = Random::new(3);
+    let pages = cells.cubes(16).map(|bin| {
+        let dense: Vec<u16> = (0..4096).map(|_| random.bits() as u16 | 1).collect();
+        meniscus::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen).unwrap()
+    });
+    let mut pages: Vec<_> = pages.collect();
+    pages.sort_unstable_by_key(|(info, _)| info.key);
+    let dif = DifField::in_memory(BrickSide::Sixteen, pages);
+    let recipe = Recipe {
+        smoothing: Smoothing::new(Indicator::Symmetry, Sigma::new(0.2).unwrap()),
+        detail: None,
+        iso: Isovalue::new(0.5).unwrap(),
+    };
+    let regions: Vec<CellBox> = dif.regions(recipe.reach() + 1, recipe.reach());
+    let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
+    let budget = MemoryBudget(8 << 30);
+    let expected = Cpu.start(budget).contour(&surfaces, &regions);
+    let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();
+    assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
+    validated(|device| {
+        let frame = Vulkan::new(device.clone()).unwrap().start(budget);
+        assert!(frame.contour(&surfaces, &regions) == expected);
+        assert_eq!(frame.warnings(), [""; 0]);
+    });
+}
+
+/// The mesh of a frame on a device with some calls failing, and the warnings.
+fn faulty_frame(device: &Device, allocation: u64, submission: u64) -> (Mesh, Vec<String>) {
+    let vulkan = Vulkan::new(device.clone()).unwrap();
+    device.faults().allocation.store(allocation, Ordering::Relaxed);
+    device.faults().submission.store(submission, Ordering::Relaxed);
+    let mut sampling = sampling();
+    sampling.resources.budget = MemoryBudget(64 << 20);
+    sampling.resources.backend = Arc::new(vulkan);
+    let mut laps = Laps::default();
+    let frame = Frame::sample(&splashes(29)[..], &sampling, &mut laps).unwrap();
+    let mesh = frame.surface(&surfacing(), &mut laps).unwrap().mesh.to_mesh().unwrap();
+    (mesh, frame.warnings())
+}
+
+#[test]
+fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_leak() {
+    let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
+    let mut number = 1;
+    loop {
+        let mut struck = false;
+        validated(|device| {
+            let (mesh, warnings) = faulty_frame(device, number, 0);
+            struck = device.faults().allocation.load(Ordering::Relaxed) == 0;
+            assert!(mesh == expected.mesh, "allocation {number} failed");
+            assert_eq!(!warnings.is_empty(), struck, "allocation {number}: {warnings:?}");
+        });
+        if !struck {
+            break;
+        }
+        number += 1;
+    }
+    assert!(number > 10 || device::open(&DeviceOptions::default()).is_none(), "{number} allocations");
+}
+
+#[test]
+fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak() {
+    let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
+    let mut number = 1;
+    loop {
+        let mut struck = false;
+        validated(|device| {
+            let (mesh, warnings) = faulty_frame(device, 0, number);
+            struck = device.faults().submission.load(Ordering::Relaxed) == 0;
+            assert!(mesh == expected.mesh, "the device was lost at submission {number}");
+            assert_eq!(warnings.len(), usize::from(struck), "submission {number}: {warnings:?}");
+        });
+        if !struck {
+            break;
+        }
+        number += 1;
+    }
+    assert!(number > 6 || device::open(&DeviceOptions::default()).is_none(), "{number} submissions");
+}
+
+#[test]
+fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
+    let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
+    for memory in [4096, 100_000, 1 << 20, 3 << 20] {
+        let options = DeviceOptions { memory: Some(memory), ..DeviceOptions::default() };
+        let Some((device, log)) = device::open(&options) else { return };
+        let (mesh, _) = faulty_frame(&device, 0, 0);
+        assert!(mesh == expected.mesh, "{memory} bytes");
+        drop(device);
+        assert_clean(&log);
+    }
+}
+
+#[test]
+fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let options =
+        DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
+    let run = || {
+        let Some((device, log)) = device::open(&options) else { return None };
+        let (mesh, _) = faulty_frame(&device, 0, 0);
+        drop(device);
+        assert_clean(&log);
+        Some(mesh)
+    };
+    let Some(first) = run() else { return };
+    let files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
+    let [file] = &files[..] else { panic!("one cache: {files:?}") };
+    assert!(run() == Some(first.clone()));
+    let mut bytes = std::fs::read(file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(file, &bytes).unwrap();
+    assert!(run() == Some(first));
+    assert_ne!(std::fs::read(file).unwrap(), bytes, "a damaged cache is written anew");
+}
