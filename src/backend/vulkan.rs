@@ -436,12 +436,12 @@ impl DeviceFrame {
         })?;
 
         let uploaded = upload(lane, &staged, &inputs)?;
-        lane.compute.stage("indicate");
+        lane.compute.stage("indicate", inputs.bytes() + pages.bytes());
         let [entries, records] = [part(&inputs, &entries_at), part(&inputs, &records_at)];
         let views = [&entries, &records, &pages];
         indicate(&mut lane.compute, &self.kernels.indicate, count as u32, indicator, views)?;
         let computed = lane.compute.submit(&[uploaded])?;
-        lane.download.stage("download");
+        lane.download.stage("download", 2 * pages.bytes());
         lane.download.copy(&pages, &read);
         lane.download.submit(&[computed])?;
         Ok(BinBatch { bins: range, pages: read })
@@ -493,7 +493,7 @@ fn bin_batch(bins: &Bins, range: Range<usize>, room: u64) -> Range<usize> {
 }
 
 fn upload(lane: &mut Lane, staged: &View, inputs: &View) -> Result<Ticket, VulkanError> {
-    lane.upload.stage("upload");
+    lane.upload.stage("upload", 2 * staged.bytes());
     lane.upload.copy(staged, inputs);
     lane.upload.submit(&[])
 }
@@ -669,10 +669,10 @@ impl Contouring<'_> {
             theta: self.constants.theta.clone(),
             decode: self.constants.decode,
         };
-        commands.stage("gather");
+        commands.stage("gather", pages.pages.bytes() + field_bytes);
         gather(commands, &kernels.gather, &blocks, &pages, &first)?;
         let field = self.record_field(commands, &blocks, [first, second, third])?;
-        commands.stage("dual marching cubes");
+        commands.stage("dual marching cubes", field_bytes);
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
         let normals = self.has_normals();
         contour(commands, &kernels.dual_mc, &blocks, &field, iso, walls, normals, &outputs)?;
@@ -693,7 +693,8 @@ impl Contouring<'_> {
         let walls = self.surfaces.walls();
         let mut margin = 0;
         let mut from = dif.clone();
-        commands.stage("blur");
+        let field_bytes = 4 * u64::from(blocks.words);
+        commands.stage("blur", 6 * field_bytes * recipe.smoothing.filters().len() as u64);
         for filter in recipe.smoothing.filters().iter().zip(&self.constants.filters) {
             blur(commands, &kernels.blur, blocks, filter, walls, margin, [&from, &spare, &smooth])?;
             margin += filter.0.reach();
@@ -703,7 +704,7 @@ impl Contouring<'_> {
         let Some(kernel) = &recipe.detail else { return Ok(from) };
         // `from` is the smoothed DIF, and one of the other two.
         let (smooth, spare) = (from, smooth);
-        commands.stage("detail");
+        commands.stage("detail", 12 * field_bytes);
         lost(commands, &kernels.lost, blocks, recipe.iso, [&dif, &smooth, &spare])?;
         let filter = (kernel, &self.constants.detail);
         blur(commands, &kernels.blur, blocks, filter, walls, margin, [&spare, &spare, &dif])?;
@@ -754,7 +755,7 @@ impl Contouring<'_> {
         let tiles = lane.buffer(device, "tiles read", Place::Download, tile_bytes)?;
         let ends = lane.buffer(device, "ends read", Place::Download, end_bytes)?;
         let falls = lane.buffer(device, "falls read", Place::Download, fall_bytes)?;
-        lane.download.stage("download");
+        lane.download.stage("download", 2 * (tile_bytes + end_bytes + fall_bytes));
         for (name, bytes, to) in
             [("tiles", tile_bytes, &tiles), ("ends", end_bytes, &ends), ("falls", fall_bytes, &falls)]
         {

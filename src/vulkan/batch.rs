@@ -36,7 +36,8 @@ pub struct Batch {
     queries: vk::QueryPool,
     buffers: Vec<Arc<Buffer>>,
     kernels: Vec<Arc<Kernel>>,
-    stages: Vec<&'static str>,
+    /// Each with the bytes that it moves.
+    stages: Vec<(&'static str, u64)>,
     pending: Option<Ticket>,
 }
 
@@ -121,10 +122,11 @@ impl Batch {
         Ok(())
     }
 
-    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`].
-    pub fn stage(&mut self, name: &'static str) {
+    /// Names what follows, up to the next stage or the end, for [`Device::take_timings`]: it will read and write
+    /// so many bytes at the least.
+    pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
-        self.stages.push(name);
+        self.stages.push((name, bytes));
     }
 
     fn timestamp(&self) {
@@ -345,9 +347,9 @@ impl Batch {
             )
         }
         .map_err(self.device.noting("vkGetQueryPoolResults"))?;
-        for (&stage, stamps) in self.stages.iter().zip(stamps.windows(2)) {
+        for (&(stage, bytes), stamps) in self.stages.iter().zip(stamps.windows(2)) {
             let steps = stamps[1].saturating_sub(stamps[0]);
-            self.device.record(stage, steps as f64 * self.device.timestamp_period * 1e-9);
+            self.device.record(stage, bytes, steps as f64 * self.device.timestamp_period * 1e-9);
         }
         Ok(())
     }

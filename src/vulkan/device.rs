@@ -55,6 +55,8 @@ pub struct Timing {
     pub stage: &'static str,
     /// Between the timestamps around it, all batches together.
     pub seconds: f64,
+    /// What it read and wrote, at the least.
+    pub bytes: u64,
 }
 
 /// A device that a caller has opened, and keeps open.
@@ -324,11 +326,14 @@ impl Shared {
         if self.lost.load(Ordering::Relaxed) { Err(VulkanError::Lost) } else { Ok(()) }
     }
 
-    pub(super) fn record(&self, stage: &'static str, seconds: f64) {
+    pub(super) fn record(&self, stage: &'static str, bytes: u64, seconds: f64) {
         let mut timings = self.timings.lock().unwrap_or_else(PoisonError::into_inner);
         match timings.iter_mut().find(|timing| timing.stage == stage) {
-            Some(timing) => timing.seconds += seconds,
-            None => timings.push(Timing { stage, seconds }),
+            Some(timing) => {
+                timing.seconds += seconds;
+                timing.bytes += bytes;
+            }
+            None => timings.push(Timing { stage, seconds, bytes }),
         }
     }
 

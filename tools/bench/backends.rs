@@ -1,0 +1,157 @@
+//! Milliseconds a stage on a Vulkan device, transfers apart, beside the CPU's, and what share of the device's memory
+//! bandwidth each stage uses. As a Markdown table.
+//!
+//! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
+
+mod scene;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::Parser;
+use glam::DVec3;
+use meniscus::backend::Vulkan;
+use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::Grid;
+use meniscus::laps::Laps;
+use meniscus::mesh::source::MeshSource;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{MemoryBudget, Sigma};
+use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
+
+/// Bytes that are copied to measure the device's bandwidth.
+const COPIED: u64 = 64 << 20;
+/// The device's stages, in order.
+const STAGES: [&str; 7] =
+    ["upload", "indicate", "gather", "blur", "detail", "dual marching cubes", "download"];
+
+#[derive(Parser)]
+struct Options {
+    /// A device's number or a part of its name.
+    #[arg(long)]
+    device: Option<String>,
+    /// Cells along the scene's longest side.
+    #[arg(long, value_delimiter = ',', default_value = "256,384,512")]
+    cells: Vec<u32>,
+    /// Particles, in millions.
+    #[arg(long, value_delimiter = ',', default_value = "1,10,100")]
+    millions: Vec<f64>,
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+fn main() -> Result<(), VulkanError> {
+    let options = Options::parse();
+    let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
+    let instance = Instance::connect(false)?;
+    let device = Device::open(&instance, &choice, &DeviceOptions::default())?;
+    let bandwidth = bandwidth(&device)?;
+    let vulkan = Arc::new(Vulkan::new(device.clone())?);
+    println!(
+        "{}: copies {:.1} GB/s (read + write); CPU: {} threads\n",
+        device.name(),
+        bandwidth / 1e9,
+        rayon::current_num_threads()
+    );
+    println!(
+        "| cells | M particles | CPU indicate | CPU mesh | {} | device, wall | same bytes |",
+        STAGES.join(" | ")
+    );
+    println!("|---|---|---|---|{}---|---|", "---|".repeat(STAGES.len()));
+    for &millions in &options.millions {
+        let particles = scene::splash((millions * 1e6) as usize, 1);
+        let width = particles.iter().flatten().fold(0.0_f32, |a, &b| a.max(b));
+        for &cells in &options.cells {
+            let mut sampling = sampling(f64::from(width) / f64::from(cells));
+            let (cpu, expected) = run(&particles, &sampling);
+            sampling.resources.backend = Arc::clone(&vulkan) as _;
+            // The first run compiles kernels and takes memory.
+            run(&particles, &sampling);
+            drop(device.take_timings());
+            let start = Instant::now();
+            let (laps, found) = run(&particles, &sampling);
+            let wall = start.elapsed().as_secs_f64();
+            let timings = device.take_timings();
+            let stages: Vec<String> = STAGES.iter().map(|name| entry(&timings, name, bandwidth)).collect();
+            let ms = |laps: &Laps, name| {
+                laps.seconds().iter().filter(|lap| lap.0 == name).map(|lap| lap.1).sum::<f64>() * 1e3
+            };
+            let on_device = ms(&laps, "indicate") + ms(&laps, "mesh");
+            println!(
+                "| {cells} | {:.2} | {:.1} | {:.1} | {} | {on_device:.1} of {:.1} | {} |",
+                particles.len() as f64 / 1e6,
+                ms(&cpu, "indicate"),
+                ms(&cpu, "mesh"),
+                stages.join(" | "),
+                wall * 1e3,
+                if found == expected { "yes" } else { "NO" },
+            );
+        }
+    }
+    Ok(())
+}
+
+fn sampling(cell: f64) -> Sampling {
+    Sampling {
+        grid: Grid::new(DVec3::ZERO, cell).expect("a valid grid"),
+        domain: None,
+        indicator: Indicator::Symmetry,
+        invalid: InvalidParticles::Refuse,
+        side: BrickSide::Eight,
+        carried: Vec::new(),
+        spacing: None,
+        resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
+    }
+}
+
+/// The laps of a frame, and a checksum of its mesh.
+fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
+    let surfacing = Surfacing {
+        sigma: Sigma::new(1.0).expect("a valid sigma"),
+        iso: None,
+        detail: Detail::Recovered,
+        normals: Normals::None,
+    };
+    let mut laps = Laps::default();
+    let frame = Frame::sample(particles, sampling, &mut laps).expect("a frame");
+    let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
+    assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
+    let mut sum = crc32fast::Hasher::new();
+    for piece in 0..surface.mesh.pieces() {
+        let vertices = surface.mesh.vertices(piece).expect("in memory");
+        sum.update(bytemuck::cast_slice(&vertices.positions));
+        sum.update(bytemuck::cast_slice(&surface.mesh.triangles(piece).expect("in memory")));
+    }
+    (laps, sum.finalize())
+}
+
+/// Milliseconds, and the share of the device's bandwidth.
+fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
+    match timings.iter().find(|timing| timing.stage == stage) {
+        None => "-".into(),
+        Some(timing) => {
+            let share = timing.bytes as f64 / timing.seconds / bandwidth;
+            format!("{:.1} ({:.0} %)", timing.seconds * 1e3, share * 1e2)
+        }
+    }
+}
+
+/// Bytes a second that the device reads and writes when it copies from itself to itself.
+fn bandwidth(device: &Device) -> Result<f64, VulkanError> {
+    let from = device.buffer(Place::Device, COPIED)?.whole();
+    let to = device.buffer(Place::Device, COPIED)?.whole();
+    let mut batch = device.batch(Queue::Compute)?;
+    let mut best: f64 = 0.0;
+    for _ in 0..5 {
+        batch.begin()?;
+        batch.stage("copy", 2 * COPIED);
+        batch.copy(&from, &to);
+        batch.submit(&[])?;
+        batch.wait()?;
+        for timing in device.take_timings() {
+            best = best.max(timing.bytes as f64 / timing.seconds);
+        }
+    }
+    Ok(best)
+}
