@@ -473,3 +473,74 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
         }
     }
 }
+
+/// Runs the program on a Vulkan device, with its pipelines cached in the folder.
+fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    command.env("XDG_CACHE_HOME", folder.join("cache")).envs(environment.iter().copied());
+    command.current_dir(folder).args(arguments).output().unwrap()
+}
+
+/// No driver at all, as far as the Vulkan loader knows.
+const NO_DRIVER: [(&str, &str); 2] = [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
+
+#[test]
+fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
+    if common::device::shared().is_none() {
+        return;
+    }
+    let folder = folder_with_ball();
+    let run = |backend: &str, output: &str, more: &[&str]| {
+        let arguments = ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
+        let run = on_vulkan(folder.path(), &[&arguments[..], more].concat(), &[]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        assert!(!String::from_utf8_lossy(&run.stderr).contains("warning: device"));
+        fs::read(folder.path().join(output)).unwrap()
+    };
+    let expected = run("cpu", "cpu.ply", &[]);
+    assert!(run("vulkan", "vulkan.ply", &[]) == expected);
+    assert!(run("vulkan", "again.ply", &["--device", "0", "--threads", "1"]) == expected);
+    assert!(run("vulkan", "tight.ply", &["--memory", "64MiB"]) == expected);
+    assert!(run("auto", "auto.ply", &[]) == expected);
+}
+
+#[test]
+fn a_device_that_is_not_there_is_exit_5_and_leaves_nothing() {
+    let folder = folder_with_ball();
+    let before = names(folder.path());
+    let reconstruct = ["reconstruct", "ball.xyz", "-o", "out.ply"];
+    for (options, environment) in [
+        (&["--backend", "vulkan"][..], &NO_DRIVER[..]),
+        (&["--device", "nonsense"], &[]),
+        (&["--backend", "vulkan", "--device", "99"], &[]),
+    ] {
+        let run = on_vulkan(folder.path(), &[&reconstruct[..], options].concat(), environment);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(5), "{options:?}: {errors}");
+        assert!(errors.contains("Vulkan") && !errors.contains("panicked"), "{options:?}: {errors}");
+        assert_eq!(names(folder.path()), before, "{options:?} left something behind");
+    }
+    let auto = on_vulkan(folder.path(), &reconstruct, &NO_DRIVER);
+    assert!(auto.status.success(), "{}", String::from_utf8_lossy(&auto.stderr));
+    assert_refused(
+        folder.path(),
+        &["ball.xyz", "-o", "new.ply", "--backend", "cpu", "--device", "0"],
+        2,
+        &["--device"],
+    );
+}
+
+#[test]
+fn devices_lists_what_the_loader_knows() {
+    if common::device::shared().is_none() {
+        return;
+    }
+    let folder = TempDir::new().unwrap();
+    let run = meniscus(folder.path(), &["devices", "--json"]);
+    let devices: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert!(devices.as_array().unwrap().iter().any(|device| device["usable"] == true), "{devices}");
+    let name = devices[0]["name"].as_str().unwrap();
+    let run = meniscus(folder.path(), &["devices"]);
+    assert!(String::from_utf8_lossy(&run.stdout).contains(name));
+    assert_eq!(on_vulkan(folder.path(), &["devices"], &NO_DRIVER).status.code(), Some(5));
+}

@@ -5,19 +5,21 @@ use std::f64::consts::PI;
 use crate::common::scene::Random;
 use crate::common::{Reconstructed, fill, reconstruct, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
-use meniscus::brick::Block;
+use meniscus::backend::Surfaces;
+use meniscus::brick::{BrickSide, DifField, PageInfo};
 use meniscus::frame::{Detail, Frame, FrameError, Normals, Sampling, Surfacing};
-use meniscus::grid::{BLOCK, CellBox, Domain, Grid, MortonKey};
+use meniscus::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
 use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
 use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::spool::Spool;
-use meniscus::mesh::{BlockMesh, Mesh};
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::stage::dual_mc::contour;
+use meniscus::recipe::Recipe;
+use meniscus::stage::blur::Smoothing;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, Sigma};
+use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 
 use super::sampling;
 
@@ -79,22 +81,23 @@ fn normals_point_out_of_a_sphere() {
 /// The surface of samples that a function gives, over blocks of 32^3 cells, zero all around.
 fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Mesh {
     let cells = CellBox { lo: blocks.lo * BLOCK, hi: blocks.hi * BLOCK };
-    let mut meshes: Vec<BlockMesh> = blocks
-        .grown(1, 0)
-        .cubes(1)
-        .map(|block| {
-            let region = CellBox::cube(block, BLOCK);
-            let mut field = Block::zero(region.grown(0, 1));
-            for cell in region.grown(0, 1).intersection(&cells).cubes(1) {
-                let index = field.index(cell);
-                field.samples_mut()[index] = sample(cell);
-            }
-            contour(&field, region, iso, None)
-        })
-        .collect();
-    meshes.sort_by_key(|mesh| MortonKey::of(mesh.block));
+    let page = |bin: IVec3| {
+        let rows = CellBox::cube(bin, BIN);
+        let dense: Vec<u16> = rows.cubes(1).map(&sample).collect();
+        PageInfo::from_dense(bin, &dense, BrickSide::Sixteen)
+    };
+    let mut pages: Vec<_> = cells.cubes(BIN).filter_map(page).collect();
+    pages.sort_unstable_by_key(|(info, _)| info.key);
+    let dif = DifField::in_memory(BrickSide::Sixteen, pages);
+    // So narrow a filter changes nothing.
+    let smoothing = Smoothing::new(Indicator::Symmetry, Sigma::new(0.01).unwrap());
+    let recipe = Recipe { smoothing, detail: None, iso };
+    let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
+    let stages = sampling().resources.backend.start(MemoryBudget(8 << 30));
+    let meshes = stages.contour(&surfaces, &dif.regions(recipe.reach() + 1, recipe.reach()));
+    assert_eq!(stages.warnings(), [""; 0]);
     let mut spool = Spool::in_memory(false, Vec::new());
-    meshes.into_iter().for_each(|mesh| spool.push(mesh).unwrap());
+    meshes.into_iter().flatten().for_each(|mesh| spool.push(mesh).unwrap());
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     Stitched::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
 }

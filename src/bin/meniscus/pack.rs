@@ -51,6 +51,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     laps.lap("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
+    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     report_frame(&frame, &notes);
     let bytes = output.write(|out| frame.pack(out))?;
     remove_on_interrupt(None);
