@@ -1,0 +1,358 @@
+//! Regions of blocks to surfaces.
+
+use glam::IVec3;
+use hashbrown::HashMap;
+use rayon::prelude::*;
+
+use crate::backend::Surfaces;
+use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
+use crate::grid::{BIN, BLOCK, CellBox};
+use crate::mesh::{BlockMesh, Tile};
+use crate::stage::blur::vulkan::blur;
+use crate::stage::detail::vulkan::{lost, raise};
+use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
+use crate::stage::dual_mc::{Falls, Normals, normal};
+use crate::vulkan::{Batch, Device, Place, View, VulkanError};
+
+use super::lane::{Lane, Layout, fly, part};
+use super::{BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
+
+/// Vertices of a block on average that a batch has room for; a batch that has more is emitted again.
+const BLOCK_ROOM: u64 = 6144;
+/// Vertices that a block can have.
+const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
+
+impl DeviceFrame {
+    /// Adds the surfaces through some regions to `done`, as far as nothing fails.
+    pub(super) fn contour_batches(
+        &self,
+        state: &mut State,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        done: &mut Vec<Option<BlockMesh>>,
+    ) -> Result<(), VulkanError> {
+        state.make_lanes(&self.device)?;
+        let constants = Constants::new(&self.device, surfaces)?;
+        let State { lanes, resident, batch_bytes, .. } = state;
+        let work = Contouring { frame: self, surfaces, constants, resident: resident.as_ref() };
+        let mut next = 0;
+        fly(
+            lanes,
+            |lane| {
+                let left = &regions[next..];
+                let batch = (!left.is_empty()).then(|| BlockBatch::new(&work, left, *batch_bytes));
+                if let Some(batch) = &batch {
+                    next += batch.regions.len();
+                    work.start(lane, batch)?;
+                }
+                Ok(batch)
+            },
+            |lane, batch| {
+                done.extend(work.finish(lane, batch)?);
+                Ok(())
+            },
+        )
+    }
+}
+
+/// What all batches of blocks need.
+struct Constants {
+    filters: Vec<View>,
+    detail: View,
+    theta: View,
+    decode: u32,
+    lengths: View,
+}
+
+impl Constants {
+    fn new(device: &Device, surfaces: &Surfaces<'_>) -> Result<Self, VulkanError> {
+        let upload = |values: &[u32]| {
+            let buffer = device.buffer(Place::Upload, size_of_val(values) as u64)?;
+            buffer.write(0, values);
+            Ok::<_, VulkanError>(buffer.whole())
+        };
+        let recipe = surfaces.recipe;
+        let theta: Vec<u32> =
+            surfaces.dif.decode_table().unwrap_or_default().iter().map(|&theta| theta.into()).collect();
+        Ok(Self {
+            filters: recipe.smoothing.filters().iter().map(|k| upload(k.half())).collect::<Result<_, _>>()?,
+            detail: upload(recipe.detail.as_ref().map_or(&[], |kernel| kernel.half()))?,
+            theta: upload(&theta)?,
+            decode: theta.len() as u32,
+            lengths: upload(&lengths())?,
+        })
+    }
+}
+
+/// Regions on their way through a lane.
+struct BlockBatch {
+    regions: Vec<CellBox>,
+    blocks: Vec<DeviceBlock>,
+    tables: Vec<u32>,
+    /// The bins whose pages are to be sent.
+    sent: Vec<IVec3>,
+    largest: u32,
+    words: u32,
+    /// Vertices that there is room for.
+    room: u64,
+}
+
+impl BlockBatch {
+    /// As many of the first regions as fit into `bytes`, at least one.
+    fn new(work: &Contouring<'_>, regions: &[CellBox], bytes: u64) -> Self {
+        let mut batch = Self {
+            regions: Vec::new(),
+            blocks: Vec::new(),
+            tables: Vec::new(),
+            sent: Vec::new(),
+            largest: 0,
+            words: 0,
+            room: MOST_VERTICES,
+        };
+        let limit = work.frame.device.limits().storage_range;
+        let halo = work.surfaces.recipe.halo();
+        let mut numbers: HashMap<IVec3, u32> = HashMap::new();
+        let mut taken = batch.room * work.vertex_bytes() * 2;
+        for &region in regions.iter().take(BATCH) {
+            let cells = work.surfaces.field(region).grown(halo, halo);
+            let mut block = DeviceBlock::new(cells, region.tiled());
+            let bins: Vec<IVec3> = block.bins().collect();
+            let dif = work.surfaces.dif;
+            let unknown = |bin: &&IVec3| dif.has_page(**bin) && !numbers.contains_key(*bin);
+            let new = if work.resident.is_some() { 0 } else { bins.iter().filter(unknown).count() as u64 };
+            taken += work.block_bytes(&block) + new * 2 * PAGE_BYTES + 8 * bins.len() as u64;
+            let field_bytes = 4 * (u64::from(batch.words) + u64::from(block.words()));
+            let page_bytes = (batch.sent.len() as u64 + new) * PAGE_BYTES;
+            if !batch.blocks.is_empty() && (taken > bytes || field_bytes.max(page_bytes) > limit) {
+                break;
+            }
+            block.field = batch.words;
+            block.table = batch.tables.len() as u32;
+            batch.tables.extend(bins.into_iter().map(|bin| {
+                let number = match work.resident {
+                    Some(resident) => resident.numbers.get(&bin).copied(),
+                    None if dif.has_page(bin) => Some(*numbers.entry(bin).or_insert_with(|| {
+                        batch.sent.push(bin);
+                        batch.sent.len() as u32 - 1
+                    })),
+                    None => None,
+                };
+                number.map_or(0, |number| number + 1)
+            }));
+            batch.words += block.words();
+            batch.largest = batch.largest.max(block.words());
+            batch.blocks.push(block);
+            batch.regions.push(region);
+        }
+        batch.room = batch.room.max(batch.blocks.len() as u64 * BLOCK_ROOM);
+        batch
+    }
+}
+
+/// Blocks to surfaces.
+struct Contouring<'a> {
+    frame: &'a DeviceFrame,
+    surfaces: &'a Surfaces<'a>,
+    constants: Constants,
+    resident: Option<&'a Resident>,
+}
+
+impl Contouring<'_> {
+    fn has_normals(&self) -> bool {
+        self.surfaces.normals == Normals::Gradient
+    }
+
+    /// Bytes of a vertex on the device.
+    fn vertex_bytes(&self) -> u64 {
+        size_of::<[u16; 2]>() as u64 + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
+    }
+
+    fn fields(&self) -> u64 {
+        if self.surfaces.recipe.detail.is_some() { 3 } else { 2 }
+    }
+
+    /// Bytes of a block, on the device and staged.
+    fn block_bytes(&self, block: &DeviceBlock) -> u64 {
+        let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<Slot>()) as u64;
+        4 * self.fields() * u64::from(block.words())
+            + tiles
+            + 8 * u64::from(SIGN_TILES)
+            + 2 * BLOCK_ROOM * self.vertex_bytes()
+    }
+
+    /// Sends a batch and has it computed.
+    fn start(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
+        let device = &self.frame.device;
+        let kernels = &self.frame.kernels;
+        let mut layout = Layout::default();
+        let blocks_at = layout.place(size_of_val(&batch.blocks[..]) as u64);
+        let tables_at = layout.place(size_of_val(&batch.tables[..]) as u64);
+        let pages_at = layout.place(batch.sent.len() as u64 * PAGE_BYTES);
+        lane.begin()?;
+        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
+        let count = batch.blocks.len() as u64;
+        let field_bytes = 4 * u64::from(batch.words);
+        let first = lane.buffer(device, "first field", Place::Device, field_bytes)?;
+        let second = lane.buffer(device, "second field", Place::Device, field_bytes)?;
+        let third = match self.fields() {
+            3 => lane.buffer(device, "third field", Place::Device, field_bytes)?,
+            _ => first.clone(),
+        };
+        let outputs = self.outputs(lane, count, batch.room)?;
+        let read = lane.buffer(device, "tallies read", Place::Download, outputs.tallies.bytes())?;
+
+        staged.write(blocks_at.start, &batch.blocks);
+        staged.write(tables_at.start, &batch.tables);
+        batch.sent.par_iter().enumerate().for_each_init(
+            || vec![0; BIN.pow(3) as usize],
+            |dense, (number, &bin)| {
+                self.surfaces.dif.write_stored(bin, dense);
+                staged.write(pages_at.start + number as u64 * PAGE_BYTES, dense);
+            },
+        );
+        let uploaded = lane.send(&staged, &inputs)?;
+
+        let commands = &mut lane.compute;
+        let blocks = DeviceBlocks {
+            blocks: part(&inputs, &blocks_at),
+            count: count as u32,
+            largest: batch.largest,
+            words: batch.words,
+        };
+        let pages = DevicePages {
+            tables: part(&inputs, &tables_at),
+            pages: self.resident.map_or_else(|| part(&inputs, &pages_at), |resident| resident.pages.whole()),
+            theta: self.constants.theta.clone(),
+            decode: self.constants.decode,
+        };
+        commands.stage("gather", pages.pages.bytes() + field_bytes);
+        gather(commands, &kernels.gather, &blocks, &pages, &first)?;
+        let field = self.record_field(commands, &blocks, [first, second, third])?;
+        commands.stage("dual marching cubes", field_bytes);
+        let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        let normals = self.has_normals();
+        contour(commands, &kernels.dual_mc, &blocks, &field, iso, walls, normals, &outputs)?;
+        commands.copy(&outputs.tallies, &read);
+        commands.submit(&[uploaded])?;
+        Ok(())
+    }
+
+    /// The recipe, on the device; returns the field that holds the result.
+    fn record_field(
+        &self,
+        commands: &mut Batch,
+        blocks: &DeviceBlocks,
+        [dif, mut smooth, mut spare]: [View; 3],
+    ) -> Result<View, VulkanError> {
+        let kernels = &self.frame.kernels;
+        let recipe = self.surfaces.recipe;
+        let walls = self.surfaces.walls();
+        let mut margin = 0;
+        let mut from = dif.clone();
+        let field_bytes = 4 * u64::from(blocks.words);
+        commands.stage("blur", 6 * field_bytes * recipe.smoothing.filters().len() as u64);
+        for filter in recipe.smoothing.filters().iter().zip(&self.constants.filters) {
+            blur(commands, &kernels.blur, blocks, filter, walls, margin, [&from, &spare, &smooth])?;
+            margin += filter.0.reach();
+            from = smooth.clone();
+            std::mem::swap(&mut smooth, &mut spare);
+        }
+        let Some(kernel) = &recipe.detail else { return Ok(from) };
+        // `from` is the smoothed DIF, and one of the other two.
+        let (smooth, spare) = (from, smooth);
+        commands.stage("detail", 12 * field_bytes);
+        lost(commands, &kernels.lost, blocks, recipe.iso, [&dif, &smooth, &spare])?;
+        let filter = (kernel, &self.constants.detail);
+        blur(commands, &kernels.blur, blocks, filter, walls, margin, [&spare, &spare, &dif])?;
+        raise(commands, &kernels.greater, blocks, &smooth, &dif)?;
+        Ok(dif)
+    }
+
+    fn outputs(&self, lane: &mut Lane, count: u64, room: u64) -> Result<Outputs, VulkanError> {
+        let device = &self.frame.device;
+        let tiles = count * u64::from(BLOCK_TILES);
+        let falls = if self.has_normals() { room * size_of::<Falls>() as u64 } else { 4 };
+        Ok(Outputs {
+            signs: lane.buffer(device, "signs", Place::Device, count * 8 * u64::from(SIGN_TILES))?,
+            lengths: self.constants.lengths.clone(),
+            slots: lane.buffer(device, "slots", Place::Device, tiles * size_of::<Slot>() as u64)?,
+            tallies: lane.buffer(
+                device,
+                "tallies",
+                Place::Device,
+                (count + 1) * size_of::<Tally>() as u64,
+            )?,
+            tiles: lane.buffer(device, "tiles", Place::Device, tiles * size_of::<Tile>() as u64)?,
+            ends: lane.buffer(device, "ends", Place::Device, room * size_of::<[u16; 2]>() as u64)?,
+            falls: lane.buffer(device, "falls", Place::Device, falls)?,
+            room: room as u32,
+        })
+    }
+
+    /// Waits for a batch, and reads it.
+    fn finish(&self, lane: &mut Lane, mut batch: BlockBatch) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
+        let device = &self.frame.device;
+        let count = batch.blocks.len();
+        let begins: Vec<Tally> = loop {
+            lane.compute.wait()?;
+            let begins: Vec<Tally> = lane.buffers["tallies read"].read(0, count + 1);
+            let vertices = u64::from(begins[count].vertices);
+            if vertices <= batch.room {
+                break begins;
+            }
+            batch.room = vertices;
+            self.start(lane, &batch)?;
+        };
+        let totals = begins[count];
+        let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
+        let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
+        let fall_bytes =
+            if self.has_normals() { u64::from(totals.vertices) * size_of::<Falls>() as u64 } else { 0 };
+        let tiles = lane.buffer(device, "tiles read", Place::Download, tile_bytes)?;
+        let ends = lane.buffer(device, "ends read", Place::Download, end_bytes)?;
+        let falls = lane.buffer(device, "falls read", Place::Download, fall_bytes)?;
+        lane.download.stage("download", 2 * (tile_bytes + end_bytes + fall_bytes));
+        for (name, bytes, to) in
+            [("tiles", tile_bytes, &tiles), ("ends", end_bytes, &ends), ("falls", fall_bytes, &falls)]
+        {
+            lane.download.copy(&lane.buffers[name].part(0, bytes), to);
+        }
+        lane.download.submit(&[])?;
+        lane.download.wait()?;
+        let blocks = batch.regions.par_iter().zip(begins.par_windows(2));
+        Ok(blocks
+            .map(|(region, begins)| {
+                let [begin, end] = [begins[0], begins[1]];
+                let count = (end.tiles - begin.tiles) as usize;
+                if count == 0 {
+                    return None;
+                }
+                let vertices = (end.vertices - begin.vertices) as usize;
+                let first = u64::from(begin.vertices);
+                let mut mesh = BlockMesh {
+                    block: region.lo.div_euclid(IVec3::splat(BLOCK)),
+                    tiles: tiles.read(u64::from(begin.tiles) * size_of::<Tile>() as u64, count),
+                    ends: ends.read(first * size_of::<[u16; 2]>() as u64, vertices),
+                    triangle_count: (end.triangles - begin.triangles) as usize,
+                    ..BlockMesh::default()
+                };
+                if self.has_normals() {
+                    let falls: Vec<i32> = falls.read(first * size_of::<Falls>() as u64, 6 * vertices);
+                    mesh.normals = self.normals(&mesh, &falls);
+                }
+                Some(mesh)
+            })
+            .collect())
+    }
+
+    fn normals(&self, mesh: &BlockMesh, falls: &[i32]) -> Vec<[f32; 3]> {
+        let falls: &[Falls] = bytemuck::cast_slice(falls);
+        let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        mesh.edges()
+            .zip(&mesh.ends)
+            .zip(falls)
+            .map(|((edge, &ends), &falls)| normal(edge, ends, falls, iso, walls))
+            .collect()
+    }
+}

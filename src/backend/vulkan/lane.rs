@@ -1,0 +1,103 @@
+//! Lanes: what a batch works with, and how two of them are kept in flight.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::Arc;
+
+use hashbrown::HashMap;
+
+use crate::vulkan::{Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
+
+/// Offsets in buffers that are shared are multiples of what any device asks for.
+const ALIGNMENT: u64 = 256;
+
+/// What a batch works with, used again by the next.
+#[derive(Debug)]
+pub(super) struct Lane {
+    pub(super) upload: Batch,
+    pub(super) compute: Batch,
+    pub(super) download: Batch,
+    pub(super) buffers: HashMap<&'static str, Arc<Buffer>>,
+}
+
+impl Lane {
+    pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
+        Ok(Self {
+            upload: device.batch(Queue::Transfer)?,
+            compute: device.batch(Queue::Compute)?,
+            download: device.batch(Queue::Transfer)?,
+            buffers: HashMap::new(),
+        })
+    }
+
+    /// A part of a buffer that is this lane's, `bytes` long. What was in it is lost.
+    pub(super) fn buffer(
+        &mut self,
+        device: &Device,
+        name: &'static str,
+        place: Place,
+        bytes: u64,
+    ) -> Result<View, VulkanError> {
+        let bytes = bytes.next_multiple_of(4).max(4);
+        if self.buffers.get(name).is_none_or(|buffer| buffer.bytes() < bytes) {
+            self.buffers.remove(name);
+            self.buffers.insert(name, device.buffer(place, bytes)?);
+        }
+        Ok(self.buffers[name].part(0, bytes))
+    }
+
+    /// Sends what was staged.
+    pub(super) fn send(&mut self, staged: &View, inputs: &View) -> Result<Ticket, VulkanError> {
+        self.upload.stage("upload", 2 * staged.bytes());
+        self.upload.copy(staged, inputs);
+        self.upload.submit(&[])
+    }
+
+    /// Starts over: the lane's last batch is done.
+    pub(super) fn begin(&mut self) -> Result<(), VulkanError> {
+        self.upload.begin()?;
+        self.compute.begin()?;
+        self.download.begin()
+    }
+}
+
+/// Places one after the other in a buffer.
+#[derive(Debug, Default)]
+pub(super) struct Layout {
+    pub(super) bytes: u64,
+}
+
+impl Layout {
+    pub(super) fn place(&mut self, bytes: u64) -> Range<u64> {
+        let begin = self.bytes;
+        self.bytes = (begin + bytes.max(4)).next_multiple_of(ALIGNMENT);
+        begin..begin + bytes.max(4)
+    }
+}
+
+pub(super) fn part(view: &View, range: &Range<u64>) -> View {
+    view.part(range.start, range.end - range.start)
+}
+
+/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, and `finish` takes the
+/// batches in the order in which they were started.
+pub(super) fn fly<T, E>(
+    lanes: &mut [Lane],
+    mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,
+    mut finish: impl FnMut(&mut Lane, T) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut idle: Vec<usize> = (0..lanes.len()).collect();
+    let mut flying = VecDeque::new();
+    loop {
+        if let Some(&number) = idle.last()
+            && let Some(batch) = start(&mut lanes[number])?
+        {
+            idle.pop();
+            flying.push_back((number, batch));
+            continue;
+        }
+        let Some((number, batch)) = flying.pop_front() else { return Ok(()) };
+        finish(&mut lanes[number], batch)?;
+        idle.push(number);
+    }
+}

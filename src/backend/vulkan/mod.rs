@@ -1,0 +1,276 @@
+//! The stages on a Vulkan device.
+//!
+//! Work goes in batches: bins to pages, regions of blocks to surfaces. Two are in flight, so that the host
+//! prepares one and reads another while the device computes. The DIF stays on the device between the two
+//! where it fits. What the device has no memory for is tried again in smaller batches, and on the processor at
+//! last; so is everything once the device is lost. Bytes are the same wherever they are computed.
+
+mod bins;
+mod blocks;
+mod lane;
+
+use std::io;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::IVec3;
+use hashbrown::HashMap;
+
+use crate::brick::vulkan::{GATHER, PAGE_WORDS};
+use crate::brick::{Bins, BrickSide};
+use crate::grid::{CellBox, MortonKey};
+use crate::mesh::BlockMesh;
+use crate::stage::blur::vulkan::BLUR;
+use crate::stage::detail::vulkan::{GREATER, LOST};
+use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
+use crate::stage::indicator::Indicator;
+use crate::stage::indicator::vulkan::INDICATE;
+use crate::units::MemoryBudget;
+use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
+
+use super::{Backend, Cpu, Pages, Stages, Surfaces};
+use lane::Lane;
+
+/// Batches in flight.
+const LANES: usize = 2;
+/// Blocks of a batch at the most, and bins.
+const BATCH: usize = 1024;
+/// Bytes of a batch at the most, and at which the processor takes over.
+const LARGEST_BATCH: u64 = 128 << 20;
+const SMALLEST_BATCH: u64 = 1 << 20;
+/// Bytes of a page on the device.
+const PAGE_BYTES: u64 = 4 * PAGE_WORDS as u64;
+/// What a driver that computes on the processor takes for its compiler.
+const SOFTWARE_DRIVER: u64 = 96 << 20;
+
+/// A Vulkan device with all kernels ready.
+#[derive(Debug)]
+pub struct Vulkan {
+    device: Device,
+    kernels: Arc<Kernels>,
+    shares_host_memory: bool,
+}
+
+#[derive(Debug)]
+struct Kernels {
+    indicate: Arc<Kernel>,
+    gather: Arc<Kernel>,
+    blur: Arc<Kernel>,
+    lost: Arc<Kernel>,
+    greater: Arc<Kernel>,
+    dual_mc: DualMc,
+}
+
+/// Bytes that a frame may take.
+#[derive(Debug, Clone, Copy)]
+struct Shares {
+    /// A batch, on the device and what is staged for it on the host.
+    batch: u64,
+    /// The DIF, where it stays on the device.
+    resident: u64,
+    /// All that is in the host's memory.
+    host: u64,
+}
+
+impl Vulkan {
+    /// Compiles the kernels for a device.
+    ///
+    /// # Errors
+    /// [`VulkanError`] where the driver refuses one.
+    pub fn new(device: Device) -> Result<Self, VulkanError> {
+        let kernel = |program| device.kernel(program).map(Arc::new);
+        let kernels = Kernels {
+            indicate: kernel(&INDICATE)?,
+            gather: kernel(&GATHER)?,
+            blur: kernel(&BLUR)?,
+            lost: kernel(&LOST)?,
+            greater: kernel(&GREATER)?,
+            dual_mc: DualMc {
+                signs: kernel(&SIGNS)?,
+                tiles: kernel(&TILES)?,
+                bases: kernel(&BASES)?,
+                emit: kernel(&EMIT)?,
+            },
+        };
+        let shares_host_memory = device.shares_host_memory();
+        Ok(Self { device, kernels: Arc::new(kernels), shares_host_memory })
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    fn shares(&self, budget: MemoryBudget) -> Shares {
+        let own = self.device.memory().unwrap_or(u64::MAX);
+        if self.shares_host_memory {
+            let total = own.min(budget.0 / 4);
+            let batch = (total / 2 / LANES as u64).min(LARGEST_BATCH);
+            Shares { batch, resident: total / 2, host: total + SOFTWARE_DRIVER }
+        } else {
+            let batch = (own / 4 / LANES as u64).min(budget.0 / 8).min(LARGEST_BATCH);
+            Shares { batch, resident: own / 2, host: LANES as u64 * batch }
+        }
+    }
+}
+
+impl Backend for Vulkan {
+    fn name(&self) -> String {
+        format!("Vulkan, {}", self.device.name())
+    }
+
+    fn host_bytes(&self, budget: MemoryBudget) -> u64 {
+        self.shares(budget).host
+    }
+
+    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
+        let shares = self.shares(budget);
+        let state = State {
+            lanes: Vec::new(),
+            batch_bytes: shares.batch,
+            resident_bytes: shares.resident,
+            resident: None,
+            on_cpu: false,
+            warnings: Vec::new(),
+        };
+        let (device, kernels) = (self.device.clone(), Arc::clone(&self.kernels));
+        Box::new(DeviceFrame { device, kernels, state: Mutex::new(state) })
+    }
+}
+
+/// One frame on the device.
+#[derive(Debug)]
+struct DeviceFrame {
+    device: Device,
+    kernels: Arc<Kernels>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    lanes: Vec<Lane>,
+    batch_bytes: u64,
+    resident_bytes: u64,
+    resident: Option<Resident>,
+    /// Once the device is lost or too small.
+    on_cpu: bool,
+    warnings: Vec<String>,
+}
+
+/// The pages of the frame's bins in one buffer.
+#[derive(Debug)]
+struct Resident {
+    pages: Arc<Buffer>,
+    numbers: HashMap<IVec3, u32>,
+}
+
+impl Stages for DeviceFrame {
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> io::Result<Pages> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut pages = Pages::with_capacity(range.len());
+        while !state.on_cpu && pages.len() < range.len() {
+            let left = range.start + pages.len()..range.end;
+            match self.indicate_batches(&mut state, bins, left, indicator, side, &mut pages) {
+                Ok(()) => {}
+                Err(Fault::Scratch(error)) => return Err(error),
+                Err(Fault::Device(error)) => state.recover(&error),
+            }
+        }
+        if pages.len() < range.len() {
+            // Without the pages of these bins the others are of no use.
+            state.resident = None;
+            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, indicator, side)?);
+        }
+        Ok(pages)
+    }
+
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut meshes = Vec::with_capacity(regions.len());
+        while !state.on_cpu && meshes.len() < regions.len() {
+            let left = &regions[meshes.len()..];
+            if let Err(error) = self.contour_batches(&mut state, surfaces, left, &mut meshes) {
+                state.recover(&error);
+            }
+        }
+        let left = &regions[meshes.len()..];
+        if !left.is_empty() {
+            meshes.extend(Cpu.contour(surfaces, left));
+        }
+        meshes
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).warnings.clone()
+    }
+}
+
+enum Fault {
+    Device(VulkanError),
+    Scratch(io::Error),
+}
+
+impl From<VulkanError> for Fault {
+    fn from(error: VulkanError) -> Self {
+        Self::Device(error)
+    }
+}
+
+impl State {
+    /// After a failure: smaller batches where memory is exhausted, the processor where that does not help.
+    fn recover(&mut self, error: &VulkanError) {
+        self.lanes.clear();
+        let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
+        if exhausted && self.resident.take().is_some() {
+            self.resident_bytes = 0;
+            self.warn(format!("{error}; the field is sent anew for every batch"));
+        } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
+            self.batch_bytes /= 2;
+            self.warn(format!("{error}; going on in batches of {}", bytesize::ByteSize(self.batch_bytes)));
+        } else {
+            self.resident = None;
+            self.on_cpu = true;
+            self.warn(format!("{error}; going on on the CPU"));
+        }
+    }
+
+    fn warn(&mut self, warning: String) {
+        self.warnings.push(warning);
+    }
+
+    fn make_lanes(&mut self, device: &Device) -> Result<(), VulkanError> {
+        while self.lanes.len() < LANES {
+            self.lanes.push(Lane::new(device)?);
+        }
+        Ok(())
+    }
+
+    /// Makes room for the pages of all `bins`, unless they are too many; pages of other bins are forgotten.
+    fn make_resident(&mut self, device: &Device, keys: &[MortonKey]) {
+        let count = keys.len();
+        let bytes = count as u64 * PAGE_BYTES;
+        let known = self.resident.as_ref().is_some_and(|resident| {
+            resident.numbers.len() == count && resident.numbers.contains_key(&keys[0].coord())
+        });
+        if known {
+            return;
+        }
+        self.resident = None;
+        if bytes <= self.resident_bytes.min(device.limits().storage_range) {
+            let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
+            match device.buffer(Place::Device, bytes) {
+                Ok(pages) => self.resident = Some(Resident { pages, numbers }),
+                Err(error) => self.warn(format!("{error}; the field is sent anew for every batch")),
+            }
+        }
+        // Only once: runs of bins that follow one another do not fit together.
+        self.resident_bytes = 0;
+    }
+}
