@@ -10,9 +10,11 @@ use rayon::prelude::*;
 
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
-use crate::recipe::gather;
-use crate::stage::blur::Smoothing;
-use crate::units::{FULL, Isovalue};
+use crate::recipe::{Recipe, gather};
+use crate::stage::blur::{Kernel, Smoothing};
+use crate::stage::detail::Detail;
+use crate::stage::indicator::Indicator;
+use crate::units::{FULL, Isovalue, Sigma};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
@@ -66,6 +68,25 @@ impl Plateau {
             Self::Shallow { greatest } => Isovalue::half_of(greatest),
         }
     }
+}
+
+/// From the DIF of a frame to its surface: the smoothing's kernels, and the isovalue, measured where it is `None`.
+#[must_use]
+pub fn recipe(
+    dif: &DifField,
+    indicator: Indicator,
+    domain: Option<&Domain>,
+    sigma: Sigma,
+    detail: Detail,
+    iso: Option<Isovalue>,
+) -> (Recipe, Plateau) {
+    let smoothing = Smoothing::new(indicator, sigma);
+    let plateau = Plateau::of(dif, &smoothing, domain);
+    let detail = match detail {
+        Detail::Smoothed => None,
+        Detail::Recovered => Some(Kernel::gaussian(sigma.half())),
+    };
+    (Recipe { smoothing, detail, iso: iso.unwrap_or(plateau.isovalue()) }, plateau)
 }
 
 type Histogram = Vec<u64>;

@@ -2,6 +2,7 @@
 
 mod sink;
 
+pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use std::io::{self, Write};
@@ -22,10 +23,9 @@ use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
-use crate::plateau::Plateau;
+use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
 use crate::stage::attribute::vertex_values;
-use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma, UnitError};
@@ -138,14 +138,6 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Normals on the vertices, or not.
     pub normals: Normals,
-}
-
-/// Whether details that smoothing loses are recovered (section 6.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum Detail {
-    Smoothed,
-    Recovered,
 }
 
 /// What reconstructing `particles` would take, without doing it.
@@ -337,14 +329,9 @@ impl Frame {
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
     #[must_use]
     pub fn recipe(&self, surfacing: &Surfacing) -> (Recipe, Plateau) {
-        let smoothing = Smoothing::new(self.facts.indicator, surfacing.sigma);
-        let plateau = Plateau::of(&self.dif, &smoothing, self.facts.domain.as_ref());
-        let iso = surfacing.iso.unwrap_or(plateau.isovalue());
-        let detail = match surfacing.detail {
-            Detail::Smoothed => None,
-            Detail::Recovered => Some(Kernel::gaussian(surfacing.sigma.half())),
-        };
-        (Recipe { smoothing, detail, iso }, plateau)
+        let &Surfacing { sigma, iso, detail, .. } = surfacing;
+        let FrameFacts { indicator, domain, .. } = &self.facts;
+        plateau::recipe(&self.dif, *indicator, domain.as_ref(), sigma, detail, iso)
     }
 
     /// The final field on `cells`.

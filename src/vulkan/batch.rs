@@ -38,7 +38,9 @@ pub struct Batch {
     kernels: Vec<Arc<Kernel>>,
     /// Each with the bytes that it moves.
     stages: Vec<(&'static str, u64)>,
-    pending: Option<Ticket>,
+    /// The last submission, and whether it may still be at work.
+    last: Option<Ticket>,
+    pending: bool,
 }
 
 impl Device {
@@ -60,7 +62,8 @@ impl Device {
             buffers: Vec::new(),
             kernels: Vec::new(),
             stages: Vec::new(),
-            pending: None,
+            last: None,
+            pending: false,
         };
         // SAFETY: the device is alive, and what is pointed to outlives each call.
         unsafe {
@@ -306,7 +309,7 @@ impl Batch {
                 .map_err(self.device.noting("vkQueueSubmit"))?;
             state.last.store(value, Ordering::Relaxed);
             let ticket = Ticket { queue: self.queue, value };
-            self.pending = Some(ticket);
+            (self.last, self.pending) = (Some(ticket), true);
             Ok(ticket)
         }
     }
@@ -316,20 +319,26 @@ impl Batch {
     /// # Errors
     /// [`VulkanError::Lost`] and others of the driver.
     pub fn wait(&mut self) -> Result<(), VulkanError> {
-        if let Some(ticket) = self.pending {
+        if let Some(ticket) = self.last.filter(|_| self.pending) {
             let timelines = [self.device.queue(ticket.queue).timeline];
             let values = [ticket.value];
             let info = vk::SemaphoreWaitInfo::default().semaphores(&timelines).values(&values);
             // SAFETY: the semaphore is this device's.
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
                 .map_err(self.device.noting("vkWaitSemaphores"))?;
-            self.pending = None;
+            self.pending = false;
             self.record_times()?;
         }
         self.stages.clear();
         self.buffers.clear();
         self.kernels.clear();
         Ok(())
+    }
+
+    /// The last submission, for batches that go on from it.
+    #[must_use]
+    pub fn last(&self) -> &[Ticket] {
+        self.last.as_slice()
     }
 
     fn record_times(&self) -> Result<(), VulkanError> {

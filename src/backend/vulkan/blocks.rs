@@ -1,5 +1,7 @@
 //! Regions of blocks to surfaces.
 
+use std::sync::Arc;
+
 use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -12,7 +14,7 @@ use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
 use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Falls, Normals, normal};
-use crate::vulkan::{Batch, Device, Place, View, VulkanError};
+use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
 use super::{BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
@@ -38,21 +40,95 @@ impl DeviceFrame {
         let mut next = 0;
         fly(
             lanes,
-            |lane| {
-                let left = &regions[next..];
-                let batch = (!left.is_empty()).then(|| BlockBatch::new(&work, left, *batch_bytes));
-                if let Some(batch) = &batch {
-                    next += batch.regions.len();
-                    work.start(lane, batch)?;
-                }
-                Ok(batch)
-            },
+            |lane| work.start_next(lane, regions, &mut next, *batch_bytes),
             |lane, batch| {
-                done.extend(work.finish(lane, batch)?);
+                done.extend(work.read(lane, batch)?);
                 Ok(())
             },
         )
     }
+
+    /// The surfaces through some regions, which stay on the device.
+    pub(super) fn collect_batches(
+        &self,
+        state: &mut State,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+    ) -> Result<DeviceSurfaces, VulkanError> {
+        state.make_lanes(&self.device)?;
+        let constants = Constants::new(&self.device, surfaces)?;
+        let State { lanes, resident, batch_bytes, .. } = state;
+        let work = Contouring { frame: self, surfaces, constants, resident: resident.as_ref() };
+        let (mut tiles, mut ends) = (Growing::default(), Growing::default());
+        let mut blocks = Vec::new();
+        let mut next = 0;
+        fly(
+            lanes,
+            |lane| work.start_next(lane, regions, &mut next, *batch_bytes),
+            |lane, mut batch| {
+                let begins = work.begins(lane, &mut batch)?;
+                lane.download.stage("collect", 0);
+                let totals = begins[batch.blocks.len()];
+                let bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
+                tiles.append(&self.device, &mut lane.download, &lane.buffers["tiles"].part(0, bytes))?;
+                let bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
+                ends.append(&self.device, &mut lane.download, &lane.buffers["ends"].part(0, bytes))?;
+                lane.download.submit(lane.compute.last())?;
+                lane.download.wait()?;
+                let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
+                let coords = batch.regions.iter().map(|region| block_of(*region));
+                blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
+                Ok::<_, VulkanError>(())
+            },
+        )?;
+        Ok(DeviceSurfaces { blocks, tiles: tiles.view(&self.device)?, ends: ends.view(&self.device)? })
+    }
+}
+
+/// The surfaces of a frame's blocks, on the device.
+#[derive(Debug)]
+pub struct DeviceSurfaces {
+    /// The blocks that the surface passes through, in Morton order, counted in blocks, and what each has.
+    pub blocks: Vec<(IVec3, Tally)>,
+    /// A [`Tile`] each.
+    pub tiles: View,
+    /// For every vertex the field at the lower and the upper end of its edge.
+    pub ends: View,
+}
+
+/// A buffer that grows.
+#[derive(Default)]
+struct Growing {
+    buffer: Option<Arc<Buffer>>,
+    used: u64,
+}
+
+impl Growing {
+    /// Records the copy of `from` to the end.
+    fn append(&mut self, device: &Device, commands: &mut Batch, from: &View) -> Result<(), VulkanError> {
+        let end = self.used + from.bytes();
+        if self.buffer.as_ref().is_none_or(|buffer| buffer.bytes() < end) {
+            let larger = device.buffer(Place::Device, end.max(2 * self.used))?;
+            if let Some(buffer) = self.buffer.replace(Arc::clone(&larger)) {
+                commands.copy(&buffer.part(0, self.used), &larger.whole());
+            }
+        }
+        if let Some(buffer) = &self.buffer {
+            commands.copy(from, &buffer.part(self.used, from.bytes()));
+        }
+        self.used = end;
+        Ok(())
+    }
+
+    /// What is in it.
+    fn view(self, device: &Device) -> Result<View, VulkanError> {
+        let buffer = self.buffer.map_or_else(|| device.buffer(Place::Device, 4), Ok)?;
+        Ok(buffer.part(0, self.used.max(4)))
+    }
+}
+
+fn block_of(region: CellBox) -> IVec3 {
+    region.lo.div_euclid(IVec3::splat(BLOCK))
 }
 
 /// What all batches of blocks need.
@@ -180,6 +256,24 @@ impl Contouring<'_> {
             + 2 * BLOCK_ROOM * self.vertex_bytes()
     }
 
+    /// Starts the next batch of `regions`, if there is one.
+    fn start_next(
+        &self,
+        lane: &mut Lane,
+        regions: &[CellBox],
+        next: &mut usize,
+        bytes: u64,
+    ) -> Result<Option<BlockBatch>, VulkanError> {
+        let left = &regions[*next..];
+        if left.is_empty() {
+            return Ok(None);
+        }
+        let batch = BlockBatch::new(self, left, bytes);
+        *next += batch.regions.len();
+        self.start(lane, &batch)?;
+        Ok(Some(batch))
+    }
+
     /// Sends a batch and has it computed.
     fn start(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
         let device = &self.frame.device;
@@ -290,21 +384,26 @@ impl Contouring<'_> {
         })
     }
 
-    /// Waits for a batch, and reads it.
-    fn finish(&self, lane: &mut Lane, mut batch: BlockBatch) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
-        let device = &self.frame.device;
+    /// Waits for a batch, and says where each of its blocks begins in it, and where the last one ends.
+    fn begins(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<Vec<Tally>, VulkanError> {
         let count = batch.blocks.len();
-        let begins: Vec<Tally> = loop {
+        loop {
             lane.compute.wait()?;
             let begins: Vec<Tally> = lane.buffers["tallies read"].read(0, count + 1);
             let vertices = u64::from(begins[count].vertices);
             if vertices <= batch.room {
-                break begins;
+                return Ok(begins);
             }
             batch.room = vertices;
-            self.start(lane, &batch)?;
-        };
-        let totals = begins[count];
+            self.start(lane, batch)?;
+        }
+    }
+
+    /// Waits for a batch, and reads it.
+    fn read(&self, lane: &mut Lane, mut batch: BlockBatch) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
+        let device = &self.frame.device;
+        let begins = self.begins(lane, &mut batch)?;
+        let totals = begins[batch.blocks.len()];
         let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
         let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
         let fall_bytes =
@@ -318,23 +417,22 @@ impl Contouring<'_> {
         {
             lane.download.copy(&lane.buffers[name].part(0, bytes), to);
         }
-        lane.download.submit(&[])?;
+        lane.download.submit(lane.compute.last())?;
         lane.download.wait()?;
         let blocks = batch.regions.par_iter().zip(begins.par_windows(2));
         Ok(blocks
             .map(|(region, begins)| {
-                let [begin, end] = [begins[0], begins[1]];
-                let count = (end.tiles - begin.tiles) as usize;
-                if count == 0 {
+                let (begin, size) = (begins[0], begins[1].since(&begins[0]));
+                if size.tiles == 0 {
                     return None;
                 }
-                let vertices = (end.vertices - begin.vertices) as usize;
+                let vertices = size.vertices as usize;
                 let first = u64::from(begin.vertices);
                 let mut mesh = BlockMesh {
-                    block: region.lo.div_euclid(IVec3::splat(BLOCK)),
-                    tiles: tiles.read(u64::from(begin.tiles) * size_of::<Tile>() as u64, count),
+                    block: block_of(*region),
+                    tiles: tiles.read(u64::from(begin.tiles) * size_of::<Tile>() as u64, size.tiles as usize),
                     ends: ends.read(first * size_of::<[u16; 2]>() as u64, vertices),
-                    triangle_count: (end.triangles - begin.triangles) as usize,
+                    triangle_count: size.triangles as usize,
                     ..BlockMesh::default()
                 };
                 if self.has_normals() {

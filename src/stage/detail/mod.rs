@@ -9,3 +9,11 @@ mod cpu;
 pub mod vulkan;
 
 pub use cpu::recover;
+
+/// Whether details that smoothing loses are recovered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Detail {
+    Smoothed,
+    Recovered,
+}

@@ -94,6 +94,19 @@ pub struct Tally {
     spare: u32,
 }
 
+impl Tally {
+    /// What lies between a begin and this one.
+    #[must_use]
+    pub fn since(&self, begin: &Self) -> Self {
+        Self {
+            tiles: self.tiles - begin.tiles,
+            vertices: self.vertices - begin.vertices,
+            triangles: self.triangles - begin.triangles,
+            spare: 0,
+        }
+    }
+}
+
 /// A tile among those of its block.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
