@@ -60,7 +60,7 @@ fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
     if !recipe.iso.may_cut(dif.samples(), inside_walls) {
         return None;
     }
-    let field = recipe.field(&dif, domain);
+    let field = recipe.field(dif, domain);
     let mut mesh = contour(&field, region, recipe.iso, walls);
     if mesh.tiles.is_empty() {
         return None;

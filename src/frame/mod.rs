@@ -338,7 +338,7 @@ impl Frame {
     #[must_use]
     pub fn field(&self, recipe: &Recipe, cells: CellBox) -> Block {
         let domain = self.facts.domain.as_ref();
-        recipe.field(&recipe.gather(&self.dif, cells, domain), domain)
+        recipe.field(recipe.gather(&self.dif, cells, domain), domain)
     }
 
     /// The surface of the frame.

@@ -1,5 +1,6 @@
 //! Regions of blocks to surfaces.
 
+use std::rc::Rc;
 use std::sync::Arc;
 
 use glam::IVec3;
@@ -10,10 +11,13 @@ use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BIN, BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
+use crate::recipe::Fields;
+use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
 use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Falls, Normals, normal};
+use crate::units::Isovalue;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
@@ -133,8 +137,7 @@ fn block_of(region: CellBox) -> IVec3 {
 
 /// What all batches of blocks need.
 struct Constants {
-    filters: Vec<View>,
-    detail: View,
+    weights: HashMap<Kernel, View>,
     theta: View,
     decode: u32,
     lengths: View,
@@ -151,8 +154,13 @@ impl Constants {
         let theta: Vec<u32> =
             surfaces.dif.decode_table().unwrap_or_default().iter().map(|&theta| theta.into()).collect();
         Ok(Self {
-            filters: recipe.smoothing.filters().iter().map(|k| upload(k.half())).collect::<Result<_, _>>()?,
-            detail: upload(recipe.detail.as_ref().map_or(&[], |kernel| kernel.half()))?,
+            weights: recipe
+                .smoothing
+                .filters()
+                .iter()
+                .chain(&recipe.detail)
+                .map(|kernel| Ok((kernel.clone(), upload(kernel.half())?)))
+                .collect::<Result<_, VulkanError>>()?,
             theta: upload(&theta)?,
             decode: theta.len() as u32,
             lengths: upload(&lengths())?,
@@ -289,10 +297,10 @@ impl Contouring<'_> {
         let field_bytes = 4 * u64::from(batch.words);
         let first = lane.buffer(device, "first field", Place::Device, field_bytes)?;
         let second = lane.buffer(device, "second field", Place::Device, field_bytes)?;
-        let third = match self.fields() {
-            3 => lane.buffer(device, "third field", Place::Device, field_bytes)?,
-            _ => first.clone(),
-        };
+        let mut free = vec![second];
+        if self.fields() == 3 {
+            free.push(lane.buffer(device, "third field", Place::Device, field_bytes)?);
+        }
         let outputs = self.outputs(lane, count, batch.room)?;
         let read = lane.buffer(device, "tallies read", Place::Download, outputs.tallies.bytes())?;
 
@@ -322,45 +330,24 @@ impl Contouring<'_> {
         };
         commands.stage("gather", pages.pages.bytes() + field_bytes);
         gather(commands, &kernels.gather, &blocks, &pages, &first)?;
-        let field = self.record_field(commands, &blocks, [first, second, third])?;
+        let dif = Rc::new(Padded { samples: first, margin: 0 });
+        let field = self.surfaces.recipe.apply(&mut self.fields_of(commands, &blocks, free), dif)?;
         commands.stage("dual marching cubes", field_bytes);
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
         let normals = self.has_normals();
-        contour(commands, &kernels.dual_mc, &blocks, &field, iso, walls, normals, &outputs)?;
+        contour(commands, &kernels.dual_mc, &blocks, &field.samples, iso, walls, normals, &outputs)?;
         commands.copy(&outputs.tallies, &read);
         commands.submit(&[uploaded])?;
         Ok(())
     }
 
-    /// The recipe, on the device; returns the field that holds the result.
-    fn record_field(
-        &self,
-        commands: &mut Batch,
-        blocks: &DeviceBlocks,
-        [dif, mut smooth, mut spare]: [View; 3],
-    ) -> Result<View, VulkanError> {
-        let kernels = &self.frame.kernels;
-        let recipe = self.surfaces.recipe;
-        let walls = self.surfaces.walls();
-        let mut margin = 0;
-        let mut from = dif.clone();
-        let field_bytes = 4 * u64::from(blocks.words);
-        commands.stage("blur", 6 * field_bytes * recipe.smoothing.filters().len() as u64);
-        for filter in recipe.smoothing.filters().iter().zip(&self.constants.filters) {
-            blur(commands, &kernels.blur, blocks, filter, walls, margin, [&from, &spare, &smooth])?;
-            margin += filter.0.reach();
-            from = smooth.clone();
-            std::mem::swap(&mut smooth, &mut spare);
-        }
-        let Some(kernel) = &recipe.detail else { return Ok(from) };
-        // `from` is the smoothed DIF, and one of the other two.
-        let (smooth, spare) = (from, smooth);
-        commands.stage("detail", 12 * field_bytes);
-        lost(commands, &kernels.lost, blocks, recipe.iso, [&dif, &smooth, &spare])?;
-        let filter = (kernel, &self.constants.detail);
-        blur(commands, &kernels.blur, blocks, filter, walls, margin, [&spare, &spare, &dif])?;
-        raise(commands, &kernels.greater, blocks, &smooth, &dif)?;
-        Ok(dif)
+    fn fields_of<'a>(
+        &'a self,
+        commands: &'a mut Batch,
+        blocks: &'a DeviceBlocks,
+        free: Vec<View>,
+    ) -> PaddedFields<'a> {
+        PaddedFields { work: self, commands, blocks, free }
     }
 
     fn outputs(&self, lane: &mut Lane, count: u64, room: u64) -> Result<Outputs, VulkanError> {
@@ -452,5 +439,71 @@ impl Contouring<'_> {
             .zip(falls)
             .map(|((edge, &ends), &falls)| normal(edge, ends, falls, iso, walls))
             .collect()
+    }
+}
+
+/// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
+struct Padded {
+    samples: View,
+    margin: i32,
+}
+
+/// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
+struct PaddedFields<'a> {
+    work: &'a Contouring<'a>,
+    commands: &'a mut Batch,
+    blocks: &'a DeviceBlocks,
+    free: Vec<View>,
+}
+
+impl PaddedFields<'_> {
+    fn take(&mut self) -> View {
+        self.free.pop().expect("a recipe needs no more fields than there are")
+    }
+
+    fn stage(&mut self, name: &'static str, passes: u64) {
+        self.commands.stage(name, passes * 8 * u64::from(self.blocks.words));
+    }
+}
+
+impl Fields for PaddedFields<'_> {
+    type Field = Rc<Padded>;
+    type Error = VulkanError;
+
+    fn blur(&mut self, field: Rc<Padded>, kernel: &Kernel) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("blur", 3);
+        let to = self.take();
+        let own = Rc::try_unwrap(field);
+        let (from, through, margin) = match &own {
+            Ok(own) => (&own.samples, own.samples.clone(), own.margin),
+            Err(shared) => (&shared.samples, self.take(), shared.margin),
+        };
+        let weights = &self.work.constants.weights[kernel];
+        let walls = self.work.surfaces.walls();
+        let program = &self.work.frame.kernels.blur;
+        blur(self.commands, program, self.blocks, (kernel, weights), walls, margin, [from, &through, &to])?;
+        self.free.push(through);
+        Ok(Rc::new(Padded { samples: to, margin: margin + kernel.reach() }))
+    }
+
+    fn lost(
+        &mut self,
+        dif: Rc<Padded>,
+        smooth: &Rc<Padded>,
+        iso: Isovalue,
+    ) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("detail", 2);
+        let kept = self.take();
+        let views = [&dif.samples, &smooth.samples, &kept];
+        lost(self.commands, &self.work.frame.kernels.lost, self.blocks, iso, views)?;
+        self.free.extend(Rc::into_inner(dif).map(|dif| dif.samples));
+        Ok(Rc::new(Padded { samples: kept, margin: smooth.margin }))
+    }
+
+    fn greater(&mut self, field: Rc<Padded>, other: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("detail", 2);
+        let program = &self.work.frame.kernels.greater;
+        raise(self.commands, program, self.blocks, &other.samples, &field.samples)?;
+        Ok(field)
     }
 }

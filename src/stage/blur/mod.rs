@@ -10,7 +10,7 @@ mod smoothing;
 pub mod vulkan;
 
 pub use cpu::{Sample, blur};
-pub use smoothing::Smoothing;
+pub use smoothing::{Smoothing, filter};
 
 use crate::units::Sigma;
 
@@ -18,7 +18,7 @@ use crate::units::Sigma;
 const UNIT: u32 = 1 << 16;
 
 /// A symmetric filter: integer weights that sum to 65536.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Kernel {
     /// The weight of the centre, then of the cells 1, 2, ... away on either side.
     half: Vec<u32>,

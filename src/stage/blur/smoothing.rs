@@ -46,7 +46,8 @@ impl Smoothing {
 }
 
 /// One filter; at a wall it sees the edge cells repeated, and so will the next.
-fn filter<T: Sample>(block: &Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
+#[must_use]
+pub fn filter<T: Sample>(block: &Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
     let mut out = blur(block, kernel);
     if let Some(walls) = walls {
         out.repeat_edges(walls);

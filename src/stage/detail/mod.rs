@@ -8,7 +8,7 @@
 mod cpu;
 pub mod vulkan;
 
-pub use cpu::recover;
+pub use cpu::{lost, raise};
 
 /// Whether details that smoothing loses are recovered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
