@@ -1,3 +1,4 @@
+//! with wide
 // Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
 // shared memory, then theta, or for counting the number of particles.
 
@@ -27,15 +28,6 @@ fn add(at: u32, high: u32, value: u32) {
     if before + value < before {
         atomicAdd(&sums[high], 1u);
     }
-}
-
-// 64-bit arithmetic on (low, high).
-fn minus(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
-    return vec2(a.x - b.x, a.y - b.y - u32(a.x < b.x));
-}
-
-fn less(a: vec2<u32>, b: vec2<u32>) -> bool {
-    return a.y < b.y || (a.y == b.y && a.x < b.x);
 }
 
 // b <= 31.

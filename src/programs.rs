@@ -1,8 +1,10 @@
 //! Every program that runs on a device, and the constants that their sources share with Rust.
 
-use crate::brick::vulkan::{GATHER, PAGE_WORDS};
-use crate::brick::{AXIS_BITS, RECORD_BITS};
-use crate::grid::{BIN, BLOCK, FRACTION_BITS, TILE};
+use crate::brick::vulkan::{
+    ELSEWHERE, ENTER, GATHER, NO_BIN, PAGE_WORDS, PLACE, PROBES, SETTLE, SETTLED, SORT,
+};
+use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
+use crate::grid::{BIN, BLOCK, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
@@ -12,13 +14,15 @@ use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 9] =
-    [&INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES, &EMIT];
+pub const PROGRAMS: [&Program; 13] = [
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES, &EMIT,
+];
 
 /// Constants of the sources: name, type and value.
 #[must_use]
 pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
     const { assert!(RECORD_BITS <= 64 && 2 * AXIS_BITS > 32, "y lies in both words of a packed particle") };
+    const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
     vec![
         ("FULL", "u32", FULL.into()),
         ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
@@ -35,5 +39,11 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("SIGN_TILES", "u32", SIGN_TILES.into()),
         ("BLOCK_TILES", "u32", BLOCK_TILES.into()),
         ("TILE_WORDS", "u32", TILE_WORDS.into()),
+        ("CELL_LIMIT", "i32", CELL_LIMIT.into()),
+        ("COORD_BITS", "u32", COORD_BITS.into()),
+        ("PROBES", "u32", PROBES.into()),
+        ("SETTLED", "u32", SETTLED.into()),
+        ("NO_BIN", "u32", NO_BIN.into()),
+        ("ELSEWHERE", "u32", ELSEWHERE.into()),
     ]
 }

@@ -3,53 +3,24 @@
 //! `MENISCUS_WRITE_SPIRV=1 cargo test --test shaders` writes the binaries anew.
 #![allow(clippy::unwrap_used)]
 
+#[path = "common/wgsl.rs"]
+mod wgsl;
+
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use meniscus::programs::{PROGRAMS, constants};
+use meniscus::programs::PROGRAMS;
 use meniscus::vulkan::Program;
-use naga::back::spv;
-use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, TypeInner};
-
-fn folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("spirv")
-}
-
-/// The constants, the parts that the first line names, and the file itself.
-fn source(name: &str) -> String {
-    let read = |name: &str| fs::read_to_string(folder().join(name).with_extension("wgsl")).unwrap();
-    let own = read(name);
-    let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
-    let constants =
-        constants().into_iter().map(|(name, kind, value)| format!("const {name}: {kind} = {value};\n"));
-    constants.chain(parts.split_whitespace().map(read)).chain([own.clone()]).collect()
-}
+use wgsl::{folder, source};
 
 fn parsed(program: &Program) -> Module {
-    let source = source(program.name);
-    naga::front::wgsl::parse_str(&source)
-        .unwrap_or_else(|e| panic!("{}: {}", program.name, e.emit_to_string(&source)))
+    wgsl::parsed(program.name, &source(program.name))
 }
 
 fn compiled(program: &Program) -> Vec<u8> {
-    let mut module = parsed(program);
-    naga::compact::compact(&mut module, naga::compact::KeepUnused::No);
-    let info = Validator::new(ValidationFlags::all(), Capabilities::IMMEDIATES)
-        .validate(&module)
-        .unwrap_or_else(|e| panic!("{}: {}", program.name, e.emit_to_string(&source(program.name))));
-    let options = spv::Options {
-        lang_version: (1, 3),
-        flags: spv::WriterFlags::empty(),
-        zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
-        use_storage_input_output_16: false,
-        force_loop_bounding: false,
-        ..spv::Options::default()
-    };
-    let words = spv::write_vec(&module, &info, &options, None).unwrap();
-    words.iter().flat_map(|word| word.to_le_bytes()).collect()
+    wgsl::compiled(program.name, &source(program.name))
 }
 
 #[test]

@@ -449,15 +449,19 @@ fn place_all(grid: &Grid, domain: Option<&Domain>, positions: &[[f64; 3]], place
     }
 }
 
-/// The bin that holds a cell, as three biased coordinates of 21 bits: cheaper than its Morton key.
+/// Bits of a bin's coordinate.
+pub const COORD_BITS: u32 = 21;
+
+/// The bin that holds a cell, as three coordinates of [`COORD_BITS`]: cheaper than its Morton key.
 fn bin_of(cell: IVec3) -> u64 {
-    let axis = |c: i32| u64::from((c >> BIN.ilog2()) as u32 & 0x1f_ffff);
-    axis(cell.x) | axis(cell.y) << 21 | axis(cell.z) << 42
+    let axis = |c: i32| u64::from((c >> BIN.ilog2()) as u32 & ((1 << COORD_BITS) - 1));
+    axis(cell.x) | axis(cell.y) << COORD_BITS | axis(cell.z) << (2 * COORD_BITS)
 }
 
-fn unpack_bin(bin: u64) -> IVec3 {
-    let axis = |shift: u32| ((bin >> shift) as i32) << 11 >> 11;
-    IVec3::new(axis(0), axis(21), axis(42))
+pub(super) fn unpack_bin(bin: u64) -> IVec3 {
+    let unused = i32::BITS - COORD_BITS;
+    let axis = |shift: u32| ((bin >> shift) as i32) << unused >> unused;
+    IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
 }
 
 #[cfg(test)]

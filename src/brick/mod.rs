@@ -10,7 +10,7 @@ mod store;
 mod sums;
 pub mod vulkan;
 
-pub use bin::{BinError, BinPlan, Census, InvalidParticles};
+pub use bin::{BinError, BinPlan, COORD_BITS, Census, InvalidParticles};
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS};
 pub use block::Block;
 pub use field::DifField;

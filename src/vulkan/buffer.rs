@@ -198,6 +198,18 @@ impl View {
         self.buffer.part(self.offset + offset, bytes)
     }
 
+    /// [`part`](Self::part), from the multiple of `alignment` before it on, and the words that this adds in front.
+    ///
+    /// # Panics
+    /// If the view ends before that, or the part begins within a word.
+    #[must_use]
+    pub fn aligned(&self, offset: u64, bytes: u64, alignment: u64) -> (Self, u32) {
+        let part = self.part(offset, bytes);
+        let added = part.offset % alignment;
+        assert!(added.is_multiple_of(4), "{} is within a word", part.offset);
+        (self.buffer.part(part.offset - added, bytes + added), (added / 4) as u32)
+    }
+
     /// [`Buffer::write`] into this part.
     pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         self.buffer.write(self.offset + offset, values);

@@ -24,6 +24,8 @@ pub struct DeviceOptions {
     pub memory: Option<u64>,
     /// The folder in which compiled pipelines are kept from run to run.
     pub pipeline_cache: Option<PathBuf>,
+    /// Bytes of a storage buffer that shaders are shown at the most, where the device would allow more.
+    pub storage_range: Option<u64>,
 }
 
 /// What shaders and buffers may be like.
@@ -176,7 +178,9 @@ impl Device {
             (instance.get_physical_device_queue_family_properties(physical), all.properties)
         };
         let limits = Limits {
-            storage_range: u64::from(properties.limits.max_storage_buffer_range) & !3,
+            storage_range: u64::from(properties.limits.max_storage_buffer_range)
+                .min(options.storage_range.unwrap_or(u64::MAX))
+                & !3,
             allocation: vulkan11.max_memory_allocation_size,
             groups: properties.limits.max_compute_work_group_count.into_iter().min().unwrap_or(0),
             alignment: properties.limits.min_storage_buffer_offset_alignment.max(4),

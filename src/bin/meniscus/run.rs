@@ -99,7 +99,8 @@ impl RunOptions {
             return Ok(None);
         }
         let pipeline_cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
-        let options = DeviceOptions { memory: Some(info.memory / 4 * 3), pipeline_cache };
+        let options =
+            DeviceOptions { memory: Some(info.memory / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
         Ok(Some(Vulkan::new(Device::open(&instance, &choice, &options)?)?))
     }
 

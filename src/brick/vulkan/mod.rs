@@ -1,4 +1,14 @@
-//! Padded blocks on a device: a batch of them in one field of 16-bit samples, two to a word.
+//! Particles in order of their bins, and padded blocks, on a device. A batch of blocks shares one field of 16-bit
+//! samples, two to a word.
+
+mod bin;
+mod grid;
+
+pub use bin::{
+    BinKernels, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN, PLACE,
+    PROBES, SETTLE, SETTLED, SORT, bin,
+};
+pub use grid::{DeviceGrid, reciprocal};
 
 use std::sync::Arc;
 
@@ -94,10 +104,15 @@ impl DeviceBlocks {
     /// Work groups for a thread a word of the field, in rows that every device allows.
     #[must_use]
     pub fn flat_groups(&self) -> [u32; 3] {
-        let groups = self.words.div_ceil(GROUP);
-        let width = groups.clamp(1, 1 << 15);
-        [width, groups.div_ceil(width), 1]
+        flat_groups(self.words)
     }
+}
+
+/// Work groups for so many threads, in rows that every device allows.
+fn flat_groups(threads: u32) -> [u32; 3] {
+    let groups = threads.div_ceil(GROUP);
+    let width = groups.clamp(1, 1 << 15);
+    [width, groups.div_ceil(width), 1]
 }
 
 push_block! {
@@ -110,7 +125,7 @@ push_block! {
 /// Cuts blocks out of pages: the twin of [`DifField::gather`](super::DifField::gather).
 pub const GATHER: Program = Program {
     name: "gather",
-    code: include_bytes!("../../spirv/gather.spv"),
+    code: include_bytes!("../../../spirv/gather.spv"),
     buffers: &["blocks", "tables", "pages", "theta", "field"],
     push: GatherPush::FIELDS,
     group: [GROUP, 1, 1],

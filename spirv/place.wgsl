@@ -1,0 +1,63 @@
+//! with wide float64 grid placing
+// The bin of every particle of a chunk, and how many have none: a particle a thread.
+
+struct Push {
+    // Words before the chunk's first coordinate.
+    first: u32,
+    // Particles of the chunk.
+    count: u32,
+    // Words of a coordinate: 1 for f32, 2 for f64.
+    width: u32,
+    // The chunk's number.
+    chunk: u32,
+}
+
+struct Census {
+    not_finite: atomic<u32>,
+    too_far: atomic<u32>,
+    outside: atomic<u32>,
+    // `count` less the number of the first invalid particle; 0 where there is none.
+    invalid: atomic<u32>,
+    // Whether the table of bins was too small; of the first chunk only.
+    overflow: atomic<u32>,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> grid: Grid;
+@group(0) @binding(1) var<storage, read> positions: array<u32>;
+@group(0) @binding(2) var<storage, read_write> keys: array<vec2<u32>>;
+@group(0) @binding(3) var<storage, read_write> census: array<Census>;
+
+// By fate; of those binned, the place is that of `invalid`.
+var<workgroup> tally: array<atomic<u32>, 4>;
+
+@compute @workgroup_size(256)
+fn place(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let i = id.x;
+    if local < 4u {
+        atomicStore(&tally[local], 0u);
+    }
+    workgroupBarrier();
+    if i < push.count {
+        let placed = place_particle(i);
+        keys[i] = select(vec2(NO_BIN), bin_of(placed.cell), placed.fate == BINNED);
+        if placed.fate != BINNED {
+            atomicAdd(&tally[placed.fate], 1u);
+        }
+        if placed.fate == NOT_FINITE || placed.fate == TOO_FAR {
+            atomicMax(&tally[BINNED], push.count - i);
+        }
+    }
+    workgroupBarrier();
+    if local != 0u {
+        return;
+    }
+    if atomicLoad(&tally[OUTSIDE]) != 0u {
+        atomicAdd(&census[push.chunk].outside, atomicLoad(&tally[OUTSIDE]));
+    }
+    if atomicLoad(&tally[BINNED]) != 0u {
+        atomicAdd(&census[push.chunk].not_finite, atomicLoad(&tally[NOT_FINITE]));
+        atomicAdd(&census[push.chunk].too_far, atomicLoad(&tally[TOO_FAR]));
+        atomicMax(&census[push.chunk].invalid, atomicLoad(&tally[BINNED]));
+    }
+}

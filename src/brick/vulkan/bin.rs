@@ -1,0 +1,476 @@
+//! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of bins.
+//!
+//! Positions are read twice, in chunks, and never kept. The first reading places every particle, in the f64
+//! arithmetic of the host done by integers, finds or takes its bin's slot in the table, and counts. The host
+//! sorts the bins. The second reading places every particle again and drops it where its bin's particles go.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use thiserror::Error;
+
+use crate::brick::bin::unpack_bin;
+use crate::brick::{BinError, Census, InvalidParticles};
+use crate::grid::{Domain, Grid, MortonKey};
+use crate::vulkan::{
+    Batch, Buffer, Device, Kernel, Limits, Place, Program, Queue, View, VulkanError, push_block,
+};
+
+use super::{DeviceGrid, GROUP, flat_groups};
+
+/// Particles placed at once: their keys are all that is kept of them.
+const CHUNK: usize = 1 << 20;
+/// Chunks in a batch, with at most three dispatches and two stages each.
+const BATCH_CHUNKS: usize = 16;
+/// Particles for each slot of the first table that is tried, and how much larger the next one is.
+const SLOT_PARTICLES: usize = 256;
+const GROWTH: u64 = 8;
+/// Slots that are looked at for a bin; where that is not enough, the table is too small.
+pub const PROBES: u32 = 128;
+/// The owner of a slot whose key is known.
+pub const SETTLED: u32 = u32::MAX;
+/// Both words of the key of a particle without a bin.
+pub const NO_BIN: u32 = u32::MAX;
+/// The place of a slot whose bin is of another run.
+pub const ELSEWHERE: u32 = u32::MAX;
+const RECORD_BYTES: u64 = 8;
+
+push_block! {
+    /// Of [`PLACE`].
+    struct PlacePush {
+        first: u32,
+        count: u32,
+        width: u32,
+        chunk: u32,
+    }
+}
+
+push_block! {
+    /// Of [`ENTER`].
+    struct EnterPush {
+        count: u32,
+        mask: u32,
+    }
+}
+
+push_block! {
+    /// Of [`SETTLE`].
+    struct SettlePush {
+        slots: u32,
+    }
+}
+
+push_block! {
+    /// Of [`SORT`].
+    struct SortPush {
+        first: u32,
+        count: u32,
+        width: u32,
+        mask: u32,
+    }
+}
+
+/// The bins of a chunk's particles.
+pub const PLACE: Program = Program {
+    name: "place",
+    code: include_bytes!("../../../spirv/place.spv"),
+    buffers: &["grid", "positions", "keys", "census"],
+    push: PlacePush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// Counts by bin.
+pub const ENTER: Program = Program {
+    name: "enter",
+    code: include_bytes!("../../../spirv/enter.spv"),
+    buffers: &["keys", "slots", "census"],
+    push: EnterPush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// Keys of new bins.
+pub const SETTLE: Program = Program {
+    name: "settle",
+    code: include_bytes!("../../../spirv/settle.spv"),
+    buffers: &["keys", "slots"],
+    push: SettlePush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// Packed particles, bin by bin.
+pub const SORT: Program = Program {
+    name: "sort",
+    code: include_bytes!("../../../spirv/sort.spv"),
+    buffers: &["grid", "positions", "slots", "places", "records"],
+    push: SortPush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// The kernels of binning.
+#[derive(Debug)]
+pub struct BinKernels {
+    place: Arc<Kernel>,
+    enter: Arc<Kernel>,
+    settle: Arc<Kernel>,
+    sort: Arc<Kernel>,
+}
+
+impl BinKernels {
+    /// Compiles them.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn new(device: &Device) -> Result<Self, VulkanError> {
+        let kernel = |program| device.kernel(program).map(Arc::new);
+        Ok(Self {
+            place: kernel(&PLACE)?,
+            enter: kernel(&ENTER)?,
+            settle: kernel(&SETTLE)?,
+            sort: kernel(&SORT)?,
+        })
+    }
+}
+
+/// How a coordinate is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coordinate {
+    /// As f32.
+    Single,
+    /// As f64, low word first.
+    Double,
+}
+
+impl Coordinate {
+    /// In bytes.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        match self {
+            Self::Single => 4,
+            Self::Double => 8,
+        }
+    }
+}
+
+/// Positions on the device, x, y and z of one particle after the other. Kernels read them; so does a copy, where an
+/// invalid particle is to be named.
+#[derive(Debug, Clone)]
+pub struct DevicePositions {
+    /// Where they are; from a multiple of 4 bytes on.
+    pub view: View,
+    /// Particles.
+    pub count: usize,
+    /// How each coordinate is stored.
+    pub coordinate: Coordinate,
+}
+
+/// Particles on the device in order of their bins.
+#[derive(Debug)]
+pub struct DeviceBins {
+    /// The bins that hold particles, in Morton order.
+    pub keys: Vec<MortonKey>,
+    /// Where each bin's particles begin, and where the last one's end.
+    pub first: Vec<usize>,
+    /// What became of the particles.
+    pub census: Census,
+    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a kernel can see
+    /// them all at once.
+    pub runs: Vec<(Range<usize>, Arc<Buffer>)>,
+}
+
+/// Why particles were not binned on the device.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum DeviceBinError {
+    /// They cannot be binned anywhere.
+    #[error(transparent)]
+    Bin(#[from] BinError),
+    /// The device failed, or they are too many for it.
+    #[error(transparent)]
+    Vulkan(#[from] VulkanError),
+}
+
+/// As `place.wgsl` has it.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct ChunkCensus {
+    not_finite: u32,
+    too_far: u32,
+    outside: u32,
+    invalid: u32,
+    overflow: u32,
+}
+
+/// As `table.wgsl` has it.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Slot {
+    owner: u32,
+    count: u32,
+    key: [u32; 2],
+}
+
+/// Particles that are placed at once.
+struct Chunk {
+    /// The number of the first.
+    index: usize,
+    count: u32,
+    positions: View,
+    /// Words of `positions` before the first coordinate.
+    first: u32,
+    /// Words of a coordinate.
+    width: u32,
+}
+
+impl Chunk {
+    fn groups(&self) -> [u32; 3] {
+        [self.count.div_ceil(GROUP), 1, 1]
+    }
+
+    /// Of the positions.
+    fn bytes(&self) -> u64 {
+        12 * u64::from(self.count * self.width)
+    }
+}
+
+fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
+    let mut chunks = Vec::new();
+    let mut before = 0;
+    for DevicePositions { view, count, coordinate } in positions {
+        let particle = 3 * coordinate.bytes();
+        let seen = (limits.storage_range - limits.alignment) / particle;
+        let most = CHUNK.min(seen as usize);
+        for first in (0..*count).step_by(most) {
+            let len = most.min(count - first);
+            let part = view.aligned(first as u64 * particle, len as u64 * particle, limits.alignment);
+            let (positions, words) = part;
+            let width = (coordinate.bytes() / 4) as u32;
+            chunks.push(Chunk { index: before + first, count: len as u32, positions, first: words, width });
+        }
+        before += count;
+    }
+    chunks
+}
+
+/// Sorts particles into the bins that [`BinPlan`](crate::brick::BinPlan) sorts them into, unless they touch
+/// more than `limit`. The order inside a bin is arbitrary.
+///
+/// # Errors
+/// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32 particles or
+/// more, a bin has more particles than a kernel can see at once, or the device has no room for 8 bytes a
+/// particle.
+///
+/// # Panics
+/// If a view ends before its positions do.
+pub fn bin(
+    device: &Device,
+    kernels: &BinKernels,
+    positions: &[DevicePositions],
+    grid: &Grid,
+    domain: Option<&Domain>,
+    invalid: InvalidParticles,
+    limit: usize,
+) -> Result<DeviceBins, DeviceBinError> {
+    let total: usize = positions.iter().map(|p| p.count).sum();
+    if u32::try_from(total).is_err() {
+        return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
+    }
+    let device_grid = device.buffer(Place::Upload, size_of::<DeviceGrid>() as u64)?;
+    device_grid.write(0, &[DeviceGrid::new(grid, domain)]);
+    let chunks = chunks(positions, device.limits());
+    let binning = Binning { device, kernels, grid: device_grid.whole(), chunks, limit };
+    let (slots, table, census) = binning.count(total)?;
+    let (census, first_invalid) = binning.sum(&census, total);
+    if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
+        let position = binning.position(positions, index)?;
+        return Err(if position.iter().all(|x| x.is_finite()) {
+            BinError::TooFar { index, position, cell_size: grid.cell_size() }.into()
+        } else {
+            BinError::NotFinite { index, position }.into()
+        });
+    }
+    let key = |slot: &Slot| unpack_bin(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
+    let used = (0_u32..).zip(&table).filter(|(_, slot)| slot.count > 0);
+    let mut bins: Vec<_> = used.map(|(i, slot)| (MortonKey::of(key(slot)), i, slot.count)).collect();
+    bins.sort_unstable();
+    if bins.len() > limit {
+        return Err(BinError::TooManyBins { limit }.into());
+    }
+    let mut first = vec![0];
+    first.extend(bins.iter().scan(0, |end, &(_, _, count)| {
+        *end += count as usize;
+        Some(*end)
+    }));
+    let slots_of_bins: Vec<u32> = bins.iter().map(|&(_, slot, _)| slot).collect();
+    let runs = binning.sort(&slots, &slots_of_bins, &first)?;
+    Ok(DeviceBins { keys: bins.into_iter().map(|(key, _, _)| key).collect(), first, census, runs })
+}
+
+struct Binning<'a> {
+    device: &'a Device,
+    kernels: &'a BinKernels,
+    grid: View,
+    chunks: Vec<Chunk>,
+    limit: usize,
+}
+
+impl Binning<'_> {
+    /// The first reading: the table of bins, on the device and on the host, and the census of each chunk.
+    fn count(&self, total: usize) -> Result<(Arc<Buffer>, Vec<Slot>, Vec<ChunkCensus>), DeviceBinError> {
+        let mut batch = self.device.batch(Queue::Compute)?;
+        let largest = self.chunks.iter().map(|chunk| chunk.count).max().unwrap_or(0);
+        let keys = self.device.buffer(Place::Device, 8 * u64::from(largest))?;
+        let census_bytes = (self.chunks.len().max(1) * size_of::<ChunkCensus>()) as u64;
+        let census = self.device.buffer(Place::Device, census_bytes)?;
+        let census_read = self.device.buffer(Place::Download, census_bytes)?;
+        let mut len = (total / SLOT_PARTICLES).max(1 << 10).next_power_of_two() as u64;
+        loop {
+            let bytes = len * size_of::<Slot>() as u64;
+            if bytes > self.device.limits().storage_range {
+                return Err(VulkanError::OutOfMemory { bytes }.into());
+            }
+            let slots = self.device.buffer(Place::Device, bytes)?;
+            let slots_read = self.device.buffer(Place::Download, bytes)?;
+            batch.begin()?;
+            batch.clear(&census.whole());
+            batch.clear(&slots.whole());
+            for (i, chunk) in self.chunks.iter().enumerate() {
+                if i > 0 && i % BATCH_CHUNKS == 0 {
+                    batch.submit(&[])?;
+                    batch.begin()?;
+                }
+                self.count_chunk(&mut batch, i as u32, chunk, len as u32, [&keys, &slots, &census])?;
+            }
+            batch.copy(&census.whole(), &census_read.whole());
+            batch.copy(&slots.whole(), &slots_read.whole());
+            batch.submit(&[])?;
+            batch.wait()?;
+            let census: Vec<ChunkCensus> = census_read.read(0, self.chunks.len().max(1));
+            let table: Vec<Slot> = slots_read.read(0, len as usize);
+            if census[0].overflow == 0 {
+                return Ok((slots, table, census));
+            }
+            if table.iter().filter(|slot| slot.count > 0).count() > self.limit {
+                return Err(BinError::TooManyBins { limit: self.limit }.into());
+            }
+            len *= GROWTH;
+        }
+    }
+
+    fn count_chunk(
+        &self,
+        batch: &mut Batch,
+        number: u32,
+        chunk: &Chunk,
+        slots_len: u32,
+        buffers: [&Arc<Buffer>; 3],
+    ) -> Result<(), VulkanError> {
+        let &Chunk { count, first, width, .. } = chunk;
+        let [keys, slots, census] = buffers.map(Buffer::whole);
+        let kernels = self.kernels;
+        batch.stage("place", chunk.bytes() + 8 * u64::from(count));
+        let buffers = [self.grid.clone(), chunk.positions.clone(), keys.clone(), census.clone()];
+        let push = PlacePush { first, count, width, chunk: number };
+        batch.dispatch(&kernels.place, &buffers, &push, chunk.groups())?;
+        batch.stage("count bins", 8 * u64::from(count));
+        let buffers = [keys, slots, census];
+        let push = EnterPush { count, mask: slots_len - 1 };
+        batch.dispatch(&kernels.enter, &buffers, &push, chunk.groups())?;
+        let push = SettlePush { slots: slots_len };
+        batch.dispatch(&kernels.settle, &buffers[..2], &push, flat_groups(slots_len))
+    }
+
+    /// The census of all chunks, and the number of the first invalid particle.
+    fn sum(&self, chunks: &[ChunkCensus], total: usize) -> (Census, Option<usize>) {
+        let mut census = Census { binned: total, ..Census::default() };
+        let mut first_invalid = None;
+        for (chunk, counts) in self.chunks.iter().zip(chunks) {
+            let [not_finite, too_far, outside] =
+                [counts.not_finite, counts.too_far, counts.outside].map(|n| n as usize);
+            census.not_finite += not_finite;
+            census.too_far += too_far;
+            census.outside += outside;
+            census.binned -= not_finite + too_far + outside;
+            if counts.invalid > 0 {
+                first_invalid.get_or_insert(chunk.index + (chunk.count - counts.invalid) as usize);
+            }
+        }
+        (census, first_invalid)
+    }
+
+    /// Where particle number `index` is.
+    fn position(&self, positions: &[DevicePositions], mut index: usize) -> Result<[f64; 3], VulkanError> {
+        let mut positions = positions.iter();
+        let found = positions.find(|p| {
+            index < p.count || {
+                index -= p.count;
+                false
+            }
+        });
+        let DevicePositions { view, coordinate, .. } = found.expect("the particle was counted");
+        let bytes = 3 * coordinate.bytes();
+        let read = self.device.buffer(Place::Download, bytes)?;
+        let mut batch = self.device.batch(Queue::Compute)?;
+        batch.begin()?;
+        batch.copy(&view.part(index as u64 * bytes, bytes), &read.whole());
+        batch.submit(&[])?;
+        batch.wait()?;
+        let values: Vec<f64> = match coordinate {
+            Coordinate::Single => read.read::<f32>(0, 3).into_iter().map(f64::from).collect(),
+            Coordinate::Double => read.read(0, 3),
+        };
+        Ok([values[0], values[1], values[2]])
+    }
+
+    /// The second reading, once for each run.
+    fn sort(
+        &self,
+        slots: &Arc<Buffer>,
+        slots_of_bins: &[u32],
+        first: &[usize],
+    ) -> Result<Vec<(Range<usize>, Arc<Buffer>)>, VulkanError> {
+        let mut batch = self.device.batch(Queue::Compute)?;
+        let len = (slots.bytes() / size_of::<Slot>() as u64) as u32;
+        let upload = self.device.buffer(Place::Upload, 4 * u64::from(len))?;
+        let places = self.device.buffer(Place::Device, 4 * u64::from(len))?;
+        let mut runs = Vec::new();
+        for run in runs_of(first, self.device.limits().storage_range / RECORD_BYTES) {
+            let particles = first[run.end] - first[run.start];
+            let records = self.device.buffer(Place::Device, particles as u64 * RECORD_BYTES)?;
+            let mut values = vec![ELSEWHERE; len as usize];
+            for bin in run.clone() {
+                values[slots_of_bins[bin] as usize] = (first[bin] - first[run.start]) as u32;
+            }
+            upload.write(0, &values);
+            batch.begin()?;
+            batch.copy(&upload.whole(), &places.whole());
+            for (i, chunk) in self.chunks.iter().enumerate() {
+                if i > 0 && i % BATCH_CHUNKS == 0 {
+                    batch.submit(&[])?;
+                    batch.begin()?;
+                }
+                let &Chunk { count, first, width, .. } = chunk;
+                let [slots, places, records] = [slots, &places, &records].map(Buffer::whole);
+                let buffers = [self.grid.clone(), chunk.positions.clone(), slots, places, records];
+                let push = SortPush { first, count, width, mask: len - 1 };
+                batch.stage("sort", chunk.bytes() + RECORD_BYTES * u64::from(count));
+                batch.dispatch(&self.kernels.sort, &buffers, &push, chunk.groups())?;
+            }
+            batch.submit(&[])?;
+            batch.wait()?;
+            runs.push((run, records));
+        }
+        Ok(runs)
+    }
+}
+
+/// Cuts the bins into runs of at most `particles`; a bin that has more is a run of its own.
+fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for bin in 0..first.len() - 1 {
+        match runs.last_mut() {
+            Some(run) if (first[bin + 1] - first[run.start]) as u64 <= particles => run.end = bin + 1,
+            _ => runs.push(bin..bin + 1),
+        }
+    }
+    runs
+}

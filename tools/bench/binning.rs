@@ -1,0 +1,167 @@
+//! Two ways from positions on a Vulkan device to the sums of its cells: sorted by bins and added up in shared memory,
+//! or added straight to the cells in the device's memory.
+//!
+//! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
+
+mod scene;
+#[path = "../../tests/common/wgsl.rs"]
+#[allow(clippy::unwrap_used, dead_code)]
+mod wgsl;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+use meniscus::brick::InvalidParticles;
+use meniscus::brick::vulkan::{
+    BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
+};
+use meniscus::grid::{BIN, Grid};
+use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::vulkan::{INDICATE, indicate};
+use meniscus::vulkan::{
+    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
+};
+
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+struct Push {
+    first: u32,
+    count: u32,
+    width: u32,
+    mask: u32,
+}
+
+fn row(what: &str, particles: usize, seconds: f64) {
+    println!("{what:<44} {:>8.1} M particles/s {:>9.1} ms", particles as f64 / seconds / 1e6, seconds * 1e3);
+}
+
+fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, VulkanError> {
+    let bytes = size_of_val(values) as u64;
+    let (staged, buffer) = (device.buffer(Place::Upload, bytes)?, device.buffer(Place::Device, bytes)?);
+    staged.write(0, values);
+    run(device, |batch| {
+        batch.copy(&staged.whole(), &buffer.whole());
+        Ok(())
+    })?;
+    Ok(buffer.whole())
+}
+
+/// Records, submits and waits; the seconds that this took.
+fn run(
+    device: &Device,
+    record: impl FnOnce(&mut Batch) -> Result<(), VulkanError>,
+) -> Result<f64, VulkanError> {
+    let mut batch = device.batch(Queue::Compute)?;
+    batch.begin()?;
+    record(&mut batch)?;
+    let start = Instant::now();
+    batch.submit(&[])?;
+    batch.wait()?;
+    Ok(start.elapsed().as_secs_f64())
+}
+
+fn best(mut work: impl FnMut() -> Result<f64, VulkanError>) -> Result<f64, VulkanError> {
+    (0..3).try_fold(f64::INFINITY, |best, _| Ok(best.min(work()?)))
+}
+
+/// The bins in a table as `table.wgsl` has it, and the number of each slot's bin.
+fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
+    let len = (4 * bins.keys.len()).next_power_of_two();
+    let (mut slots, mut numbers) = (vec![[0; 4]; len], vec![0; len]);
+    for (number, key) in (0..).zip(&bins.keys) {
+        let [x, y, z] = key.coord().to_array().map(|c| u64::from(c as u32 & 0x1f_ffff));
+        let packed = x | y << 21 | z << 42;
+        let (low, high) = (packed as u32, (packed >> 32) as u32);
+        let mut hash = low.wrapping_mul(0x9e37_79b1) ^ high.wrapping_mul(0x85eb_ca77);
+        hash = (hash ^ (hash >> 15)).wrapping_mul(0x2c1b_3c6d);
+        let first = (hash ^ (hash >> 12)) as usize;
+        let free = (first..first + PROBES as usize).map(|at| at % len).find(|&at| slots[at][0] == 0);
+        let at = free.expect("the table is large");
+        slots[at] = [SETTLED, 0, low, high];
+        numbers[at] = number;
+    }
+    (slots, numbers)
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let millions = std::env::args().skip(1).find_map(|a| a.parse::<f64>().ok()).unwrap_or(1.0);
+    let instance = Instance::connect(false)?;
+    let device = Device::open(&instance, &DeviceChoice::Best, &DeviceOptions::default())?;
+    let particles = scene::splash((millions * 1e6) as usize, 1);
+    let count = particles.len();
+    println!("{count} particles in random order, cell = spacing, on {}", device.name());
+    let grid = Grid::new(DVec3::ZERO, 1.0)?;
+    let positions =
+        DevicePositions { view: upload(&device, &particles)?, count, coordinate: Coordinate::Single };
+    let kernels = BinKernels::new(&device)?;
+
+    let mut sorted = None;
+    let mut whole = f64::INFINITY;
+    for _ in 0..3 {
+        sorted = None;
+        drop(device.take_timings());
+        let start = Instant::now();
+        let positions = std::slice::from_ref(&positions);
+        sorted = Some(bin(&device, &kernels, positions, &grid, None, InvalidParticles::Refuse, usize::MAX)?);
+        whole = whole.min(start.elapsed().as_secs_f64());
+    }
+    let bins = sorted.expect("three runs");
+    row("bins: place, count, sort", count, whole);
+    for timing in device.take_timings() {
+        row(&format!("  {}", timing.stage), count, timing.seconds);
+    }
+
+    let entries: Vec<[u32; 2]> = bins.first.windows(2).map(|w| [w[0] as u32, (w[1] - w[0]) as u32]).collect();
+    let entries_view = upload(&device, &entries)?;
+    let pages = device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
+    let indicator = Arc::new(device.kernel(&INDICATE)?);
+    let [(_, records)] = &bins.runs[..] else { return Err("too many particles for one run".into()) };
+    let seconds = best(|| {
+        run(&device, |batch| {
+            let views = [&entries_view, &records.whole(), &pages];
+            indicate(batch, &indicator, entries.len() as u32, Indicator::Symmetry, views)
+        })
+    })?;
+    row("sums in shared memory, and the DIF", count, seconds);
+
+    let direct: &'static Program = Box::leak(Box::new(Program {
+        name: "direct",
+        code: wgsl::compiled("direct", &wgsl::whole(include_str!("direct.wgsl"))).leak(),
+        buffers: &["grid", "positions", "slots", "bins", "sums"],
+        push: const { &[field("first", 0), field("count", 4), field("width", 8), field("mask", 12)] },
+        group: [256, 1, 1],
+    }));
+    let kernel = Arc::new(device.kernel(direct)?);
+    let (slots, numbers) = table(&bins);
+    let sums: Arc<Buffer> = device.buffer(Place::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
+    let grid = upload(&device, &[DeviceGrid::new(&grid, None)])?;
+    let mask = slots.len() as u32 - 1;
+    let (slots, numbers) = (upload(&device, &slots)?, upload(&device, &numbers)?);
+    let chunk = 1 << 20;
+    let clear = best(|| {
+        run(&device, |batch| {
+            batch.clear(&sums.whole());
+            Ok(())
+        })
+    })?;
+    row("straight to cells: clear them", count, clear);
+    let seconds = best(|| {
+        run(&device, |batch| {
+            for first in (0..count).step_by(chunk) {
+                let len = chunk.min(count - first);
+                let positions = positions.view.part(12 * first as u64, 12 * len as u64);
+                let buffers = [grid.clone(), positions, slots.clone(), numbers.clone(), sums.whole()];
+                let push = Push { first: 0, count: len as u32, width: 1, mask };
+                batch.dispatch(&kernel, &buffers, &push, [len.div_ceil(256) as u32, 1, 1])?;
+            }
+            Ok(())
+        })
+    })?;
+    row("straight to cells: place, add", count, seconds);
+    Ok(())
+}
+
+const fn field(name: &'static str, offset: u32) -> meniscus::vulkan::Field {
+    meniscus::vulkan::Field { name, offset, bytes: 4 }
+}
