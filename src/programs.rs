@@ -10,12 +10,14 @@ use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{INDICATE, OCTANT};
 use crate::stage::indicator::{DISTANCE_SCALE, THETA_PER_DISTANCE};
+use crate::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES};
 use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 13] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES, &EMIT,
+pub const PROGRAMS: [&Program; 16] = [
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES,
+    &EMIT, &STARTS, &VERTICES, &TRIANGLES,
 ];
 
 /// Constants of the sources: name, type and value.
@@ -45,5 +47,9 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("SETTLED", "u32", SETTLED.into()),
         ("NO_BIN", "u32", NO_BIN.into()),
         ("ELSEWHERE", "u32", ELSEWHERE.into()),
+        ("BLOCK_EDGE_TILES", "u32", BLOCK_EDGE_TILES.into()),
+        ("CASE_WORDS", "u32", CASE_WORDS.into()),
+        ("EDGE_BITS", "u32", EDGE_BITS.into()),
+        ("NO_BLOCK", "u32", NO_BLOCK.into()),
     ]
 }

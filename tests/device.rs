@@ -1,4 +1,4 @@
-//! What stays on a device: particles to bins, the same as on the host.
+//! What stays on a device: particles to bins, and surfaces to one mesh, the same as on the host.
 #![allow(clippy::unwrap_used)]
 
 #[path = "common/device.rs"]
@@ -14,13 +14,20 @@ mod wgsl;
 use std::sync::Arc;
 
 use bytemuck::Pod;
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use meniscus::brick::vulkan::{
-    BinKernels, Coordinate, DeviceBinError, DeviceBins, DevicePositions, bin, reciprocal,
+    BinKernels, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
 };
-use meniscus::brick::{BinError, BinPlan, Census, InvalidParticles};
-use meniscus::grid::{CELL_LIMIT, Domain, Grid, MortonKey};
+use meniscus::brick::{BinError, BinPlan, Block, Census, InvalidParticles};
+use meniscus::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
+use meniscus::mesh::BlockMesh;
+use meniscus::mesh::spool::Spool;
 use meniscus::particles::Particles;
+use meniscus::stage::dual_mc::contour;
+use meniscus::stage::dual_mc::vulkan::Tally;
+use meniscus::stitch::Stitched;
+use meniscus::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
+use meniscus::units::Isovalue;
 use meniscus::vulkan::{Buffer, Device, DeviceOptions, Place, Program, Queue, ValidationLog, VulkanError};
 use scene::Random;
 
@@ -454,4 +461,134 @@ fn binning_that_finds_no_memory_says_so_and_keeps_none() {
     }
     assert!(failures > 5);
     assert_valid(&log);
+}
+
+// Meshes.
+
+/// A field of bumps over some blocks, and the surface through each.
+fn surfaces(region: CellBox, iso: Isovalue, walls: Option<CellBox>, seed: u64) -> Vec<BlockMesh> {
+    let mut random = Random::new(seed);
+    let mut bumps: Vec<[f64; 5]> = (0..40)
+        .map(|_| {
+            let at: [f64; 3] = std::array::from_fn(|a| {
+                let size = f64::from(region.size()[a]);
+                f64::from(region.lo[a]) + 3.0 + random.unit() * (size - 6.0)
+            });
+            [at[0], at[1], at[2], 2.0 + 10.0 * random.unit(), 0.3 + random.unit()]
+        })
+        .collect();
+    bumps.push([f64::from(region.lo.x), 0.0, 0.0, 30.0, 1.0]);
+    let noise = random.bits();
+    let sample = |cell: IVec3| {
+        let open = cell.cmple(region.lo).any() || cell.cmpge(region.hi - 1).any();
+        if open && walls.is_none() {
+            return 0;
+        }
+        let p = cell.as_dvec3();
+        let sum: f64 = bumps
+            .iter()
+            .map(|b| b[4] * (-(p - DVec3::new(b[0], b[1], b[2])).length_squared() / (b[3] * b[3])).exp())
+            .sum();
+        let hash = Random::new(noise ^ MortonKey::of(cell).0).bits() % 3000;
+        (40_000.0 * sum + hash as f64).min(65_535.0) as u16
+    };
+    let mut regions: Vec<CellBox> =
+        region.cubes(BLOCK).map(|block| CellBox::cube(block, BLOCK).intersection(&region)).collect();
+    regions.sort_by_key(|r| MortonKey::of(r.lo.div_euclid(IVec3::splat(BLOCK))));
+    let of_region = |region: CellBox| {
+        let cells = region.tiled().grown(0, 1);
+        let mut field = Block::zero(cells);
+        for z in cells.lo.z..cells.hi.z {
+            for y in cells.lo.y..cells.hi.y {
+                for x in cells.lo.x..cells.hi.x {
+                    let cell = IVec3::new(x, y, z);
+                    let nearest = walls.map_or(cell, |walls| cell.clamp(walls.lo, walls.hi - 1));
+                    let index = field.index(cell);
+                    field.samples_mut()[index] = sample(nearest);
+                }
+            }
+        }
+        contour(&field, region, iso, walls)
+    };
+    let meshes = regions.into_iter().map(of_region);
+    meshes.filter(|mesh| !mesh.tiles.is_empty()).collect()
+}
+
+/// Positions and triangles, made on the device.
+fn stitched(
+    device: &Device,
+    meshes: &[BlockMesh],
+    grid: &Grid,
+    domain: Option<&Domain>,
+    iso: Isovalue,
+) -> (Vec<[u32; 3]>, Vec<[u32; 3]>) {
+    let tally = |mesh: &BlockMesh| {
+        let mut tally = Tally::default();
+        tally.tiles = mesh.tiles.len() as u32;
+        tally.vertices = mesh.ends.len() as u32;
+        tally.triangles = mesh.triangle_count as u32;
+        (mesh.block, tally)
+    };
+    let blocks: Vec<_> = meshes.iter().map(tally).collect();
+    let layout = MeshLayout::new(&blocks).unwrap();
+    let tiles: Vec<_> = meshes.iter().flat_map(|mesh| mesh.tiles.iter().copied()).collect();
+    let ends: Vec<_> = meshes.iter().flat_map(|mesh| mesh.ends.iter().copied()).collect();
+    let (vertices, triangles) = (layout.vertices() as usize, layout.triangles() as usize);
+    assert_eq!((tiles.len(), ends.len()), (layout.tiles() as usize, vertices));
+    let empty = |bytes: usize| device.buffer(Place::Device, bytes as u64).unwrap();
+    let (positions, indices) = (empty(12 * vertices), empty(12 * triangles));
+    let buffers = StitchBuffers {
+        grid: upload(device, &[DeviceGrid::new(grid, domain)]).whole(),
+        blocks: upload(device, layout.blocks()).whole(),
+        tiles: upload(device, &tiles).whole(),
+        ends: upload(device, &ends).whole(),
+        table: upload(device, &table()).whole(),
+        begins: empty(8 * tiles.len()).whole(),
+        positions: positions.whole(),
+        indices: indices.whole(),
+    };
+    let kernels = StitchKernels::new(device).unwrap();
+    let mut batch = device.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    stitch(device, &mut batch, &kernels, &layout, iso, &buffers).unwrap();
+    batch.submit(&[]).unwrap();
+    batch.wait().unwrap();
+    (download(device, &positions, vertices), download(device, &indices, triangles))
+}
+
+#[test]
+fn the_mesh_made_on_a_device_is_that_of_the_host_to_the_bit() {
+    let scenes = [
+        (DVec3::ZERO, 1.0, IVec3::new(-40, -32, -70), IVec3::new(40, 37, 21), None),
+        (DVec3::new(0.1, -7.3, 1e-3), 0.37, IVec3::new(-64, 0, 0), IVec3::new(32, 96, 64), None),
+        // Walls off the cells' faces, near zero, and so small that f32 is denormal.
+        (DVec3::new(0.3, 0.0, 0.1), 0.25, IVec3::splat(-40), IVec3::splat(48), Some(0.1)),
+        (DVec3::ZERO, 1e-40, IVec3::splat(-33), IVec3::splat(35), Some(0.0)),
+        (DVec3::new(1e38, -1e38, 0.0), 2e37, IVec3::splat(-20), IVec3::splat(20), None),
+    ];
+    for narrow in [1 << 27, 300 << 10] {
+        let Some((device, log)) = open_narrow(narrow) else { return };
+        for (seed, (origin, cell, lo, hi, walls)) in (0..).zip(scenes) {
+            let grid = Grid::new(origin, cell).unwrap();
+            let domain = walls.map(|shift| {
+                let corner = |cells: IVec3| grid.world_from_cells(cells.as_dvec3() + shift);
+                Domain::new(&grid, corner(lo), corner(hi)).unwrap()
+            });
+            let region = domain.as_ref().map_or(CellBox { lo, hi }, |d| d.cells().grown(1, 0));
+            let iso = Isovalue::new(0.4).unwrap();
+            let meshes = surfaces(region, iso, domain.as_ref().map(Domain::cells), seed);
+            assert!(meshes.len() > 7);
+            let (positions, triangles) = stitched(&device, &meshes, &grid, domain.as_ref(), iso);
+            let mut spool = Spool::in_memory(false, Vec::new());
+            meshes.into_iter().try_for_each(|mesh| spool.push(mesh)).unwrap();
+            let host = Stitched::new(spool, grid, domain, iso, Vec::new()).to_mesh().unwrap();
+            assert!(host.triangles.len() > 5000, "{}", host.triangles.len());
+            assert!(triangles == host.triangles, "scene {seed}");
+            for (at, (found, expected)) in positions.iter().zip(&host.positions).enumerate() {
+                assert_eq!(*found, expected.map(|x| (x as f32).to_bits()), "scene {seed}, vertex {at}");
+            }
+            assert_eq!(positions.len(), host.positions.len());
+        }
+        assert_valid(&log);
+    }
 }

@@ -5,6 +5,8 @@
 //! distance. Order is that of tiles along the Morton curve. Positions and triangles are made when they are
 //! asked for, block by block, and never kept.
 
+pub mod vulkan;
+
 use std::io;
 
 use glam::{DVec3, IVec3};

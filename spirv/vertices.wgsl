@@ -1,0 +1,79 @@
+//! with wide float64 grid tile surface
+// Where the vertices are (eq. 8), in f64 as the host has it, rounded to f32: a tile a work group, a cell a thread.
+
+struct Push {
+    // Tiles, from the first on.
+    first_tile: u32,
+    tiles: u32,
+    // The number of the vertex that is written first, and the words before it.
+    first_vertex: u32,
+    first_word: u32,
+    // The greatest sample that is outside.
+    threshold: u32,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> grid: Grid;
+@group(0) @binding(1) var<storage, read> blocks: array<Block>;
+@group(0) @binding(2) var<storage, read> tiles: array<u32>;
+@group(0) @binding(3) var<storage, read> begins: array<Start>;
+// Per vertex the sample at the lower end of its edge, and at the upper.
+@group(0) @binding(4) var<storage, read> ends: array<u32>;
+// As bits: the device may not write the smallest f32.
+@group(0) @binding(5) var<storage, read_write> positions: array<u32>;
+
+// How far along its edge a vertex lies. Equal samples are those of a cell and its mirror image beyond a wall.
+fn fraction(samples: u32) -> vec2<u32> {
+    let lower = i32(samples & 0xffffu);
+    let upper = i32(samples >> 16u);
+    if lower == upper {
+        return f64_half(1);
+    }
+    return f64_ratio(u32(abs(2 * i32(push.threshold) + 1 - 2 * lower)), u32(2 * abs(upper - lower)));
+}
+
+fn write(vertex: u32, cell: vec3<i32>, axis: u32) {
+    let along = fraction(ends[vertex]);
+    let to = push.first_word + 3u * (vertex - push.first_vertex);
+    for (var k = 0u; k < 3u; k++) {
+        var cells = f64_half(2 * cell[k] + 1);
+        if k == axis {
+            cells = f64_add(cells, along);
+        }
+        var world = f64_add(grid.origin[k], f64_mul(grid.cell, cells));
+        if grid.walled != 0u {
+            if k == axis && cell[k] < grid.lo[k] {
+                world = grid.walls_lo[k];
+            } else if k == axis && cell[k] == grid.hi[k] {
+                world = grid.walls_hi[k];
+            }
+            world = f64_min(f64_max(world, grid.walls_lo[k]), grid.walls_hi[k]);
+        }
+        positions[to + k] = f32_from_f64(world);
+    }
+}
+
+@compute @workgroup_size(64)
+fn vertices(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) bit: u32,
+) {
+    let number = group.x + groups.x * group.y;
+    if number >= push.tiles {
+        return;
+    }
+    let tile = push.first_tile + number;
+    let block = begins[tile].block;
+    let corners = corners_at(tile);
+    let corner = blocks[block].coord * BLOCK + vec3<i32>(tile_from_morton(tiles[tile * TILE_WORDS]) * TILE);
+    let cell = corner + vec3<i32>(vec3(bit % TILE, bit / TILE % TILE, bit / (TILE * TILE)));
+    var vertex = first_vertex_of(tile, block);
+    for (var axis = 0u; axis < 3u; axis++) {
+        let crossed = crossed_of(corners, axis);
+        if bit_of(crossed, bit) == 1u {
+            write(vertex + ones_below(crossed, bit), cell, axis);
+        }
+        vertex += ones(crossed);
+    }
+}
