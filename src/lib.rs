@@ -56,6 +56,7 @@ pub mod particles;
 pub mod plateau;
 pub mod programs;
 pub mod recipe;
+pub mod resident;
 pub mod scratch;
 pub mod spacing;
 pub mod stage;

@@ -4,7 +4,7 @@ mod cpu;
 mod vulkan;
 
 pub use cpu::Cpu;
-pub use vulkan::Vulkan;
+pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
 
 use std::fmt::Debug;
 use std::io;
@@ -68,6 +68,17 @@ pub struct Surfaces<'a> {
 }
 
 impl Surfaces<'_> {
+    /// The parts of blocks in which dual cells can be mixed, in Morton order.
+    #[must_use]
+    pub fn regions(&self) -> Vec<CellBox> {
+        // A dual cell reaches one cell up from its lowest corner.
+        let reach = self.recipe.reach();
+        let within = self.walls().map(|walls| walls.grown(1, 0));
+        let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
+        let regions = self.dif.regions(reach + 1, reach).into_iter().map(cut);
+        regions.filter(|cells| !cells.is_empty()).collect()
+    }
+
     /// The cells that stand around the dual cells of a region.
     fn dual(&self, region: CellBox) -> CellBox {
         region.tiled().grown(0, 1)

@@ -365,7 +365,7 @@ impl Frame {
     fn mesh_blocks(&self, recipe: &Recipe, normals: Normals, spool: &mut Spool) -> io::Result<()> {
         let domain = self.facts.domain.as_ref();
         let surfaces = Surfaces { dif: &self.dif, recipe, domain, normals };
-        for regions in self.regions(recipe).chunks(BATCH) {
+        for regions in surfaces.regions().chunks(BATCH) {
             let mut blocks: Vec<BlockMesh> =
                 self.stages.contour(&surfaces, regions).into_iter().flatten().collect();
             blocks.par_iter_mut().try_for_each(|block| self.carry(recipe, block))?;
@@ -375,18 +375,6 @@ impl Frame {
             }
         }
         Ok(())
-    }
-
-    /// The parts of blocks in which dual cells can be mixed, in Morton order.
-    fn regions(&self, recipe: &Recipe) -> Vec<CellBox> {
-        // A dual cell reaches one cell up from its lowest corner.
-        let regions = self.dif.regions(recipe.reach() + 1, recipe.reach());
-        let within = self.facts.domain.map(|domain| domain.cells().grown(1, 0));
-        regions
-            .into_iter()
-            .map(|cells| within.map_or(cells, |within| cells.intersection(&within)))
-            .filter(|cells| !cells.is_empty())
-            .collect()
     }
 
     /// Carries the particles' attributes to the vertices.

@@ -7,11 +7,13 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use crate::backend::Pages;
+use crate::brick::vulkan::DeviceBins;
 use crate::brick::vulkan::PAGE_WORDS;
 use crate::brick::{Bins, BrickSide, PageInfo};
+use crate::grid::MortonKey;
 use crate::stage::indicator::Indicator;
 use crate::stage::indicator::vulkan::indicate;
-use crate::vulkan::{Buffer, Place, View};
+use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
 use super::{BATCH, DeviceFrame, Fault, PAGE_BYTES, State};
@@ -58,12 +60,7 @@ impl DeviceFrame {
                 (!batch.is_empty()).then(start).transpose()
             },
             |lane, batch| {
-                lane.download.wait()?;
-                let samples: Vec<u16> = batch.pages.read(0, batch.bins.len() * SAMPLES);
-                done.par_extend(samples.par_chunks_exact(SAMPLES).zip(batch.bins).map(|(dense, bin)| {
-                    let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, side);
-                    page.expect("a bin holds particles")
-                }));
+                done.extend(read_pages(lane, batch, bins.keys(), side)?);
                 Ok(())
             },
         )
@@ -77,7 +74,6 @@ impl DeviceFrame {
         indicator: Indicator,
         resident: Option<&Arc<Buffer>>,
     ) -> Result<BinBatch, Fault> {
-        let count = range.len() as u64;
         let mut entries = Vec::with_capacity(range.len());
         let mut first = 0;
         for bin in range.clone() {
@@ -92,11 +88,6 @@ impl DeviceFrame {
         let device = &self.device;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
-        let read = lane.buffer(device, "pages read", Place::Download, count * PAGE_BYTES)?;
-        let pages = match resident {
-            Some(resident) => resident.part(range.start as u64 * PAGE_BYTES, count * PAGE_BYTES),
-            None => lane.buffer(device, "pages", Place::Device, count * PAGE_BYTES)?,
-        };
         staged.write(entries_at.start, &entries);
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
             let contents = bins.contents(bin).map_err(Fault::Scratch)?;
@@ -104,17 +95,96 @@ impl DeviceFrame {
             Ok::<_, Fault>(())
         })?;
 
-        let uploaded = lane.send(&staged, &inputs)?;
-        lane.compute.stage("indicate", inputs.bytes() + pages.bytes());
+        lane.send(&staged, &inputs)?;
         let [entries, records] = [part(&inputs, &entries_at), part(&inputs, &records_at)];
-        let views = [&entries, &records, &pages];
-        indicate(&mut lane.compute, &self.kernels.indicate, count as u32, indicator, views)?;
-        let computed = lane.compute.submit(&[uploaded])?;
-        lane.download.stage("download", 2 * pages.bytes());
+        Ok(self.compute_bins(lane, range, &entries, &records, indicator, resident)?)
+    }
+
+    /// Has the pages of some bins computed and read.
+    fn compute_bins(
+        &self,
+        lane: &mut Lane,
+        bins: Range<usize>,
+        entries: &View,
+        records: &View,
+        indicator: Indicator,
+        resident: Option<&Arc<Buffer>>,
+    ) -> Result<BinBatch, VulkanError> {
+        let device = &self.device;
+        let bytes = bins.len() as u64 * PAGE_BYTES;
+        let read = lane.buffer(device, "pages read", Place::Download, bytes)?;
+        let pages = match resident {
+            Some(resident) => resident.part(bins.start as u64 * PAGE_BYTES, bytes),
+            None => lane.buffer(device, "pages", Place::Device, bytes)?,
+        };
+        lane.compute.stage("indicate", records.bytes() + bytes);
+        let views = [entries, records, &pages];
+        indicate(&mut lane.compute, &self.kernels.indicate, bins.len() as u32, indicator, views)?;
+        let computed = lane.compute.submit(lane.upload.last())?;
+        lane.download.stage("download", 2 * bytes);
         lane.download.copy(&pages, &read);
         lane.download.submit(&[computed])?;
-        Ok(BinBatch { bins: range, pages: read })
+        Ok(BinBatch { bins, pages: read })
     }
+
+    /// The pages of particles that are binned on the device already.
+    pub(super) fn indicate_resident(
+        &self,
+        state: &mut State,
+        bins: &DeviceBins,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> Result<Pages, VulkanError> {
+        state.make_resident(&self.device, &bins.keys);
+        state.make_lanes(&self.device)?;
+        let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
+        let mut batches = bins.runs.iter().flat_map(|(run, records)| {
+            run.clone()
+                .step_by(BATCH)
+                .map(move |begin| (begin..run.end.min(begin + BATCH), run.start, records))
+        });
+        let mut pages = Pages::with_capacity(bins.keys.len());
+        fly(
+            &mut state.lanes,
+            |lane| {
+                let Some((range, run, records)) = batches.next() else { return Ok(None) };
+                let base = bins.first[run];
+                let entry = |bin: usize| BinEntry {
+                    first: (bins.first[bin] - base) as u32,
+                    count: (bins.first[bin + 1] - bins.first[bin]) as u32,
+                };
+                let entries: Vec<BinEntry> = range.clone().map(entry).collect();
+                lane.begin()?;
+                let bytes = size_of_val(&entries[..]) as u64;
+                let staged = lane.buffer(&self.device, "staged", Place::Upload, bytes)?;
+                let inputs = lane.buffer(&self.device, "inputs", Place::Device, bytes)?;
+                staged.write(0, &entries);
+                lane.send(&staged, &inputs)?;
+                let records = records.whole();
+                self.compute_bins(lane, range, &inputs, &records, indicator, resident.as_ref()).map(Some)
+            },
+            |lane, batch| {
+                pages.extend(read_pages(lane, batch, &bins.keys, side)?);
+                Ok::<_, VulkanError>(())
+            },
+        )?;
+        Ok(pages)
+    }
+}
+
+/// Waits for the pages of a batch.
+fn read_pages(
+    lane: &mut Lane,
+    batch: BinBatch,
+    keys: &[MortonKey],
+    side: BrickSide,
+) -> Result<Pages, VulkanError> {
+    lane.download.wait()?;
+    let samples: Vec<u16> = batch.pages.read(0, batch.bins.len() * SAMPLES);
+    let page = |(dense, bin): (&[u16], usize)| {
+        PageInfo::from_dense(keys[bin].coord(), dense, side).expect("a bin holds particles")
+    };
+    Ok(samples.par_chunks_exact(SAMPLES).zip(batch.bins).map(page).collect())
 }
 
 /// As many bins as a batch has room for, at least one.

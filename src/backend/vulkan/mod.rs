@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::IVec3;
 use hashbrown::HashMap;
 
-use crate::brick::vulkan::{GATHER, PAGE_WORDS};
+use crate::brick::vulkan::{DeviceBins, GATHER, PAGE_WORDS};
 use crate::brick::{Bins, BrickSide};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
@@ -29,6 +29,7 @@ use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
 use super::{Backend, Cpu, Pages, Stages, Surfaces};
+pub use blocks::DeviceSurfaces;
 use lane::Lane;
 
 /// Batches in flight.
@@ -115,16 +116,8 @@ impl Vulkan {
     }
 }
 
-impl Backend for Vulkan {
-    fn name(&self) -> String {
-        format!("Vulkan, {}", self.device.name())
-    }
-
-    fn host_bytes(&self, budget: MemoryBudget) -> u64 {
-        self.shares(budget).host
-    }
-
-    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
+impl Vulkan {
+    fn start_frame(&self, budget: MemoryBudget) -> DeviceFrame {
         let shares = self.shares(budget);
         let state = State {
             lanes: Vec::new(),
@@ -135,7 +128,67 @@ impl Backend for Vulkan {
             warnings: Vec::new(),
         };
         let (device, kernels) = (self.device.clone(), Arc::clone(&self.kernels));
-        Box::new(DeviceFrame { device, kernels, state: Mutex::new(state) })
+        DeviceFrame { device, kernels, state: Mutex::new(state) }
+    }
+
+    /// A frame whose particles and whose surface stay on the device.
+    #[must_use]
+    pub fn start_resident(&self) -> ResidentFrame {
+        ResidentFrame(self.start_frame(MemoryBudget(u64::MAX)))
+    }
+}
+
+/// A frame whose particles and whose surface stay on the device; the DIF is on the host as well.
+#[derive(Debug)]
+pub struct ResidentFrame(DeviceFrame);
+
+impl ResidentFrame {
+    /// The pages of all bins: theta by symmetry; the numbers of particles for counting.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn indicate(
+        &self,
+        bins: &DeviceBins,
+        indicator: Indicator,
+        side: BrickSide,
+    ) -> Result<Pages, VulkanError> {
+        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
+        self.0.indicate_resident(&mut state, bins, indicator, side)
+    }
+
+    /// The surfaces of all blocks; in smaller batches where memory is exhausted.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn contour(&self, surfaces: &Surfaces<'_>) -> Result<DeviceSurfaces, VulkanError> {
+        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let regions = surfaces.regions();
+        loop {
+            match self.0.collect_batches(&mut state, surfaces, &regions) {
+                Err(error @ VulkanError::OutOfMemory { .. }) => {
+                    state.recover(&error);
+                    if state.on_cpu {
+                        return Err(error);
+                    }
+                }
+                done => return done,
+            }
+        }
+    }
+}
+
+impl Backend for Vulkan {
+    fn name(&self) -> String {
+        format!("Vulkan, {}", self.device.name())
+    }
+
+    fn host_bytes(&self, budget: MemoryBudget) -> u64 {
+        self.shares(budget).host
+    }
+
+    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
+        Box::new(self.start_frame(budget))
     }
 }
 

@@ -1,0 +1,132 @@
+//! Frames that stay on a device are those of the host, to the bit of an f32.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+#[path = "../tools/examples/resident.rs"]
+mod example;
+
+use common::{device, reconstruct, sampling, splashes, surfacing, tank};
+use meniscus::brick::InvalidParticles;
+use meniscus::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::frame::{Sampling, Surfacing};
+use meniscus::mesh::Mesh;
+use meniscus::resident::{Pipeline, ResidentError, ResidentSurface, Settings};
+use meniscus::stage::detail::Detail;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{Isovalue, Sigma};
+use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, VulkanError};
+
+fn positions(device: &Device, particles: &[[f64; 3]]) -> DevicePositions {
+    let buffer = device.buffer(Place::Upload, size_of_val(particles) as u64).unwrap();
+    buffer.write(0, particles);
+    DevicePositions { view: buffer.whole(), count: particles.len(), coordinate: Coordinate::Double }
+}
+
+fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+    let mut batch = device.batch(Queue::Transfer).unwrap();
+    batch.begin().unwrap();
+    let [vertices, indices] = [&surface.positions, &surface.indices].map(|buffer| {
+        let read = device.buffer(Place::Download, buffer.bytes()).unwrap().whole();
+        batch.copy(&buffer.whole(), &read);
+        read
+    });
+    batch.submit(&[]).unwrap();
+    batch.wait().unwrap();
+    (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize))
+}
+
+fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
+    Settings {
+        grid: sampling.grid,
+        domain: sampling.domain,
+        indicator: sampling.indicator,
+        invalid: InvalidParticles::Refuse,
+        sigma: surfacing.sigma,
+        detail: surfacing.detail,
+        iso: surfacing.iso,
+    }
+}
+
+fn rounded(mesh: &Mesh) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+    (mesh.positions.iter().map(|p| p.map(|x| x as f32)).collect(), mesh.triangles.clone())
+}
+
+#[test]
+fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
+    let particles = splashes(31);
+    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
+    let pipeline = Pipeline::new(&device).unwrap();
+    let input = [positions(&device, &particles)];
+    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5)] {
+            for walls in [false, true] {
+                let mut sampling = Sampling { indicator, ..sampling() };
+                sampling.domain = walls.then(|| tank(&sampling.grid));
+                let surfacing = Surfacing { detail, sigma: Sigma::new(sigma).unwrap(), ..surfacing() };
+                let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
+                let surface = pipeline.surface(&input, &settings(&sampling, &surfacing)).unwrap();
+                let what = format!("{indicator:?}, {detail:?}, walls {walls}");
+                assert_eq!((surface.iso, surface.census), (expected.iso, frame.facts().census), "{what}");
+                assert!(read(&device, &surface) == rounded(&expected.mesh), "{what}");
+            }
+        }
+    }
+    drop((pipeline, input));
+    assert_eq!(device.allocated(), 0, "buffers are left");
+    drop(device);
+    assert_eq!(log.messages(), [""; 0]);
+}
+
+#[test]
+fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
+    if device::open(&DeviceOptions::default()).is_none() {
+        return;
+    }
+    let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
+    let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
+    assert!(example::surface_of(&particles, 1.0).unwrap() == rounded(&expected.mesh));
+}
+
+#[test]
+fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
+    let Some((device, _)) = device::open(&DeviceOptions::default()) else { return };
+    let pipeline = Pipeline::new(&device).unwrap();
+    let kept = device.allocated();
+    let scene = settings(&sampling(), &surfacing());
+    let surface = |particles: &[[f64; 3]], settings: &Settings| {
+        pipeline.surface(&[positions(&device, particles)], settings).unwrap_err()
+    };
+    assert!(matches!(surface(&[], &scene), ResidentError::NoParticles(_)));
+    assert!(matches!(surface(&[[f64::NAN; 3]], &scene), ResidentError::Bin(_)));
+    let above = Settings { iso: Some(Isovalue::new(0.9).unwrap()), ..scene };
+    assert!(matches!(surface(&[[0.0; 3]], &above), ResidentError::NoSurface(_)));
+    assert_eq!(device.allocated(), kept);
+}
+
+#[test]
+fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak() {
+    let particles = splashes(41);
+    let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
+    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
+    let pipeline = Pipeline::new(&device).unwrap();
+    let input = [positions(&device, &particles)];
+    let kept = device.allocated();
+    let mut failures = 0;
+    for number in 1.. {
+        device.faults().allocation.store(number, std::sync::atomic::Ordering::Relaxed);
+        let outcome = pipeline.surface(&input, &settings(&sampling(), &surfacing()));
+        let struck = device.faults().allocation.swap(0, std::sync::atomic::Ordering::Relaxed) == 0;
+        match outcome {
+            Ok(surface) => assert!(read(&device, &surface) == rounded(&expected.mesh), "number {number}"),
+            Err(ResidentError::Vulkan(VulkanError::OutOfMemory { .. })) => failures += 1,
+            Err(other) => panic!("number {number}: {other}"),
+        }
+        assert_eq!(device.allocated(), kept, "number {number}");
+        if !struck {
+            break;
+        }
+    }
+    assert!(failures > 3, "{failures} failures");
+    drop((pipeline, input, device));
+    assert_eq!(log.messages(), [""; 0]);
+}
