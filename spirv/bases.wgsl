@@ -1,12 +1,6 @@
+//! with tally scan
 // Where the tiles, vertices and triangles of each block begin among those of the batch: an exclusive prefix sum by one
 // work group. The last entry holds the totals.
-
-struct Tally {
-    tiles: u32,
-    vertices: u32,
-    triangles: u32,
-    spare: u32,
-}
 
 struct Push {
     // Blocks of the batch.
@@ -15,9 +9,6 @@ struct Push {
 
 var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read_write> tallies: array<Tally>;
-
-const GROUP: u32 = 256u;
-var<workgroup> sums: array<vec3<u32>, GROUP>;
 
 @compute @workgroup_size(256)
 fn bases(@builtin(local_invocation_id) local: vec3<u32>) {
@@ -29,23 +20,13 @@ fn bases(@builtin(local_invocation_id) local: vec3<u32>) {
     for (var block = first; block < end; block++) {
         own += vec3(tallies[block].tiles, tallies[block].vertices, tallies[block].triangles);
     }
-    sums[i] = own;
-    for (var step = 1u; step < GROUP; step *= 2u) {
-        workgroupBarrier();
-        var below = vec3(0u);
-        if i >= step {
-            below = sums[i - step];
-        }
-        workgroupBarrier();
-        sums[i] += below;
-    }
-    var at = sums[i] - own;
+    var at = scanned(i, own) - own;
     for (var block = first; block < end; block++) {
         let tally = tallies[block];
-        tallies[block] = Tally(at.x, at.y, at.z, 0u);
+        tallies[block] = tally_of(at);
         at += vec3(tally.tiles, tally.vertices, tally.triangles);
     }
     if i == GROUP - 1u {
-        tallies[push.blocks] = Tally(at.x, at.y, at.z, 0u);
+        tallies[push.blocks] = tally_of(at);
     }
 }

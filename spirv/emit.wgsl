@@ -1,20 +1,6 @@
-//! with block tile
+//! with block tile slot tally
 // Writes the tiles of a batch and what the field is at both ends of every crossed dual edge: a tile a work group, a
 // cell a thread.
-
-struct Tally {
-    tiles: u32,
-    vertices: u32,
-    triangles: u32,
-    spare: u32,
-}
-
-struct Slot {
-    index: u32,
-    vertex: u32,
-    triangle: u32,
-    spare: u32,
-}
 
 struct Push {
     // The lowest cell within the walls, and the highest.
@@ -63,15 +49,8 @@ fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) l
     }
     let block = blocks[number];
     let slot = slots[number * BLOCK_TILES + group.x];
-    let tile = tile_from_morton(slot.index) - vec3<u32>((block.tiles_lo & vec3(BLOCK - 1)) / i32(TILE));
-    let tiles_size = block.tiles_size / TILE;
-    let row = tiles_size.x + 1u;
-    let slab = row * (tiles_size.y + 1u);
-    let first = number * SIGN_TILES + tile.x + row * tile.y + slab * tile.z;
-    let corners = corners_of(array(
-        signs[first], signs[first + 1u], signs[first + row], signs[first + row + 1u],
-        signs[first + slab], signs[first + slab + 1u], signs[first + slab + row], signs[first + slab + row + 1u],
-    ));
+    let tile = vec3<u32>(tile_at(block, slot.index));
+    let corners = corners_at(number, block, tile);
     let bit = local.x;
     let to = (base.tiles + group.x) * TILE_WORDS;
     if bit == 0u {

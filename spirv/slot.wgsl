@@ -1,0 +1,26 @@
+// A tile that the surface passes through, and the signs of a block's tiles.
+
+struct Slot {
+    // Its Morton index in the block.
+    index: u32,
+    // The numbers of its first vertex and its first triangle, counted in the block.
+    vertex: u32,
+    triangle: u32,
+    spare: u32,
+}
+
+// The corners of a tile of block number `number`, given relative to the block's first tile.
+fn corners_at(number: u32, block: Block, tile: vec3<u32>) -> Corners {
+    let row = block.tiles_size.x / TILE + 1u;
+    let slab = row * (block.tiles_size.y / TILE + 1u);
+    let first = number * SIGN_TILES + tile.x + row * tile.y + slab * tile.z;
+    return corners_of(array(
+        signs[first], signs[first + 1u], signs[first + row], signs[first + row + 1u],
+        signs[first + slab], signs[first + slab + 1u], signs[first + slab + row], signs[first + slab + row + 1u],
+    ));
+}
+
+// The tile of a Morton index in the block, relative to the first tile that is meshed.
+fn tile_at(block: Block, index: u32) -> vec3<i32> {
+    return vec3<i32>(tile_from_morton(index)) - (block.tiles_lo & vec3(BLOCK - 1)) / i32(TILE);
+}
