@@ -113,7 +113,7 @@ fn number(random: &mut Random) -> f64 {
         f64::NEG_INFINITY,
         f64::NAN,
         5e-324,
-        f32::MAX as f64,
+        3.402_823_466_385_288_6e38,
     ];
     let bits = random.bits();
     match random.bits() % 8 {
@@ -122,8 +122,8 @@ fn number(random: &mut Random) -> f64 {
         2 => f64::from_bits(bits & 0x800f_ffff_ffff_ffff),
         3 => SPECIAL[(bits % 10) as usize],
         4 => f64::from(f32::from_bits(bits as u32)),
-        5 => (bits as i32 >> (bits >> 59)) as f64 / 1024.0,
-        6 => f64::from_bits(bits & 0x800f_ffff_f000_0000 | 0x3fd8_0000_1000_0000 + (bits >> 58 << 52)),
+        5 => f64::from(bits as i32 >> (bits >> 59)) / 1024.0,
+        6 => f64::from_bits(bits & 0x800f_ffff_f000_0000 | (0x3fd8_0000_1000_0000 + (bits >> 58 << 52))),
         _ => f64::from_bits(bits & 0x803f_ffff_ffff_ffff | 0x3fc0_0000_0000_0000),
     }
 }

@@ -164,6 +164,9 @@ pub struct DevicePositions {
     pub coordinate: Coordinate,
 }
 
+/// Consecutive bins, and the packed particles of all of them.
+pub type BinRun = (Range<usize>, Arc<Buffer>);
+
 /// Particles on the device in order of their bins.
 #[derive(Debug)]
 pub struct DeviceBins {
@@ -175,7 +178,7 @@ pub struct DeviceBins {
     pub census: Census,
     /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a kernel can see
     /// them all at once.
-    pub runs: Vec<(Range<usize>, Arc<Buffer>)>,
+    pub runs: Vec<BinRun>,
 }
 
 /// Why particles were not binned on the device.
@@ -278,7 +281,7 @@ pub fn bin(
     device_grid.write(0, &[DeviceGrid::new(grid, domain)]);
     let chunks = chunks(positions, device.limits());
     let binning = Binning { device, kernels, grid: device_grid.whole(), chunks, limit };
-    let (slots, table, census) = binning.count(total)?;
+    let Counted { slots, table, census } = binning.count(total)?;
     let (census, first_invalid) = binning.sum(&census, total);
     if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
         let position = binning.position(positions, index)?;
@@ -305,6 +308,15 @@ pub fn bin(
     Ok(DeviceBins { keys: bins.into_iter().map(|(key, _, _)| key).collect(), first, census, runs })
 }
 
+/// All particles by bin.
+struct Counted {
+    slots: Arc<Buffer>,
+    /// What is in `slots`.
+    table: Vec<Slot>,
+    /// Of each chunk.
+    census: Vec<ChunkCensus>,
+}
+
 struct Binning<'a> {
     device: &'a Device,
     kernels: &'a BinKernels,
@@ -314,8 +326,8 @@ struct Binning<'a> {
 }
 
 impl Binning<'_> {
-    /// The first reading: the table of bins, on the device and on the host, and the census of each chunk.
-    fn count(&self, total: usize) -> Result<(Arc<Buffer>, Vec<Slot>, Vec<ChunkCensus>), DeviceBinError> {
+    /// The first reading.
+    fn count(&self, total: usize) -> Result<Counted, DeviceBinError> {
         let mut batch = self.device.batch(Queue::Compute)?;
         let largest = self.chunks.iter().map(|chunk| chunk.count).max().unwrap_or(0);
         let keys = self.device.buffer(Place::Device, 8 * u64::from(largest))?;
@@ -347,7 +359,7 @@ impl Binning<'_> {
             let census: Vec<ChunkCensus> = census_read.read(0, self.chunks.len().max(1));
             let table: Vec<Slot> = slots_read.read(0, len as usize);
             if census[0].overflow == 0 {
-                return Ok((slots, table, census));
+                return Ok(Counted { slots, table, census });
             }
             if table.iter().filter(|slot| slot.count > 0).count() > self.limit {
                 return Err(BinError::TooManyBins { limit: self.limit }.into());
@@ -427,7 +439,7 @@ impl Binning<'_> {
         slots: &Arc<Buffer>,
         slots_of_bins: &[u32],
         first: &[usize],
-    ) -> Result<Vec<(Range<usize>, Arc<Buffer>)>, VulkanError> {
+    ) -> Result<Vec<BinRun>, VulkanError> {
         let mut batch = self.device.batch(Queue::Compute)?;
         let len = (slots.bytes() / size_of::<Slot>() as u64) as u32;
         let upload = self.device.buffer(Place::Upload, 4 * u64::from(len))?;

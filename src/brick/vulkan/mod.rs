@@ -5,8 +5,8 @@ mod bin;
 mod grid;
 
 pub use bin::{
-    BinKernels, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN, PLACE,
-    PROBES, SETTLE, SETTLED, SORT, bin,
+    BinKernels, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN,
+    PLACE, PROBES, SETTLE, SETTLED, SORT, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
 
