@@ -305,7 +305,7 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
     let options =
         DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
     let run = || {
-        let Some((device, log)) = device::open(&options) else { return None };
+        let (device, log) = device::open(&options)?;
         let (mesh, _) = faulty_frame(&device, 0, 0);
         drop(device);
         assert_clean(&log);

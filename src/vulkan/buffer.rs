@@ -111,7 +111,8 @@ impl Device {
     /// Refers to a buffer that the caller has made on the same device, and destroys.
     ///
     /// # Safety
-    /// The buffer must hold `bytes`, be usable as a storage buffer, and outlive what is returned.
+    /// The buffer must hold `bytes`, be usable as a storage buffer and as the source of copies, and outlive what is
+    /// returned.
     #[must_use]
     pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
         Arc::new(Buffer { device: Arc::clone(&self.shared), raw, owned: false, allocation: None, bytes })
