@@ -250,9 +250,8 @@ impl<'a> BinPlan<'a> {
         runs.iter().zip(0..).for_each(|(run, i)| run_of_bin[run.clone()].fill(i));
         let spilled = SpilledBins::new(keys, first, components(particles, carried), runs, folder)?;
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
-        let tuples = buffer_bytes / spilled.tuple_bytes() / (threads * spilled.runs().len());
         ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks }| {
-            let mut buffers = spilled.buffers(tuples.clamp(16, 1 << 15));
+            let mut buffers = spilled.buffers(threads, buffer_bytes);
             let mut outcome = Ok(());
             placer.for_each_chunk(particles, range, |chunk_first, _, places| {
                 let attributes =

@@ -3,6 +3,7 @@
 mod bin;
 mod bins;
 mod block;
+mod elias_fano;
 mod field;
 mod page;
 mod spill;

@@ -1,22 +1,31 @@
 //! Binning beyond memory: particles dropped into runs of bins in a scratch file, sorted run by run.
 //!
-//! A run is a stretch of the Morton curve with as many particles as memory takes. In the file each particle
-//! is a tuple: the packed particle, whose free upper bits name its bin in the run, and its attributes.
+//! A run is a stretch of the Morton curve with as many particles as memory takes. Its particles are written
+//! in pieces, each the Elias-Fano code of packed particles whose free upper bits name their bins in the run,
+//! and behind it their attributes in the same order.
 
 use std::io;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
+use bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
 use crate::grid::MortonKey;
 use crate::scratch::Scratch;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots, Store};
+use super::elias_fano::EliasFano;
 
-/// Particles that one thread reads at once.
-const PIECE: usize = 1 << 15;
+/// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
+const PIECE: usize = 1 << 19;
+/// Particles of a piece that is not the last, at the least.
+const FEWEST: usize = 16;
+/// What coding a piece takes besides, in pieces.
+const CODING: usize = 2;
+const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 
 /// Particles in the order of runs, not yet sorted within them.
 #[derive(Debug)]
@@ -27,8 +36,15 @@ pub struct SpilledBins {
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
-    /// The next free byte of every run.
-    next: Vec<AtomicU64>,
+    /// Of every run.
+    pieces: Vec<Mutex<Vec<Piece>>>,
+}
+
+/// Where a piece is.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    at: u64,
+    particles: usize,
 }
 
 impl SpilledBins {
@@ -39,13 +55,8 @@ impl SpilledBins {
         runs: Vec<Range<usize>>,
         folder: &Path,
     ) -> io::Result<Self> {
-        let scratch = Scratch::in_folder(folder)?;
-        let mut spilled = Self { keys, first, components, runs, scratch, next: Vec::new() };
-        let begin = |run: &Range<usize>| {
-            AtomicU64::new(spilled.first[run.start] as u64 * spilled.tuple_bytes() as u64)
-        };
-        spilled.next = spilled.runs.iter().map(begin).collect();
-        Ok(spilled)
+        let pieces = runs.iter().map(|_| Mutex::default()).collect();
+        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, pieces })
     }
 
     /// The runs, as ranges of bins.
@@ -54,15 +65,28 @@ impl SpilledBins {
         &self.runs
     }
 
-    /// Bytes of a particle in the file.
-    pub(super) fn tuple_bytes(&self) -> usize {
-        tuple_bytes(&self.components)
+    /// Numbers of a particle's attributes.
+    fn width(&self) -> usize {
+        self.components.iter().sum()
     }
 
-    /// Buffers for one thread, `tuples` particles for each run.
-    pub(super) fn buffers(&self, tuples: usize) -> RunBuffers<'_> {
-        let full = tuples * self.tuple_bytes();
-        RunBuffers { spilled: self, full, buffers: vec![Vec::new(); self.runs.len()] }
+    /// The code of so many particles of run number `run`.
+    fn code(&self, run: usize, particles: usize) -> EliasFano {
+        let last_bin = self.runs[run].len() as Record - 1;
+        EliasFano::new(particles, last_bin << RECORD_BITS | RECORD_MASK)
+    }
+
+    /// Buffers for one of so many threads, which take `bytes` together.
+    pub(super) fn buffers(&self, threads: usize, bytes: usize) -> RunBuffers<'_> {
+        let tuple = tuple_bytes(&self.components);
+        let full = bytes / tuple / (threads * (self.runs.len() + CODING));
+        let full = full.min(PIECE / tuple).max(FEWEST);
+        let (records, values) = self
+            .runs
+            .iter()
+            .map(|_| (Vec::with_capacity(full), Vec::with_capacity(full * self.width())))
+            .unzip();
+        RunBuffers { spilled: self, full, records, values }
     }
 
     /// Reads run number `run` piece by piece, and drops each particle into its bin's place.
@@ -72,25 +96,26 @@ impl SpilledBins {
     pub fn load(&self, run: usize) -> io::Result<Bins> {
         let bins = self.runs[run].clone();
         let begin = self.first[bins.start];
-        let count = self.first[bins.end] - begin;
-        let tuple_bytes = self.tuple_bytes();
-        let slots = Slots::new(count, &self.components);
+        let slots = Slots::new(self.first[bins.end] - begin, &self.components);
         let next: Vec<AtomicUsize> =
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
-        let pieces: Vec<usize> = (0..count).step_by(PIECE).collect();
-        pieces.into_par_iter().try_for_each(|piece| {
-            let mut bytes = vec![0; PIECE.min(count - piece) * tuple_bytes];
-            self.scratch.read_at(((begin + piece) * tuple_bytes) as u64, &mut bytes)?;
-            for tuple in bytes.chunks_exact(tuple_bytes) {
-                let (record, values) = tuple.split_at(size_of::<Record>());
-                let record = Record::from_ne_bytes(record.try_into().expect("a record's bytes"));
-                let slot = next[(record >> RECORD_BITS) as usize].fetch_add(1, Ordering::Relaxed);
-                let (values, _) = values.as_chunks::<4>();
-                slots.put(
-                    slot,
-                    record & ((1 << RECORD_BITS) - 1),
-                    values.iter().map(|x| f32::from_ne_bytes(*x)),
-                );
+        let width = self.width();
+        let pieces = self.pieces[run].lock().unwrap_or_else(PoisonError::into_inner);
+        pieces.par_iter().try_for_each(|piece| {
+            let code = self.code(run, piece.particles);
+            let mut words = vec![0_u64; code.words()];
+            self.scratch.read_at(piece.at, cast_slice_mut(&mut words))?;
+            let mut values = vec![0_f32; width * piece.particles];
+            self.scratch.read_at(piece.at + 8 * words.len() as u64, cast_slice_mut(&mut values))?;
+            let mut records = Vec::with_capacity(piece.particles);
+            records.extend(code.decode(&words));
+            let mut values = values.chunks_exact(width.max(1));
+            for bin in records.chunk_by(|a, b| a >> RECORD_BITS == b >> RECORD_BITS) {
+                let slot = next[(bin[0] >> RECORD_BITS) as usize].fetch_add(bin.len(), Ordering::Relaxed);
+                for (slot, record) in (slot..).zip(bin) {
+                    let values = values.next().unwrap_or_default();
+                    slots.put(slot, record & RECORD_MASK, values.iter().copied());
+                }
             }
             Ok::<_, io::Error>(())
         })?;
@@ -147,9 +172,9 @@ impl SortedStore {
         else {
             unreachable!("a run is in memory, and the store is a file");
         };
-        scratch.write_at(records_at + self.written * 8, bytemuck::cast_slice(records))?;
+        scratch.write_at(records_at + self.written * 8, cast_slice(records))?;
         for ((values, at), &n) in attributes.iter().zip(attributes_at).zip(&self.bins.components) {
-            scratch.write_at(at + self.written * 4 * n as u64, bytemuck::cast_slice(values))?;
+            scratch.write_at(at + self.written * 4 * n as u64, cast_slice(values))?;
         }
         self.written += records.len() as u64;
         Ok(())
@@ -166,9 +191,11 @@ impl SortedStore {
 #[derive(Debug)]
 pub(super) struct RunBuffers<'a> {
     spilled: &'a SpilledBins,
-    /// Bytes at which a buffer is written.
+    /// Particles at which a buffer is written.
     full: usize,
-    buffers: Vec<Vec<u8>>,
+    records: Vec<Vec<Record>>,
+    /// All components of all attributes of one particle after the other.
+    values: Vec<Vec<f32>>,
 }
 
 impl RunBuffers<'_> {
@@ -181,22 +208,37 @@ impl RunBuffers<'_> {
         attributes: impl Iterator<Item = f32>,
     ) -> io::Result<()> {
         let in_run = (bin - self.spilled.runs[run].start) as Record;
-        let buffer = &mut self.buffers[run];
-        buffer.extend_from_slice(&(in_run << RECORD_BITS | record).to_ne_bytes());
-        attributes.for_each(|value| buffer.extend_from_slice(&value.to_ne_bytes()));
-        if buffer.len() >= self.full { self.write(run) } else { Ok(()) }
+        let records = &mut self.records[run];
+        records.push(in_run << RECORD_BITS | record);
+        self.values[run].extend(attributes);
+        if records.len() == self.full { self.write(run) } else { Ok(()) }
     }
 
     /// Writes what is left.
     pub(super) fn flush(mut self) -> io::Result<()> {
-        (0..self.buffers.len()).try_for_each(|run| self.write(run))
+        (0..self.records.len()).try_for_each(|run| self.write(run))
     }
 
     fn write(&mut self, run: usize) -> io::Result<()> {
-        let buffer = &mut self.buffers[run];
-        let at = self.spilled.next[run].fetch_add(buffer.len() as u64, Ordering::Relaxed);
-        self.spilled.scratch.write_at(at, buffer)?;
-        buffer.clear();
+        let Self { spilled, .. } = *self;
+        let (records, values) = (&mut self.records[run], &mut self.values[run]);
+        if records.is_empty() {
+            return Ok(());
+        }
+        let code = spilled.code(run, records.len());
+        let order = code.order(records);
+        let words = code.encode(order.iter().map(|&i| records[i as usize]));
+        let width = spilled.width();
+        let tuple = |&i: &u32| &values[i as usize * width..][..width];
+        let sorted: Vec<f32> = order.iter().flat_map(tuple).copied().collect();
+        let [words, sorted]: [&[u8]; 2] = [cast_slice(&words), cast_slice(&sorted)];
+        let at = spilled.scratch.reserve((words.len() + sorted.len()) as u64);
+        spilled.scratch.write_at(at, words)?;
+        spilled.scratch.write_at(at + words.len() as u64, sorted)?;
+        let mut pieces = spilled.pieces[run].lock().unwrap_or_else(PoisonError::into_inner);
+        pieces.push(Piece { at, particles: records.len() });
+        records.clear();
+        values.clear();
         Ok(())
     }
 }
