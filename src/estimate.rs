@@ -27,7 +27,7 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 /// Bytes, by what they are for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
-    /// The program, its threads, its backend, and an input that had to be unpacked.
+    /// The program, its threads, its backend, and an input that had to be unpacked or decoded.
     pub program: u64,
     /// Tables of bins.
     pub index: u64,

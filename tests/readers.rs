@@ -18,6 +18,9 @@ use build::{Bi4, gzip, tuples};
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
 
+const TEXT: Reader = |bytes| xyz::read_text(bytes, Unpacking::in_memory());
+const XYZ: Reader = |bytes| xyz::read_particles(bytes, Unpacking::in_memory());
+
 /// With as much memory as unpacking takes.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
     input::open_particles(path, Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere") })
@@ -57,7 +60,7 @@ fn read(reader: Reader, bytes: &[u8]) -> Result<ParticleFile, ReadFault> {
 }
 
 fn text(text: &str) -> Result<ParticleFile, ReadFault> {
-    read(xyz::read_text, text.as_bytes())
+    read(TEXT, text.as_bytes())
 }
 
 fn fault(result: Result<ParticleFile, ReadFault>) -> String {
@@ -67,10 +70,8 @@ fn fault(result: Result<ParticleFile, ReadFault>) -> String {
 /// One small file of every binary format and layout.
 fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
     let points = tuples(7);
-    let mut samples: Vec<(&str, Reader, Vec<u8>)> = vec![
-        ("bgeo", bgeo::read_particles, build::bgeo(&points)),
-        ("raw.xyz", xyz::read_particles, build::raw(&points)),
-    ];
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> =
+        vec![("bgeo", bgeo::read_particles, build::bgeo(&points)), ("raw.xyz", XYZ, build::raw(&points))];
     for descr in ["<f4", "<f8", ">f4", ">f8"] {
         for fortran in [false, true] {
             samples.push(("npy", npy::read_particles, build::npy(&points, descr, fortran)));
@@ -219,7 +220,7 @@ fn no_particles_are_no_error() {
         (npy::read_particles, build::npy(&[], "<f4", false)),
         (npy::read_particles, build::npy(&[], "<f4", true)),
         (bi4::read_particles, layout.build(&[])),
-        (xyz::read_text, b"# nobody here\n\n".to_vec()),
+        (TEXT, b"# nobody here\n\n".to_vec()),
     ];
     for (reader, bytes) in empty {
         assert!(read(reader, &bytes).unwrap().particles.is_empty());
@@ -273,7 +274,7 @@ fn a_flipped_byte_is_read_or_refused_but_never_a_panic() {
     let table =
         b"a title\nx,y,z,vel:0,vel:1,vel:2,rho\n1,2,3,4,5,6,7\n# note\n1e3,-.5,nan,4,5,6,7\n".to_vec();
     let mut samples = samples();
-    samples.push(("csv", xyz::read_text, table));
+    samples.push(("csv", TEXT, table));
     for (_, reader, bytes) in samples {
         for at in 0..bytes.len() {
             for mask in [0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80, 0xff] {
@@ -453,11 +454,11 @@ fn a_prefix_of_a_table_is_its_first_rows_or_an_error() {
 
 #[test]
 fn an_xyz_is_text_or_raw_by_its_bytes() {
-    let raw = read(xyz::read_particles, &build::raw(&tuples(7))).unwrap();
+    let raw = read(XYZ, &build::raw(&tuples(7))).unwrap();
     assert_eq!((raw.format, positions(&raw)), ("raw f32 .xyz", tuples(7)));
     let accents = format!("# {}\n1 2 3\n", "\u{e9}".repeat(3000));
     for start in [accents.clone(), format!(" {accents}")] {
-        let table = read(xyz::read_particles, start.as_bytes()).unwrap();
+        let table = read(XYZ, start.as_bytes()).unwrap();
         assert_eq!((table.format, positions(&table)), ("text table", vec![[1.0, 2.0, 3.0]]));
     }
 }

@@ -24,7 +24,7 @@ use super::spill::{SpilledBins, tuple_bytes};
 /// Particles decoded at once: small enough to stay in the first-level cache.
 const CHUNK: usize = 512;
 /// Particles after which a mapped file's pages are given back; a multiple of [`CHUNK`].
-const RELEASE: usize = CHUNK << 8;
+const RELEASE: usize = CHUNK << 3;
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
 

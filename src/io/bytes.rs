@@ -1,5 +1,7 @@
-//! The bytes of an input file: mapped where they are on disk as they are, in memory where they had to be unpacked.
+//! The bytes of an input file: mapped where they are on disk as they are; unpacked or decoded where not, in
+//! memory or in a scratch file.
 
+use std::fmt::Debug;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::ops::{Deref, Range};
@@ -10,7 +12,7 @@ use memmap2::Mmap;
 
 use super::{ReadError, ReadFault};
 
-/// Bytes that are unpacked at once on their way into a scratch file.
+/// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
 /// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than this.
 const GREATEST_RATIO: u64 = 128;
@@ -23,7 +25,9 @@ const ALWAYS_UNPACKED: u64 = 64 << 20;
 pub enum Bytes {
     /// Pages come and go with their use.
     Mapped(Mmap),
-    /// Unpacked, or not mappable.
+    /// The same, but of a scratch file.
+    Scratch(Mmap),
+    /// In memory.
     Owned(Vec<u8>),
 }
 
@@ -33,14 +37,27 @@ impl Bytes {
     /// # Errors
     /// Where the system refuses.
     pub fn map(file: &File) -> io::Result<Self> {
-        // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end
-        // the run by a signal, as it can for every mapping reader.
-        unsafe { Mmap::map(file) }.map(Self::Mapped)
+        map(file).map(Self::Mapped)
+    }
+
+    /// Bytes of scratch files.
+    #[must_use]
+    pub fn scratch_bytes(&self) -> u64 {
+        match self {
+            Self::Scratch(map) => map.len() as u64,
+            Self::Mapped(_) | Self::Owned(_) => 0,
+        }
     }
 }
 
+fn map(file: &File) -> io::Result<Mmap> {
+    // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end the
+    // run by a signal, as it can for every mapping reader.
+    unsafe { Mmap::map(file) }
+}
+
 /// Bytes that may give memory back.
-pub trait ByteStore: Deref<Target = [u8]> + Sync {
+pub trait ByteStore: Deref<Target = [u8]> + Sync + Debug {
     /// Bytes of memory that cannot be given back.
     fn resident_bytes(&self) -> u64 {
         0
@@ -57,14 +74,14 @@ impl ByteStore for &[u8] {}
 impl ByteStore for Bytes {
     fn resident_bytes(&self) -> u64 {
         match self {
-            Self::Mapped(_) => 0,
+            Self::Mapped(_) | Self::Scratch(_) => 0,
             Self::Owned(vec) => vec.len() as u64,
         }
     }
 
     fn release(&self, range: Range<usize>) {
         #[cfg(unix)]
-        if let Self::Mapped(map) = self {
+        if let Self::Mapped(map) | Self::Scratch(map) = self {
             // SAFETY: the map is of a file and never written: pages that are dropped are read again.
             // That the system may refuse is no matter.
             let _ = unsafe {
@@ -81,19 +98,86 @@ impl Deref for Bytes {
 
     fn deref(&self) -> &[u8] {
         match self {
-            Self::Mapped(map) => map,
+            Self::Mapped(map) | Self::Scratch(map) => map,
             Self::Owned(vec) => vec,
         }
     }
 }
 
-/// What unpacking an input may take.
+/// What unpacking or decoding an input may take.
 #[derive(Debug, Clone, Copy)]
 pub struct Unpacking<'a> {
-    /// Bytes of memory; what unpacks to more goes to a scratch file, and is mapped.
+    /// Bytes of memory; what comes to more goes to a scratch file, and is mapped.
     pub in_memory: u64,
     /// The folder for scratch files.
     pub scratch: &'a Path,
+}
+
+impl Unpacking<'static> {
+    /// As much memory as it takes.
+    #[must_use]
+    pub fn in_memory() -> Self {
+        Self { in_memory: u64::MAX, scratch: Path::new(".") }
+    }
+}
+
+/// What has been unpacked or decoded so far.
+#[derive(Debug)]
+pub struct Unpacked<'a> {
+    unpacking: Unpacking<'a>,
+    memory: Vec<u8>,
+    /// All there is, as soon as it is too much for the memory.
+    file: Option<File>,
+    len: u64,
+}
+
+impl<'a> Unpacked<'a> {
+    /// Nothing.
+    #[must_use]
+    pub fn new(unpacking: Unpacking<'a>) -> Self {
+        Self { unpacking, memory: Vec::new(), file: None, len: 0 }
+    }
+
+    /// Bytes so far.
+    #[must_use]
+    pub fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Adds `bytes`.
+    ///
+    /// # Errors
+    /// [`ReadFault::Scratch`] where the scratch file cannot be written.
+    pub fn push(&mut self, bytes: &[u8]) -> Result<(), ReadFault> {
+        self.len += bytes.len() as u64;
+        if self.file.is_none() && self.len > self.unpacking.in_memory {
+            let mut file = tempfile::tempfile_in(self.unpacking.scratch).map_err(ReadFault::Scratch)?;
+            file.write_all(&std::mem::take(&mut self.memory)).map_err(ReadFault::Scratch)?;
+            self.file = Some(file);
+        }
+        match &mut self.file {
+            Some(file) => file.write_all(bytes).map_err(ReadFault::Scratch)?,
+            None => self.memory.extend_from_slice(bytes),
+        }
+        Ok(())
+    }
+
+    /// All of it.
+    ///
+    /// # Errors
+    /// [`ReadFault::Scratch`] where the scratch file cannot be mapped.
+    pub fn finish(self) -> Result<Bytes, ReadFault> {
+        match self.file {
+            Some(file) => map(&file).map(Bytes::Scratch).map_err(ReadFault::Scratch),
+            None => Ok(Bytes::Owned(self.memory)),
+        }
+    }
 }
 
 /// Opens `path`: mapped, or unpacked into memory when it is gzipped, whatever its extension says.
@@ -102,7 +186,7 @@ pub struct Unpacking<'a> {
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
 /// [`ReadFault::Compression`] for a damaged gzip stream, or one that unpacks beyond all reason.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
-    open_bytes_within(path, Unpacking { in_memory: u64::MAX - 1, scratch: Path::new(".") })
+    open_bytes_within(path, Unpacking::in_memory())
 }
 
 /// The same within bounds.
@@ -111,7 +195,7 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
 /// As [`open_bytes`], and [`ReadFault::Scratch`] where the scratch file cannot be written.
 pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, ReadError> {
     let fail = |fault: ReadFault| ReadError::new(path, fault);
-    let mut file = File::open(path).map_err(|e| fail(e.into()))?;
+    let file = File::open(path).map_err(|e| fail(e.into()))?;
     let metadata = file.metadata().map_err(|e| fail(e.into()))?;
     if metadata.is_dir() {
         return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
@@ -119,9 +203,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     let bytes = if metadata.is_file() && metadata.len() > 0 {
         Bytes::map(&file).map_err(|e| fail(e.into()))?
     } else {
-        let mut owned = Vec::new();
-        file.read_to_end(&mut owned).map_err(|e| fail(e.into()))?;
-        Bytes::Owned(owned)
+        collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?
     };
     if bytes.is_empty() {
         return Err(fail(ReadFault::Empty));
@@ -133,33 +215,36 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     match bytes {
         // Read from the file, its pages never count as this process's.
         Bytes::Mapped(_) => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking),
-        Bytes::Owned(packed) => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking),
+        packed => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking),
     }
     .map_err(fail)
 }
 
 /// Unpacks up to `limit` bytes.
-fn unpack(mut packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+fn unpack(packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let damaged = |e: io::Error| ReadFault::Compression(e.to_string());
-    let mut unpacked = Vec::new();
-    let most = unpacking.in_memory.min(limit) + 1;
-    packed.by_ref().take(most).read_to_end(&mut unpacked).map_err(damaged)?;
-    let mut total = unpacked.len() as u64;
-    let reasonable = |total: u64| {
+    collect(packed, unpacking, damaged, |total| {
         let what = || format!("it unpacks to more than {GREATEST_RATIO} times its size");
         if total > limit { Err(ReadFault::Compression(what())) } else { Ok(()) }
-    };
-    reasonable(total)?;
-    if total < most {
-        return Ok(Bytes::Owned(unpacked));
+    })
+}
+
+/// All that `source` gives, as long as its length passes `check`.
+fn collect(
+    mut source: impl Read,
+    unpacking: Unpacking,
+    fault: impl Fn(io::Error) -> ReadFault,
+    check: impl Fn(u64) -> Result<(), ReadFault>,
+) -> Result<Bytes, ReadFault> {
+    let mut unpacked = Unpacked::new(unpacking);
+    let mut chunk = Vec::new();
+    loop {
+        chunk.clear();
+        source.by_ref().take(CHUNK).read_to_end(&mut chunk).map_err(&fault)?;
+        if chunk.is_empty() {
+            return unpacked.finish();
+        }
+        unpacked.push(&chunk)?;
+        check(unpacked.len())?;
     }
-    let mut file = tempfile::tempfile_in(unpacking.scratch).map_err(ReadFault::Scratch)?;
-    let mut chunk = unpacked;
-    while !chunk.is_empty() {
-        file.write_all(&chunk).map_err(ReadFault::Scratch)?;
-        chunk = Vec::new();
-        total += packed.by_ref().take(CHUNK).read_to_end(&mut chunk).map_err(damaged)? as u64;
-        reasonable(total)?;
-    }
-    Bytes::map(&file).map_err(ReadFault::Scratch)
 }

@@ -10,6 +10,9 @@ use crate::particles::{AttributeInfo, Particles};
 
 use super::bytes::{ByteStore, Bytes};
 
+/// Bytes whose memory is given back at once.
+const WINDOW: usize = 1 << 20;
+
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
@@ -162,6 +165,14 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     }
 }
 
+impl ColumnStore {
+    /// Bytes of scratch files that the numbers are in.
+    #[must_use]
+    pub fn scratch_bytes(&self) -> u64 {
+        self.bytes.scratch_bytes()
+    }
+}
+
 impl<B: ByteStore> Particles for ColumnStore<B> {
     fn len(&self) -> usize {
         match &self.rows {
@@ -187,8 +198,12 @@ impl<B: ByteStore> Particles for ColumnStore<B> {
         windows.sort_unstable_by_key(|window| window.start);
         let len = self.bytes.len();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
-            let end = group.iter().map(|window| window.end).max().unwrap_or_default();
-            self.bytes.release(group[0].start..end.min(len));
+            let end = group.iter().map(|window| window.end).max().unwrap_or_default().min(len);
+            // Small ranges wait until those that follow complete a window.
+            let [begin, end] = [group[0].start, end].map(|at| at / WINDOW * WINDOW);
+            if begin < end {
+                self.bytes.release(begin..end);
+            }
         }
     }
 

@@ -18,7 +18,7 @@ pub const KNOWN: &str =
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let reader = reader_for(path).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
-    reader(open_bytes_within(path, unpacking)?).map_err(fail)
+    reader(open_bytes_within(path, unpacking)?, unpacking).map_err(fail)
 }
 
 /// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
@@ -43,15 +43,15 @@ fn extension(path: &Path) -> Option<String> {
     Some(extension.to_owned())
 }
 
-type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
+type Reader = fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>;
 
 fn reader_for(path: &Path) -> Option<Reader> {
     match extension(path)?.as_str() {
         // `.bgeo.sc` is recognised to say what to do instead.
-        "bgeo" | "bhclassic" | "sc" => Some(bgeo::read_particles),
-        "bi4" => Some(bi4::read_particles),
+        "bgeo" | "bhclassic" | "sc" => Some(|bytes, _| bgeo::read_particles(bytes)),
+        "bi4" => Some(|bytes, _| bi4::read_particles(bytes)),
         "csv" | "txt" => Some(xyz::read_text),
-        "npy" => Some(npy::read_particles),
+        "npy" => Some(|bytes, _| npy::read_particles(bytes)),
         "ply" => Some(ply::read_particles),
         "vtk" => Some(vtk::read_particles),
         "xyz" => Some(xyz::read_particles),

@@ -16,6 +16,7 @@ pub mod ply;
 pub mod scan;
 pub mod scene;
 pub mod stl;
+mod text;
 mod vertices;
 pub mod vtk;
 pub mod vtp;
@@ -74,8 +75,8 @@ pub enum ReadFault {
     /// No bytes at all.
     #[error("the file is empty")]
     Empty,
-    /// It is unpacked through a scratch file, which failed.
-    #[error("scratch file to unpack it: {0}")]
+    /// It is unpacked or decoded into a scratch file, which failed.
+    #[error("scratch file for its contents: {0}")]
     Scratch(#[source] std::io::Error),
     /// A compressed stream that does not unpack.
     #[error("damaged compressed data: {0}")]

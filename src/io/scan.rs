@@ -1,22 +1,45 @@
 //! Lines, words and numbers of a file that is text, at least where we look.
 
 use super::ReadFault;
+use super::bytes::ByteStore;
 
 /// No line of a header is longer, so that binary data taken for text is found out early.
 const LONGEST_LINE: usize = 64 << 10;
+/// Bytes that are passed before their memory is given back.
+const PASSED: usize = 1 << 20;
 
 /// A place in a file, moving forward.
 #[derive(Debug, Clone)]
 pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
+    /// What gives memory back, and from where on it has not.
+    store: Option<&'a dyn ByteStore>,
+    held: usize,
 }
 
 impl<'a> Scanner<'a> {
     /// Starts at byte `at` of `bytes`, or at their end.
     #[must_use]
     pub fn new(bytes: &'a [u8], at: usize) -> Self {
-        Self { bytes, at: at.min(bytes.len()) }
+        let at = at.min(bytes.len());
+        Self { bytes, at, store: None, held: at }
+    }
+
+    /// The same, giving the memory of passed lines and words back.
+    #[must_use]
+    pub fn releasing(store: &'a dyn ByteStore, at: usize) -> Self {
+        Self { store: Some(store), ..Self::new(store, at) }
+    }
+
+    fn pass(&mut self, count: usize) {
+        self.at += count;
+        if let Some(store) = self.store
+            && self.at - self.held >= PASSED
+        {
+            store.release(self.held..self.at);
+            self.held = self.at;
+        }
     }
 
     /// In bytes from the start of the file.
@@ -50,7 +73,7 @@ impl<'a> Scanner<'a> {
     /// Passes the rest of this line and its end; false at the end of the file.
     pub fn skip_line(&mut self) -> bool {
         let rest = self.rest();
-        self.at += rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1);
+        self.pass(rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1));
         !rest.is_empty()
     }
 
@@ -84,7 +107,7 @@ impl<'a> Scanner<'a> {
     pub fn word(&mut self) -> &'a [u8] {
         let rest = self.rest();
         let length = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
-        self.at += length;
+        self.pass(length);
         &rest[..length]
     }
 

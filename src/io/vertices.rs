@@ -12,7 +12,7 @@ use super::{ParticleFile, ReadFault};
 /// The vertices of a file, found and checked against its size.
 pub(super) struct Vertices {
     /// Columns of little-endian f64, in place of the file's bytes where those are text.
-    pub decoded: Option<Vec<u8>>,
+    pub decoded: Option<Bytes>,
     pub count: usize,
     pub position: [Column; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
@@ -23,7 +23,7 @@ pub(super) struct Vertices {
 impl Vertices {
     /// Each vertex a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
-        let bytes = self.decoded.map_or(bytes, Bytes::Owned);
+        let bytes = self.decoded.unwrap_or(bytes);
         let particles = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         ParticleFile { particles, format, spacing: None }
     }

@@ -7,14 +7,15 @@
 //!
 //! [`names`]: super::names
 
-use rayon::prelude::*;
+use std::ops::{ControlFlow, Range};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::Bytes;
+use super::bytes::{Bytes, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::cursor::malformed;
 use super::names::{Quantity, quantities};
+use super::text::decode_pieces;
 use super::{ParticleFile, ReadFault};
 
 /// Lines, blank ones and comments not counted, within which the columns must be named.
@@ -23,15 +24,12 @@ const HEADER_LINES: usize = 32;
 /// Fields of a line; more are no table of particles.
 const MOST_FIELDS: usize = 4096;
 
-/// Bytes of text that one thread decodes at a time.
-const CHUNK: usize = 1 << 20;
-
 /// Reads an .xyz: text where its first 4 KiB are printable, else raw little-endian f32 triples.
 ///
 /// # Errors
 /// Those of [`read_text`]; [`ReadFault::Malformed`] for raw bytes that are not whole triples.
-pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    if is_text(&bytes[..bytes.len().min(4096)]) { read_text(bytes) } else { read_raw(bytes) }
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    if is_text(&bytes[..bytes.len().min(4096)]) { read_text(bytes, unpacking) } else { read_raw(bytes) }
 }
 
 fn is_text(start: &[u8]) -> bool {
@@ -61,11 +59,10 @@ fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 ///
 /// # Errors
 /// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number where one is
-/// needed, and for a header that names no position.
-pub fn read_text(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    let table = Table::find(text)?;
-    let rows = table.rows(text)?;
+/// needed, and for a header that names no position; [`ReadFault::Scratch`] where the scratch file fails.
+pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let table = Table::find(&bytes)?;
+    let rows = table.rows(&bytes, unpacking)?;
     let width = table.slots.iter().flatten().count();
     let stride = width * size_of::<f64>();
     let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
@@ -81,7 +78,7 @@ pub fn read_text(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         })
         .collect();
     let position = [0, 1, 2].map(|axis| first.component(axis));
-    let particles = ColumnStore::new(Bytes::Owned(rows), Rows::All(count), position, attributes);
+    let particles = ColumnStore::new(rows, Rows::All(count), position, attributes);
     Ok(ParticleFile { particles, format: "text table", spacing: None })
 }
 
@@ -105,7 +102,8 @@ struct Heading {
 
 impl Table {
     /// Finds the first row and the names of the columns.
-    fn find(text: &[u8]) -> Result<Self, ReadFault> {
+    fn find(bytes: &[u8]) -> Result<Self, ReadFault> {
+        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let (mut comment, mut title, mut names) = (None, None, None);
         let mut first = None;
         let mut left = HEADER_LINES;
@@ -140,6 +138,7 @@ impl Table {
         let separator = Separator::of(row);
         let fields = Fields::new(row, separator).take(MOST_FIELDS + 1).count();
         let comment = comment.filter(|comment| first.is_none() || comment.names.len() == fields);
+        let start = bytes.len() - text.len() + start;
         let table = |slots, attributes| Self { start, lines_above: line - 1, separator, slots, attributes };
         match names.or(comment).or(title) {
             Some(Heading { names, quantities: Some((position, attributes)), .. }) => {
@@ -162,26 +161,24 @@ impl Table {
     }
 
     /// Decodes all rows, in their order.
-    fn rows(&self, text: &[u8]) -> Result<Vec<u8>, ReadFault> {
-        let mut rest = &text[self.start..];
-        let mut chunks = Vec::new();
-        while !rest.is_empty() {
-            let end =
-                rest.iter().skip(CHUNK).position(|&b| b == b'\n').map_or(rest.len(), |at| CHUNK + at + 1);
-            let (chunk, after) = rest.split_at(end);
-            chunks.push(chunk);
-            rest = after;
-        }
-        let decoded: Vec<_> = chunks.par_iter().map(|chunk| self.decode(chunk)).collect();
-        let mut rows = Vec::new();
+    fn rows(&self, bytes: &Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+        let mut rows = Unpacked::new(unpacking);
         let mut lines_above = self.lines_above;
-        for chunk in decoded {
-            let (chunk, lines) =
-                chunk.map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
-            rows.extend(chunk);
-            lines_above += lines;
-        }
-        Ok(rows)
+        let decode = |piece: Range<usize>| self.decode(&bytes[piece]);
+        decode_pieces(
+            bytes,
+            self.start..bytes.len(),
+            |byte| byte == b'\n',
+            decode,
+            |piece| {
+                let (piece, lines) =
+                    piece.map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;
+                lines_above += lines;
+                rows.push(&piece)?;
+                Ok(ControlFlow::Continue(()))
+            },
+        )?;
+        rows.finish()
     }
 
     /// The numbers of whole lines, and how many lines they were; or the line that is wrong, and how.

@@ -9,7 +9,7 @@ mod vtk_particles;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::{self, Write};
 
-use meniscus::io::bytes::Bytes;
+use meniscus::io::bytes::{Bytes, Unpacking};
 use meniscus::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
@@ -43,14 +43,14 @@ struct Format {
 }
 
 const PLY: Format = Format {
-    read_particles: ply::read_particles,
+    read_particles: |bytes| ply::read_particles(bytes, Unpacking::in_memory()),
     read_mesh: ply::read_mesh,
     has_faces: ply::has_faces,
     write_mesh: ply::write_mesh,
 };
 
 const VTK: Format = Format {
-    read_particles: vtk::read_particles,
+    read_particles: |bytes| vtk::read_particles(bytes, Unpacking::in_memory()),
     read_mesh: vtk::read_mesh,
     has_faces: vtk::has_faces,
     write_mesh: vtk::write_mesh,

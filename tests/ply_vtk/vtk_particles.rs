@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use meniscus::io::bytes::open_bytes;
+use meniscus::io::bytes::{Unpacking, open_bytes};
 use meniscus::io::vtk;
 use meniscus::particles::Particles;
 
@@ -102,7 +102,7 @@ fn vtk_files_that_disagree_with_themselves_are_refused_with_the_reason() {
 #[test]
 fn the_simulators_own_frame_reads_as_its_record_says() {
     let path = Path::new("tests/data/dambreak_small/ParticleData_Fluid_10.vtk");
-    let file = vtk::read_particles(open_bytes(path).unwrap()).unwrap();
+    let file = vtk::read_particles(open_bytes(path).unwrap(), Unpacking::in_memory()).unwrap();
     let positions = positions(&file);
     assert_eq!(positions.len(), 8664);
     let fold = |pick: fn(f64, f64) -> f64| {

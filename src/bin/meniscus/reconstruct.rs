@@ -185,7 +185,7 @@ impl Options {
                 ByteSize(estimate.peak(plan)),
                 ByteSize(sampling.resources.budget.0),
                 ByteSize(estimate.in_core()),
-                ByteSize(estimate.scratch(plan)),
+                ByteSize(file.particles.scratch_bytes() + estimate.scratch(plan)),
                 sampling.resources.scratch.display(),
                 if format.holds_whole_mesh() {
                     format!(

@@ -109,7 +109,7 @@ impl RunOptions {
     }
 }
 
-/// An input that has to be unpacked may take an eighth of the budget.
+/// An input that has to be unpacked or decoded may take an eighth of the budget.
 pub fn unpacking(resources: &Resources) -> Unpacking<'_> {
     Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch }
 }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use meniscus::brick::{BrickSide, Census, InvalidParticles};
@@ -140,16 +139,6 @@ impl SamplingRequest {
         resources: Resources,
         notes: &Notes,
     ) -> Result<Sampling, Error> {
-        let (held, budget) = (file.particles.resident_bytes(), resources.budget.0);
-        if held > budget {
-            return Err(Error::Request(format!(
-                "{}: {} holds its particles in memory, {} of {} allowed; use a binary format or more --memory",
-                path.display(),
-                file.format,
-                ByteSize(held),
-                ByteSize(budget),
-            )));
-        }
         let (cell_size, spacing) = self.cell_size(path, file, notes)?;
         let grid = Grid::new(self.origin, cell_size)?;
         Ok(Sampling {

@@ -1,8 +1,11 @@
 //! Reading .ply files: the rows of `vertex` where they lie, the lists of `face` as triangles.
 
-use crate::io::bytes::Bytes;
+use std::ops::{ControlFlow, Range};
+
+use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Scanner, malformed};
+use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault};
 use crate::mesh::Mesh;
@@ -20,15 +23,16 @@ use super::{GROUPS, NORMAL};
 /// # Errors
 /// [`ReadFault::Line`] for a header, or a row of text, that does not parse, [`ReadFault::Truncated`] for fewer
 /// rows than the header counts, [`ReadFault::Malformed`] where there are no vertices with x, y and z, and
-/// [`ReadFault::Unsupported`] for lists on vertices.
-pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+/// [`ReadFault::Unsupported`] for lists on vertices; [`ReadFault::Scratch`] where text is decoded into a scratch
+/// file that fails.
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(&bytes)?;
     let format = match header.encoding {
         Encoding::Ascii => "PLY, ASCII",
         Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
-    Ok(vertices(&bytes, &header)?.into_particles(bytes, format))
+    Ok(vertices(&bytes, &header, unpacking)?.into_particles(bytes, format))
 }
 
 /// Whether there are faces, so that the file is a mesh rather than particles. Reads the header only.
@@ -46,10 +50,10 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 /// and [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let header = Header::parse(bytes)?;
-    let vertices = vertices(bytes, &header)?;
+    let vertices = vertices(&bytes, &header, Unpacking::in_memory())?;
     let mut triangles = Triangles::new(vertices.count)?;
     if let Some((element, list)) = faces(&header)? {
-        let at = start(bytes, &header, element)?;
+        let at = start(&bytes, &header, element)?;
         walk(bytes, header.encoding, element, at, Some(list), |face, at, corners| {
             triangles.polygon(face, at, corners)
         })?;
@@ -57,26 +61,26 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(vertices.into_mesh(bytes, triangles.triangles))
 }
 
-fn vertices(bytes: &[u8], header: &Header) -> Result<Vertices, ReadFault> {
+fn vertices(source: &dyn ByteStore, header: &Header, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element = element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
     if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
         let what = format!("vertices hold a list ({}); save the file without it", list.name);
         return Err(ReadFault::Unsupported(what));
     }
-    let at = start(bytes, header, element)?;
-    let (decoded, columns) = match header.encoding {
-        Encoding::Ascii => (Some(decode(bytes, at, element)?), text_columns(element)),
-        Encoding::Binary(endian) => {
-            skip(bytes, header.encoding, element, at)?;
-            (None, binary_columns(element, at, endian))
-        }
-    };
     let axis = |name| {
         let index = element.property(name);
         index.ok_or_else(|| malformed(header.body, format!("vertices have no property `{name}`")))
     };
     let position = [axis("x")?, axis("y")?, axis("z")?];
+    let at = start(source, header, element)?;
+    let (decoded, columns) = match header.encoding {
+        Encoding::Ascii => (Some(decode(source, at, element, unpacking)?), text_columns(element)),
+        Encoding::Binary(endian) => {
+            skip(source, header.encoding, element, at)?;
+            (None, binary_columns(element, at, endian))
+        }
+    };
     let attributes: Vec<_> = group(&element.properties, position)
         .into_iter()
         .map(|(name, members)| {
@@ -142,20 +146,67 @@ fn text_columns(element: &Element) -> Vec<Column> {
 }
 
 /// Rows of text as little-endian f64.
-fn decode(bytes: &[u8], at: usize, element: &Element) -> Result<Vec<u8>, ReadFault> {
+fn decode(
+    source: &dyn ByteStore,
+    at: usize,
+    element: &Element,
+    unpacking: Unpacking,
+) -> Result<Bytes, ReadFault> {
     let width = element.properties.len();
-    let mut scan = Scanner::new(bytes, at);
+    let scan = Scanner::new(source, at);
     scan.expect_numbers(element.count.saturating_mul(width), "the text of `vertex`")?;
-    let mut decoded = Vec::with_capacity(8 * element.count * width);
-    for _ in 0..element.count {
-        scan.skip_whitespace();
-        for _ in 0..width {
-            scan.skip_blanks();
-            decoded.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
-        }
-        end_row(&mut scan)?;
+    let all = Scalar::F64.size() * width * element.count;
+    let mut decoded = Unpacked::new(unpacking);
+    let decode = |piece| decode_rows(source, piece, width);
+    decode_pieces(
+        source,
+        at..source.len(),
+        |byte| matches!(byte, b'\n' | b'\r'),
+        decode,
+        |(rows, outcome)| {
+            let missing = all - decoded.len() as usize;
+            decoded.push(&rows[..rows.len().min(missing)])?;
+            // What stands behind the last row need not be rows.
+            if rows.len() >= missing {
+                Ok(ControlFlow::Break(()))
+            } else {
+                outcome.map(ControlFlow::Continue)
+            }
+        },
+    )?;
+    if (decoded.len() as usize) < all {
+        return Err(scan.fault(source.len(), "the file ends where a number should".into()));
     }
-    Ok(decoded)
+    decoded.finish()
+}
+
+/// The rows of whole lines, up to the first that is wrong, and how.
+fn decode_rows(
+    source: &dyn ByteStore,
+    lines: Range<usize>,
+    width: usize,
+) -> (Vec<u8>, Result<(), ReadFault>) {
+    let mut scan = Scanner::new(source, lines.start);
+    let mut rows = Vec::new();
+    loop {
+        scan.skip_whitespace();
+        if scan.at() >= lines.end {
+            return (rows, Ok(()));
+        }
+        let whole = rows.len();
+        if let Err(fault) = decode_row(&mut scan, width, &mut rows) {
+            rows.truncate(whole);
+            return (rows, Err(fault));
+        }
+    }
+}
+
+fn decode_row(scan: &mut Scanner, width: usize, rows: &mut Vec<u8>) -> Result<(), ReadFault> {
+    for _ in 0..width {
+        scan.skip_blanks();
+        rows.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+    }
+    end_row(scan)
 }
 
 fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
@@ -188,14 +239,19 @@ fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
 }
 
 /// Where the rows of `element` start, all before it being passed.
-fn start(bytes: &[u8], header: &Header, element: &Element) -> Result<usize, ReadFault> {
+fn start(source: &dyn ByteStore, header: &Header, element: &Element) -> Result<usize, ReadFault> {
     let before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
-    before.into_iter().try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
+    before.into_iter().try_fold(header.body, |at, other| skip(source, header.encoding, other, at))
 }
 
 /// Where the rows of `element` that start at byte `at` end.
-fn skip(bytes: &[u8], encoding: Encoding, element: &Element, at: usize) -> Result<usize, ReadFault> {
-    let mut scan = Scanner::new(bytes, at);
+fn skip(
+    source: &dyn ByteStore,
+    encoding: Encoding,
+    element: &Element,
+    at: usize,
+) -> Result<usize, ReadFault> {
+    let mut scan = Scanner::releasing(source, at);
     let what = || format!("{} rows of `{}`", element.count, element.name);
     match (encoding, element.row()) {
         _ if element.properties.is_empty() => {}
@@ -210,7 +266,7 @@ fn skip(bytes: &[u8], encoding: Encoding, element: &Element, at: usize) -> Resul
             }
         }
         (Encoding::Binary(_), Some(row)) => scan.skip(element.count.saturating_mul(row), &what())?,
-        (Encoding::Binary(_), None) => return walk(bytes, encoding, element, at, None, |_, _, _| Ok(())),
+        (Encoding::Binary(_), None) => return walk(source, encoding, element, at, None, |_, _, _| Ok(())),
     }
     Ok(scan.at())
 }

@@ -1,6 +1,7 @@
 //! Where the arrays of a legacy .vtk file lie: one walk over its sections, no number read.
 
 use crate::io::ReadFault;
+use crate::io::bytes::ByteStore;
 use crate::io::columns::Scalar;
 use crate::io::scan::{Scanner, malformed};
 
@@ -25,8 +26,9 @@ pub(super) struct Layout {
 #[derive(Debug, Clone)]
 pub(super) struct Array {
     pub name: String,
-    /// In bytes from the start of the file.
+    /// Where it starts and ends, in bytes from the start of the file.
     pub at: usize,
+    pub end: usize,
     pub tuples: usize,
     pub components: usize,
     pub scalar: Scalar,
@@ -79,8 +81,8 @@ struct Walk<'a> {
 }
 
 impl Layout {
-    pub fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
-        let mut walk = Walk::start(bytes)?;
+    pub fn parse(source: &dyn ByteStore) -> Result<Self, ReadFault> {
+        let mut walk = Walk::start(Scanner::releasing(source, 0))?;
         while let Some(words) = walk.next_words()? {
             walk.section(&words)?;
         }
@@ -89,8 +91,7 @@ impl Layout {
 }
 
 impl<'a> Walk<'a> {
-    fn start(bytes: &'a [u8]) -> Result<Self, ReadFault> {
-        let mut scan = Scanner::new(bytes, 0);
+    fn start(mut scan: Scanner<'a>) -> Result<Self, ReadFault> {
         let version = scan.line()?.unwrap_or_default().strip_prefix("# vtk DataFile Version ");
         let major = version.and_then(|version| version.trim().split('.').next()?.parse::<u32>().ok());
         let major = major.ok_or_else(|| {
@@ -358,7 +359,8 @@ impl<'a> Walk<'a> {
                 }
             }
         }
-        Ok(scalar.map(|scalar| Array { name: name.to_owned(), at, tuples, components, scalar }))
+        let end = self.scan.at();
+        Ok(scalar.map(|scalar| Array { name: name.to_owned(), at, end, tuples, components, scalar }))
     }
 
     /// Passes strings: lines of text, or bytes behind a length whose first two bits tell its own.

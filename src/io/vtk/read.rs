@@ -1,8 +1,11 @@
 //! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
 
-use crate::io::bytes::Bytes;
+use std::ops::{ControlFlow, Range};
+
+use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Scanner, malformed};
+use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault};
 use crate::mesh::Mesh;
@@ -18,11 +21,12 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout};
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`] (in a text
 /// file [`ReadFault::Line`]) for what is no section, or sections that disagree, and [`ReadFault::Unsupported`]
-/// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`.
-pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+/// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`; [`ReadFault::Scratch`] where text is decoded into a
+/// scratch file that fails.
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
-    Ok(vertices(&bytes, &layout)?.into_particles(bytes, format))
+    Ok(vertices(&bytes, &layout, unpacking)?.into_particles(bytes, format))
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
@@ -30,7 +34,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// # Errors
 /// As [`read_particles`].
 pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
-    let layout = Layout::parse(bytes)?;
+    let layout = Layout::parse(&bytes)?;
     if layout.cells.iter().any(|cells| cells.kind != CellKind::Typed && cells.corners.cells() > 0) {
         return Ok(true);
     }
@@ -49,7 +53,7 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 /// As [`read_particles`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
 /// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    let layout = Layout::parse(bytes)?;
+    let layout = Layout::parse(&bytes)?;
     let mut triangles = Triangles::new(layout.points.tuples)?;
     let mut types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
     for cells in &layout.cells {
@@ -70,7 +74,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
             }
         })?;
     }
-    Ok(vertices(bytes, &layout)?.into_mesh(bytes, triangles.triangles))
+    Ok(vertices(&bytes, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
 }
 
 const TRIANGLE: i64 = 5;
@@ -84,15 +88,15 @@ fn is_thin(kind: i64) -> bool {
     (0..TRIANGLE).contains(&kind)
 }
 
-fn vertices(bytes: &[u8], layout: &Layout) -> Result<Vertices, ReadFault> {
-    let mut decoded = Vec::new();
+fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
+    let mut decoded = Unpacked::new(unpacking);
     let mut place = |array: &Array| -> Result<Vec<Column>, ReadFault> {
         let Array { at, components, scalar, .. } = *array;
         if !layout.ascii {
             return Ok(columns(at, components * scalar.size(), components, scalar, Endian::Big));
         }
-        let offset = decoded.len();
-        decode(bytes, array, &mut decoded)?;
+        let offset = decoded.len() as usize;
+        decode(source, array, &mut decoded)?;
         Ok(columns(offset, components * Scalar::F64.size(), components, Scalar::F64, Endian::Little))
     };
     let position = place(&layout.points)?;
@@ -102,7 +106,7 @@ fn vertices(bytes: &[u8], layout: &Layout) -> Result<Vertices, ReadFault> {
     };
     let attributes = layout.attributes.iter().map(attribute).collect::<Result<Vec<_>, ReadFault>>()?;
     Ok(Vertices {
-        decoded: layout.ascii.then_some(decoded),
+        decoded: layout.ascii.then(|| decoded.finish()).transpose()?,
         count: layout.points.tuples,
         position: [position[0], position[1], position[2]],
         attributes,
@@ -111,14 +115,23 @@ fn vertices(bytes: &[u8], layout: &Layout) -> Result<Vertices, ReadFault> {
 }
 
 /// Appends an array of text as little-endian f64.
-fn decode(bytes: &[u8], array: &Array, out: &mut Vec<u8>) -> Result<(), ReadFault> {
-    let mut scan = Scanner::new(bytes, array.at);
-    out.reserve(array.values() * Scalar::F64.size());
-    for _ in 0..array.values() {
-        scan.skip_whitespace();
-        out.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
-    }
-    Ok(())
+fn decode(source: &dyn ByteStore, array: &Array, out: &mut Unpacked) -> Result<(), ReadFault> {
+    let decode = |words: Range<usize>| {
+        let mut scan = Scanner::new(source, words.start);
+        let mut numbers = Vec::new();
+        loop {
+            scan.skip_whitespace();
+            if scan.at() >= words.end {
+                return Ok(numbers);
+            }
+            numbers.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+        }
+    };
+    let is_end = |byte: u8| byte.is_ascii_whitespace();
+    decode_pieces(source, array.at..array.end, is_end, decode, |numbers: Result<Vec<u8>, ReadFault>| {
+        out.push(&numbers?)?;
+        Ok(ControlFlow::Continue(()))
+    })
 }
 
 type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;

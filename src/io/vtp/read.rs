@@ -6,6 +6,7 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
 use crate::io::ReadFault;
+use crate::io::bytes::Bytes;
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Scanner, malformed};
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
@@ -292,7 +293,7 @@ impl<'a> Layout<'a> {
         }
         let position = position.ok_or_else(|| malformed(0, "no array of points of three components"))?;
         Ok(Vertices {
-            decoded: all_text.then_some(decoded),
+            decoded: all_text.then_some(Bytes::Owned(decoded)),
             count: self.points,
             position,
             attributes,
