@@ -83,7 +83,9 @@ impl Error {
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame { fault: FrameError::OverBudget(_), .. } => Cause::Request,
-            Self::Frame { fault: FrameError::Scratch { .. }, .. } => Cause::Output,
+            Self::Frame { fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, .. } => {
+                Cause::Output
+            }
             Self::Frame {
                 fault:
                     FrameError::NoParticles(_)

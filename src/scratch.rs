@@ -70,6 +70,14 @@ impl Scratch {
     }
 }
 
+/// Bytes that can still be written in `folder`.
+///
+/// # Errors
+/// The system's, such as that there is no such folder.
+pub fn free_bytes(folder: &Path) -> io::Result<u64> {
+    fs4::available_space(folder)
+}
+
 /// Where a file has one position for all threads, they take turns.
 #[cfg(not(unix))]
 mod serial {

@@ -10,7 +10,9 @@ use std::process::{Command, Output};
 
 use common::scene::{Random, splash};
 use common::{reconstruct, sampling, splashes, surfacing, tank};
-use meniscus::frame::{Detail, Normals, Resources, Sampling, Surfacing};
+use meniscus::error::{Cause, Error};
+use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::MemoryBudget;
@@ -219,14 +221,66 @@ fn a_frame_that_fits_its_budget_touches_no_scratch() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
-#[test]
-fn a_text_that_exceeds_the_budget_is_refused_with_what_to_do() {
+/// 1.5 M particles as a table, a .ply and a .vtk, all of text, some 45 MB each, and their surface in `whole.ply`.
+fn folder_with_texts() -> TempDir {
     let folder = TempDir::new().unwrap();
-    let lines: Vec<String> = splash(800_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}")).collect();
-    fs::write(folder.path().join("splash.csv"), lines.join("\n")).unwrap();
-    let run = meniscus(folder.path(), "", "reconstruct splash.csv -o out.ply --cell-size 1 --memory 16MiB");
-    let errors = String::from_utf8_lossy(&run.stderr);
-    assert_eq!(run.status.code(), Some(2), "{errors}");
-    assert!(errors.contains("splash.csv") && errors.contains("--memory"), "{errors}");
-    assert_eq!(names(folder.path()), ["splash.csv"]);
+    let lines: Vec<String> = splash(1_500_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    let n = lines.len();
+    let ply = format!("element vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header");
+    for (name, head) in [
+        ("splash.csv", "x y z".to_owned()),
+        ("splash.ply", format!("ply\nformat ascii 1.0\n{ply}")),
+        (
+            "splash.vtk",
+            format!("# vtk DataFile Version 3.0\nsplash\nASCII\nDATASET POLYDATA\nPOINTS {n} float"),
+        ),
+    ] {
+        fs::write(folder.path().join(name), format!("{head}\n{}", lines.concat())).unwrap();
+    }
+    let run = meniscus(folder.path(), "", "reconstruct splash.csv -o whole.ply --cell-size 1");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    folder
+}
+
+#[test]
+fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
+    let folder = folder_with_texts();
+    let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    for name in ["splash.csv", "splash.ply", "splash.vtk"] {
+        let arguments = format!(
+            "reconstruct {name} -o small.ply --cell-size 1 --memory 16MiB --threads 2 --backend cpu \
+             --stats stats --overwrite"
+        );
+        let run = meniscus(folder.path(), "", &arguments);
+        assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
+        assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
+        let stats = String::from_utf8(bytes("stats")).unwrap();
+        let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
+        // The program itself, mapped from its file, counts too, and is larger without optimisation.
+        let peak = stats["peak_resident_bytes"].as_u64().unwrap();
+        assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
+        let full =
+            meniscus(folder.path(), "trap '' XFSZ; ulimit -f 4096;", &arguments.replace("small", "full"));
+        let errors = String::from_utf8_lossy(&full.stderr);
+        assert_eq!(full.status.code(), Some(4), "{name}: {errors}");
+        assert!(errors.contains("scratch"), "{name}: {errors}");
+    }
+    let left = ["small.ply", "splash.csv", "splash.ply", "splash.vtk", "stats", "whole.ply"];
+    assert_eq!(names(folder.path()), left);
+}
+
+#[test]
+fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
+    let mut particles = Moving::new(splashes(31));
+    // Attributes of pebibytes; nobody gets to read them.
+    particles.attributes[0].components = 1 << 36;
+    let scratch = TempDir::new().unwrap();
+    let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
+    let sampling = Sampling { resources, carried: vec![0], ..sampling() };
+    let fault = Frame::sample(&particles, &sampling, &mut Laps::default()).expect_err("no room");
+    let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
+    assert!(folder == scratch.path() && needed > free);
+    let error = Error::Frame { path: "frame".into(), fault };
+    assert_eq!(error.cause(), Cause::Output);
+    assert!(error.to_string().contains(&*scratch.path().to_string_lossy()), "{error}");
 }

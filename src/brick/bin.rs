@@ -4,6 +4,7 @@
 //! bits, into its bin's place in memory, or into its run of bins in a scratch file. The order inside a bin
 //! is arbitrary; whoever reads a bin adds integers.
 
+use std::convert::Infallible;
 use std::io;
 use std::ops::Range;
 use std::path::Path;
@@ -121,6 +122,9 @@ impl<'a> BinPlan<'a> {
         let counter = Counter { placer, limit, stop: AtomicBool::new(false) };
         let counts: Vec<RangeCount> =
             ranges.par_iter().map(|range| counter.count(particles, range.clone())).collect();
+        if counter.stop.into_inner() {
+            return Err(BinError::TooManyBins { limit });
+        }
         if invalid == InvalidParticles::Refuse
             && let Some((index, position, fault)) = counts.iter().find_map(|c| c.first_invalid)
         {
@@ -137,7 +141,7 @@ impl<'a> BinPlan<'a> {
             census.outside += count.census.outside;
         }
         let bins = all_bins(&counts);
-        if counter.stop.into_inner() || bins.len() > limit {
+        if bins.len() > limit {
             return Err(BinError::TooManyBins { limit });
         }
         let rank: HashMap<u64, u32> = bins.iter().zip(0..).map(|(&(_, bin), i)| (bin, i)).collect();
@@ -195,13 +199,14 @@ impl<'a> BinPlan<'a> {
             }
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, .. }| {
-            placer.for_each_chunk(particles, range, |first, _, places| {
+            let Ok(()) = placer.for_each_chunk(particles, range, |first, _, places| {
                 let attributes = Tuples::read(particles, carried, &components, first, places.len());
                 for (i, place) in places.iter().enumerate() {
                     if let Ok(Some(placed)) = place {
                         slots.put(table.advance(bin_of(placed.cell)), pack(placed), attributes.tuple(i));
                     }
                 }
+                Ok::<_, Infallible>(())
             });
         });
         Bins { keys, first, components, store: slots.into_store() }
@@ -252,19 +257,18 @@ impl<'a> BinPlan<'a> {
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
         ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
-            let mut outcome = Ok(());
             placer.for_each_chunk(particles, range, |chunk_first, _, places| {
                 let attributes =
                     Tuples::read(particles, carried, &spilled.components, chunk_first, places.len());
                 for (i, place) in places.iter().enumerate() {
-                    if let (Ok(Some(placed)), Ok(())) = (place, &outcome) {
+                    if let Ok(Some(placed)) = place {
                         let bin = ranks[table.rank(bin_of(placed.cell)) as usize] as usize;
-                        outcome =
-                            buffers.push(run_of_bin[bin] as usize, bin, pack(placed), attributes.tuple(i));
+                        buffers.push(run_of_bin[bin] as usize, bin, pack(placed), attributes.tuple(i))?;
                     }
                 }
-            });
-            outcome.and_then(|()| buffers.flush())
+                Ok::<_, io::Error>(())
+            })?;
+            buffers.flush()
         })?;
         Ok(spilled)
     }
@@ -382,10 +386,8 @@ impl Counter<'_> {
         let mut table = BinTable::default();
         let mut census = Census::default();
         let mut first_invalid = None;
-        self.placer.for_each_chunk(particles, range, |first, positions, places| {
-            if self.stop.load(Ordering::Relaxed) {
-                return;
-            }
+        // Whoever finds too many bins stops all: what was counted is of no use then.
+        let _ = self.placer.for_each_chunk(particles, range, |first, positions, places| {
             for (i, place) in places.iter().enumerate() {
                 match place {
                     Ok(Some(placed)) => {
@@ -405,19 +407,21 @@ impl Counter<'_> {
             if table.numbers.len() > self.limit {
                 self.stop.store(true, Ordering::Relaxed);
             }
+            if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
         RangeCount { table, census, first_invalid }
     }
 }
 
 impl Placer<'_> {
-    /// Calls `each` with the number of a chunk's first particle, their positions and their places.
-    fn for_each_chunk(
+    /// Calls `each` with the number of a chunk's first particle, their positions and their places, until it
+    /// fails.
+    fn for_each_chunk<E>(
         &self,
         particles: &(impl Particles + ?Sized),
         range: Range<usize>,
-        mut each: impl FnMut(usize, &[[f64; 3]], &[Place]),
-    ) {
+        mut each: impl FnMut(usize, &[[f64; 3]], &[Place]) -> Result<(), E>,
+    ) -> Result<(), E> {
         let mut positions = vec![[0.0; 3]; CHUNK];
         let mut places: Vec<Place> = vec![Ok(None); CHUNK];
         for first in range.clone().step_by(CHUNK) {
@@ -425,13 +429,14 @@ impl Placer<'_> {
             let (positions, places) = (&mut positions[..count], &mut places[..count]);
             particles.positions(first, positions);
             place_all(self.grid, self.domain, positions, places);
-            each(first, positions, places);
+            each(first, positions, places)?;
             let done = first + count;
             if done == range.end || (done - range.start).is_multiple_of(RELEASE) {
                 let begin = range.start + (done - range.start - 1) / RELEASE * RELEASE;
                 particles.release(begin..done);
             }
         }
+        Ok(())
     }
 }
 

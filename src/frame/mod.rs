@@ -9,6 +9,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use bytesize::ByteSize;
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -25,6 +26,7 @@ use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
+use crate::scratch::free_bytes;
 use crate::stage::attribute::vertex_values;
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
@@ -59,6 +61,20 @@ pub enum FrameError {
     NoSurface {
         /// What was asked for, or measured.
         iso: Isovalue,
+    },
+    /// What exceeds the memory budget would not fit into scratch files; nothing was written.
+    #[error(
+        "scratch files may take {} in {}, where {} are free; name another folder with --scratch, or allow more \
+         with --memory",
+        ByteSize(*needed), folder.display(), ByteSize(*free)
+    )]
+    NoRoom {
+        /// Where they would be.
+        folder: PathBuf,
+        /// Bytes that they take at the most.
+        needed: u64,
+        /// Bytes that are there.
+        free: u64,
     },
     /// What exceeds the memory budget could not be put into scratch files.
     #[error("scratch files in {}: {fault}", folder.display())]
@@ -99,6 +115,19 @@ impl Resources {
 
     fn host_bytes(&self) -> u64 {
         self.backend.host_bytes(self.budget)
+    }
+
+    /// Refuses to begin what would fill the disk.
+    fn check_room(&self, needed: u64) -> Result<(), FrameError> {
+        if needed == 0 {
+            return Ok(());
+        }
+        let folder = &self.scratch;
+        let free = free_bytes(folder).map_err(self.scratch_error())?;
+        if needed > free {
+            return Err(FrameError::NoRoom { folder: folder.clone(), needed, free });
+        }
+        Ok(())
     }
 
     fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {
@@ -231,8 +260,8 @@ impl Frame {
     /// Computes the DIF of `particles`, which are read twice.
     ///
     /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget can hold, and
-    /// scratch files that fail.
+    /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget or the disk can
+    /// hold, and scratch files that fail.
     pub fn sample(
         particles: &(impl Particles + ?Sized),
         sampling: &Sampling,
@@ -243,6 +272,7 @@ impl Frame {
         laps.lap("count");
         let census = bin_plan.census();
         let plan = estimate.plan(resources.budget);
+        resources.check_room(estimate.scratch(plan))?;
         let in_scratch = resources.scratch_error();
         let mut sink = FieldSink::new(plan, &estimate, *side, &resources.scratch).map_err(&in_scratch)?;
 

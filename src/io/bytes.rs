@@ -17,6 +17,9 @@ const CHUNK: u64 = 1 << 18;
 /// Particles pack to a half or a tenth; only a file made to exhaust the memory packs better than this.
 const GREATEST_RATIO: u64 = 128;
 
+/// With a byte that is read the system may map so many before it, which were given back already.
+const FAULT_AROUND: usize = 64 << 10;
+
 /// Bytes that any file may unpack to.
 const ALWAYS_UNPACKED: u64 = 64 << 20;
 
@@ -82,11 +85,11 @@ impl ByteStore for Bytes {
     fn release(&self, range: Range<usize>) {
         #[cfg(unix)]
         if let Self::Mapped(map) | Self::Scratch(map) = self {
+            let start = range.start.saturating_sub(FAULT_AROUND);
+            let length = range.end - start;
             // SAFETY: the map is of a file and never written: pages that are dropped are read again.
             // That the system may refuse is no matter.
-            let _ = unsafe {
-                map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, range.start, range.len())
-            };
+            let _ = unsafe { map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length) };
         }
         #[cfg(not(unix))]
         let _ = range;
@@ -163,7 +166,14 @@ impl<'a> Unpacked<'a> {
         }
         match &mut self.file {
             Some(file) => file.write_all(bytes).map_err(ReadFault::Scratch)?,
-            None => self.memory.extend_from_slice(bytes),
+            None => {
+                if self.memory.capacity() < self.len as usize {
+                    // Twice as much, as ever, but not beyond the limit.
+                    let room = (2 * self.len).min(self.unpacking.in_memory) as usize;
+                    self.memory.reserve_exact(room - self.memory.len());
+                }
+                self.memory.extend_from_slice(bytes);
+            }
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use super::ReadFault;
 use super::bytes::ByteStore;
 
 /// Bytes of a piece, at the least.
-const PIECE: usize = 1 << 17;
+const PIECE: usize = 1 << 16;
 /// Pieces for every thread between two times that memory is given back.
 const PIECES: usize = 4;
 
