@@ -14,6 +14,8 @@ use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceKind, DeviceOptions, Instance};
 
+/// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
+const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
 
@@ -72,17 +74,20 @@ impl RunOptions {
         }
         let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty());
         let scratch = self.scratch.as_deref().or(beside).unwrap_or(Path::new("."));
-        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend()? })
+        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend(budget)? })
     }
 
-    fn backend(&self) -> Result<Arc<dyn Backend>, Error> {
+    fn backend(&self, budget: MemoryBudget) -> Result<Arc<dyn Backend>, Error> {
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
             (BackendName::Cpu, None) => Ok(Arc::new(Cpu)),
-            (BackendName::Auto, None) => match self.vulkan(Some(DeviceKind::Discrete)) {
-                Ok(Some(vulkan)) => Ok(Arc::new(vulkan)),
-                Ok(None) | Err(_) => Ok(Arc::new(Cpu)),
-            },
+            (BackendName::Auto, None) => {
+                let looked_for = budget >= DRIVERS && may_have_gpu();
+                match looked_for.then(|| self.vulkan(Some(DeviceKind::Discrete))) {
+                    Some(Ok(Some(vulkan))) => Ok(Arc::new(vulkan)),
+                    _ => Ok(Arc::new(Cpu)),
+                }
+            }
             (BackendName::Auto, Some(_)) | (BackendName::Vulkan, _) => {
                 let vulkan = self.vulkan(None)?;
                 Ok(Arc::new(vulkan.expect("any kind will do")))
@@ -107,6 +112,12 @@ impl RunOptions {
     pub fn notes(&self) -> Notes {
         Notes { quiet: self.quiet, verbose: self.verbose }
     }
+}
+
+/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
+fn may_have_gpu() -> bool {
+    let nodes = ["/dev/dri", "/dev/nvidia0", "/dev/dxg"];
+    !cfg!(target_os = "linux") || nodes.iter().any(|node| Path::new(node).exists())
 }
 
 /// An input that has to be unpacked or decoded may take an eighth of the budget.
