@@ -119,7 +119,11 @@ impl Batch {
             raw.begin_command_buffer(self.commands, &info)
                 .map_err(VulkanError::of("vkBeginCommandBuffer"))?;
             if self.queries != vk::QueryPool::null() {
-                raw.cmd_reset_query_pool(self.commands, self.queries, 0, STAGES + 1);
+                if self.device.queue(self.queue).host_reset {
+                    raw.reset_query_pool(self.queries, 0, STAGES + 1);
+                } else {
+                    raw.cmd_reset_query_pool(self.commands, self.queries, 0, STAGES + 1);
+                }
             }
         }
         Ok(())

@@ -105,6 +105,8 @@ pub(super) struct QueueState {
     pub(super) raw: Mutex<vk::Queue>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
+    /// Queries are reset by the host: a queue for copies alone cannot.
+    pub(super) host_reset: bool,
     pub(super) timeline: vk::Semaphore,
     /// The value that the last submission will signal.
     pub(super) last: AtomicU64,
@@ -138,7 +140,8 @@ impl Device {
             .iter()
             .map(|&f| vk::DeviceQueueCreateInfo::default().queue_family_index(f).queue_priorities(&[1.0]))
             .collect();
-        let mut features = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
+        let mut features =
+            vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).host_query_reset(true);
         let create =
             vk::DeviceCreateInfo::default().queue_create_infos(&queue_infos).push_next(&mut features);
         // SAFETY: everything that the structure points to outlives the call.
@@ -247,6 +250,7 @@ impl Device {
                     raw: Mutex::new(queue),
                     family,
                     timestamps: families[family as usize].timestamp_valid_bits > 0,
+                    host_reset: !families[family as usize].queue_flags.contains(vk::QueueFlags::COMPUTE),
                     timeline,
                     last: AtomicU64::new(0),
                 });

@@ -239,6 +239,7 @@ impl Instance {
         let limits = &properties.limits;
         match () {
             () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
+            () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
             () if !families.iter().any(computes) => Some("it has no queue for compute"),
             () if limits.max_compute_work_group_invocations < 256 => Some("its work groups are too small"),
             () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
