@@ -14,6 +14,8 @@ const THREAD: u64 = 2 << 20;
 const BIN_BYTES: u64 = 320;
 /// Bytes of a binned particle, without attributes.
 const RECORD: u64 = 8;
+/// Bytes of a particle in a scratch file, at the least.
+const SPILLED: u64 = 6;
 /// Bytes of a vertex before it is written: the samples of its edge, and its share of a tile.
 const VERTEX: u64 = 8;
 /// Vertices around a particle that is alone.
@@ -33,6 +35,8 @@ pub struct Estimate {
     pub index: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
+    /// The same particles in a scratch file, not yet sorted: what they take there at the least.
+    pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
     /// The surface before it is written, at the most.
@@ -105,6 +109,7 @@ impl Estimate {
             let count = count as u64;
             estimate.index += BIN_BYTES;
             estimate.particles += count * (RECORD + components);
+            estimate.spilled += count * (SPILLED + components);
             estimate.field += count.min(bricks_a_bin) * brick_bytes;
             estimate.surface += (VERTEX + components) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
         }
@@ -115,7 +120,7 @@ impl Estimate {
     /// the time.
     #[must_use]
     pub fn of_surface(full_cells: impl Iterator<Item = usize>, in_memory: u64) -> Self {
-        Self { particles: 0, ..Self::of(full_cells, BrickSide::default(), 0, in_memory) }
+        Self { particles: 0, spilled: 0, ..Self::of(full_cells, BrickSide::default(), 0, in_memory) }
     }
 
     /// The peak with everything in memory.
@@ -137,6 +142,15 @@ impl Estimate {
         self.particles * if self.carried { 2 } else { 1 }
             + beyond(self.field, shares.field)
             + beyond(self.surface, shares.surface)
+    }
+
+    /// Disk that scratch files take under a plan, at the least.
+    #[must_use]
+    pub fn least_scratch(&self, plan: Plan) -> u64 {
+        match plan {
+            Plan::InCore => 0,
+            Plan::OutOfCore(_) => self.spilled + self.beside_the_surface(),
+        }
     }
 
     /// How to keep to `budget`.

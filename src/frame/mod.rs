@@ -64,14 +64,14 @@ pub enum FrameError {
     },
     /// What exceeds the memory budget would not fit into scratch files; nothing was written.
     #[error(
-        "scratch files may take {} in {}, where {} are free; name another folder with --scratch, or allow more \
+        "scratch files take at least {} in {}, where {} are free; name another folder with --scratch, or allow more \
          with --memory",
         ByteSize(*needed), folder.display(), ByteSize(*free)
     )]
     NoRoom {
         /// Where they would be.
         folder: PathBuf,
-        /// Bytes that they take at the most.
+        /// Bytes that they take at the least.
         needed: u64,
         /// Bytes that are there.
         free: u64,
@@ -272,7 +272,7 @@ impl Frame {
         laps.lap("count");
         let census = bin_plan.census();
         let plan = estimate.plan(resources.budget);
-        resources.check_room(estimate.scratch(plan))?;
+        resources.check_room(estimate.least_scratch(plan))?;
         let in_scratch = resources.scratch_error();
         let mut sink = FieldSink::new(plan, &estimate, *side, &resources.scratch).map_err(&in_scratch)?;
 
