@@ -44,6 +44,10 @@ fn sort(@builtin(global_invocation_id) id: vec3<u32>) {
         at = (at + 1u) & push.mask;
     }
     if atomicLoad(&places[at]) != ELSEWHERE {
-        records[atomicAdd(&places[at], 1u)] = packed(placed);
+        let to = atomicAdd(&places[at], 1u);
+        // Positions that someone changes between the readings must not reach beyond the buffer.
+        if to < arrayLength(&records) {
+            records[to] = packed(placed);
+        }
     }
 }

@@ -9,7 +9,7 @@ use ash::vk;
 use bytemuck::Pod;
 
 use super::device::{QueueState, Shared};
-use super::{Buffer, Device, Kernel, Queue, View, VulkanError};
+use super::{Buffer, Device, Faults, Kernel, Place, Queue, View, VulkanError};
 
 /// Dispatches that a batch holds at the most.
 const DISPATCHES: u32 = 128;
@@ -34,6 +34,8 @@ pub struct Batch {
     sets: vk::DescriptorPool,
     /// Null where the queue has no timestamps.
     queries: vk::QueryPool,
+    /// Where the device writes the number of the submission when it is done: a lost device may say that it is.
+    stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     kernels: Vec<Arc<Kernel>>,
     /// Each with the bytes that it moves.
@@ -59,6 +61,7 @@ impl Device {
             commands: vk::CommandBuffer::null(),
             sets: vk::DescriptorPool::null(),
             queries: vk::QueryPool::null(),
+            stamp: self.buffer(Place::Download, 4)?,
             buffers: Vec::new(),
             kernels: Vec::new(),
             stages: Vec::new(),
@@ -165,6 +168,12 @@ impl Batch {
         assert_eq!(push.len(), kernel.program.push_bytes() as usize, "push block of {kernel:?}");
         let limits = self.device.limits;
         assert!(groups.iter().all(|&n| n <= limits.groups), "{groups:?} groups of {kernel:?}");
+        assert!(Arc::ptr_eq(&kernel.device, &self.device), "{kernel:?} is of another device");
+        assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {kernel:?} is of another device");
+        assert!(
+            buffers.iter().all(|view| view.offset.is_multiple_of(limits.alignment)),
+            "buffers of {kernel:?}"
+        );
         if let Some(view) = buffers.iter().find(|view| view.bytes > limits.storage_range) {
             return Err(VulkanError::OutOfMemory { bytes: view.bytes });
         }
@@ -220,6 +229,7 @@ impl Batch {
     /// If it does not fit.
     pub fn copy(&mut self, from: &View, to: &View) {
         assert!(from.bytes <= to.bytes, "{} bytes into {}", from.bytes, to.bytes);
+        assert!(self.owns(from) && self.owns(to), "a buffer is of another device");
         if from.bytes == 0 {
             return;
         }
@@ -233,7 +243,11 @@ impl Batch {
     }
 
     /// Fills a part of a buffer with zeros.
+    ///
+    /// # Panics
+    /// If the buffer is of another device.
     pub fn clear(&mut self, view: &View) {
+        assert!(self.owns(view), "the buffer is of another device");
         if view.bytes == 0 {
             return;
         }
@@ -244,6 +258,10 @@ impl Batch {
             raw.cmd_fill_buffer(self.commands, view.buffer.raw(), view.offset, view.bytes, 0);
         }
         self.buffers.push(Arc::clone(&view.buffer));
+    }
+
+    fn owns(&self, view: &View) -> bool {
+        Arc::ptr_eq(&view.buffer.device, &self.device)
     }
 
     /// Lets what follows see what came before.
@@ -281,20 +299,24 @@ impl Batch {
     /// [`VulkanError::Lost`] and others of the driver.
     pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
         self.timestamp();
-        self.memory_barrier(
-            vk::PipelineStageFlags::ALL_COMMANDS,
-            vk::AccessFlags::MEMORY_WRITE,
-            vk::PipelineStageFlags::HOST,
-            vk::AccessFlags::HOST_READ,
-        );
         self.device.check_alive()?;
         let raw = &self.device.raw;
         let state = self.device.queue(self.queue);
         // SAFETY: all handles are this device's. The queue is locked, so that values go up in order of submission.
         unsafe {
-            raw.end_command_buffer(self.commands).map_err(VulkanError::of("vkEndCommandBuffer"))?;
             let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
             let value = state.last.load(Ordering::Relaxed) + 1;
+            if !Faults::strikes(&self.device.faults.completion) {
+                self.barrier();
+                raw.cmd_fill_buffer(self.commands, self.stamp.raw(), 0, 4, value as u32);
+            }
+            self.memory_barrier(
+                vk::PipelineStageFlags::ALL_COMMANDS,
+                vk::AccessFlags::MEMORY_WRITE,
+                vk::PipelineStageFlags::HOST,
+                vk::AccessFlags::HOST_READ,
+            );
+            raw.end_command_buffer(self.commands).map_err(VulkanError::of("vkEndCommandBuffer"))?;
             let waits: Vec<_> = after.iter().map(|ticket| self.device.queue(ticket.queue).timeline).collect();
             let wait_values: Vec<_> = after.iter().map(|ticket| ticket.value).collect();
             let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; after.len()];
@@ -331,6 +353,9 @@ impl Batch {
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
                 .map_err(self.device.noting("vkWaitSemaphores"))?;
             self.pending = false;
+            if self.stamp.read::<u32>(0, 1) != [ticket.value as u32] {
+                return Err(self.device.lose());
+            }
             self.record_times()?;
         }
         self.stages.clear();
@@ -370,10 +395,18 @@ impl Batch {
 
 impl Drop for Batch {
     fn drop(&mut self) {
-        // A lost device is done with everything, so the outcome does not matter.
         let _ = self.wait();
-        // SAFETY: nothing of this batch is in use.
+        // SAFETY: nothing of this batch is in use: it is done, or its device is lost.
         unsafe {
+            if self.pending
+                && self.device.raw.device_wait_idle().is_err_and(|e| e != vk::Result::ERROR_DEVICE_LOST)
+            {
+                // The device may still be at work: what it works on stays.
+                self.buffers.drain(..).for_each(std::mem::forget);
+                self.kernels.drain(..).for_each(std::mem::forget);
+                std::mem::forget(Arc::clone(&self.stamp));
+                return;
+            }
             self.device.raw.destroy_query_pool(self.queries, None);
             self.device.raw.destroy_descriptor_pool(self.sets, None);
             self.device.raw.destroy_command_pool(self.pool, None);

@@ -25,7 +25,7 @@ pub enum Place {
 
 /// A piece of memory that kernels and copies work on.
 pub struct Buffer {
-    device: Arc<Shared>,
+    pub(super) device: Arc<Shared>,
     raw: vk::Buffer,
     /// Unless it is a caller's.
     owned: bool,
@@ -111,8 +111,10 @@ impl Device {
     /// Refers to a buffer that the caller has made on the same device, and destroys.
     ///
     /// # Safety
-    /// The buffer must hold `bytes`, be usable as a storage buffer and as the source of copies, and outlive what is
-    /// returned.
+    /// The buffer must be bound to memory, hold `bytes`, be usable as a storage buffer and as the source of copies,
+    /// belong to the queue's family or be shared concurrently, and outlive what is returned. While a call into this
+    /// crate works on it nobody may write it, and what was written before must be done, or submitted before on the same
+    /// queue with a dependency on compute shaders and transfers.
     #[must_use]
     pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
         Arc::new(Buffer { device: Arc::clone(&self.shared), raw, owned: false, allocation: None, bytes })
@@ -144,7 +146,7 @@ impl Buffer {
     /// If the buffer ends before that.
     #[must_use]
     pub fn part(self: &Arc<Self>, offset: u64, bytes: u64) -> View {
-        assert!(offset + bytes <= self.bytes, "{offset} + {bytes} of {}", self.bytes);
+        assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
         View { buffer: Arc::clone(self), offset, bytes }
     }
 
@@ -174,7 +176,7 @@ impl Buffer {
     }
 
     fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
-        assert!(offset + len as u64 <= self.bytes, "{offset} + {len} of {}", self.bytes);
+        assert!(within(offset, len as u64, self.bytes), "{offset} + {len} of {}", self.bytes);
         let mapped = self.allocation.as_ref().and_then(|allocation| allocation.mapped_ptr());
         let base = mapped.expect("the buffer is visible to the host").as_ptr().cast::<u8>();
         // SAFETY: the mapping is as long as the buffer.
@@ -195,7 +197,7 @@ impl View {
     /// If it ends before that.
     #[must_use]
     pub fn part(&self, offset: u64, bytes: u64) -> Self {
-        assert!(offset + bytes <= self.bytes, "{offset} + {bytes} of {}", self.bytes);
+        assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
         self.buffer.part(self.offset + offset, bytes)
     }
 
@@ -236,6 +238,11 @@ impl Drop for Buffer {
             allocator.free(allocation).expect("the allocation is this allocator's");
         }
     }
+}
+
+/// Whether a part lies in a buffer.
+fn within(offset: u64, bytes: u64, whole: u64) -> bool {
+    offset.checked_add(bytes).is_some_and(|end| end <= whole)
 }
 
 impl fmt::Debug for Buffer {

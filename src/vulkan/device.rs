@@ -12,6 +12,7 @@ use ash::vk;
 use gpu_allocator::AllocationSizes;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
+use super::instance::lacks;
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
 /// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
@@ -155,13 +156,25 @@ impl Device {
     /// Works on a device that the caller has opened.
     ///
     /// # Errors
-    /// [`VulkanError`] where memory for the first few objects is refused.
+    /// [`VulkanError::Unfit`] for a device that lacks what is needed; others where memory for the first few objects
+    /// is refused.
     ///
     /// # Safety
-    /// All handles must belong together, with `timelineSemaphore` enabled. They must stay alive as long as what
-    /// is returned and everything made with it. Nobody else may submit to the queue during a call into this crate.
+    /// - All handles must belong together, made for Vulkan 1.2 or later, with `timelineSemaphore` enabled, and stay
+    ///   alive as long as what is returned and everything made with it.
+    /// - A queue may be adopted once at a time. During a call into this crate nobody else may submit to it, and
+    ///   nothing submitted before may wait for what the calling thread is still to do.
+    /// - Buffers made here belong to the queue's family: other families need a transfer of ownership, and every
+    ///   reader on the device a dependency on compute shaders and transfers. A buffer must not be dropped before
+    ///   the caller's own commands are done with it.
     pub unsafe fn adopt(foreign: Foreign, options: &DeviceOptions) -> Result<Self, VulkanError> {
         let Foreign { instance, physical, device, family, queue } = foreign;
+        // SAFETY: the device is one of the instance's.
+        let properties = unsafe { instance.get_physical_device_properties(physical) };
+        if let Some(lacks) = lacks(&instance, physical, &properties) {
+            let device = properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
+            return Err(VulkanError::Unfit { device, lacks });
+        }
         Self::around(&instance, None, physical, device, vec![(family, queue)], options)
     }
 
@@ -238,6 +251,7 @@ impl Device {
             shared.pipeline_cache = shared
                 .raw
                 .create_pipeline_cache(&info, None)
+                .or_else(|_| shared.raw.create_pipeline_cache(&vk::PipelineCacheCreateInfo::default(), None))
                 .map_err(VulkanError::of("vkCreatePipelineCache"))?;
             for (family, queue) in queues {
                 let mut kind = vk::SemaphoreTypeCreateInfo::default()
@@ -326,6 +340,12 @@ impl Shared {
         }
     }
 
+    /// Notes that the device was lost.
+    pub(super) fn lose(&self) -> VulkanError {
+        self.lost.store(true, Ordering::Relaxed);
+        VulkanError::Lost
+    }
+
     /// Fails once the device is lost, or if it is to be lost now.
     pub(super) fn check_alive(&self) -> Result<(), VulkanError> {
         if Faults::strikes(&self.faults.submission) {
@@ -346,7 +366,7 @@ impl Shared {
     }
 
     fn save_cache(&self) -> Option<()> {
-        let file = self.cache_file.as_deref()?;
+        let file = self.cache_file.as_deref().filter(|_| self.pipeline_cache != vk::PipelineCache::null())?;
         // SAFETY: the cache is this device's.
         let data = unsafe { self.raw.get_pipeline_cache_data(self.pipeline_cache) }.ok()?;
         if read_cache(file).as_deref() != Some(&data) {

@@ -9,6 +9,8 @@ pub struct Faults {
     pub allocation: AtomicU64,
     /// The submission at which the device is lost, for good.
     pub submission: AtomicU64,
+    /// The submission whose work is never done, though nothing says so.
+    pub completion: AtomicU64,
 }
 
 impl Faults {

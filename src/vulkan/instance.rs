@@ -12,8 +12,7 @@ const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
 
 /// A connection to the Vulkan loader.
 pub struct Instance {
-    /// Keeps the loader in the process.
-    _entry: ash::Entry,
+    entry: ash::Entry,
     pub(super) raw: ash::Instance,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     log: ValidationLog,
@@ -120,15 +119,16 @@ impl Instance {
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }
             .map_err(|e| VulkanError::NoLoader(format!("no instance can be made: {e}")))?;
-        let messenger = if validation {
-            let debug = ext::debug_utils::Instance::new(&entry, &raw);
+        // From here on what is made is dropped with `instance` if a later step fails.
+        let mut instance = Self { entry: entry, raw, messenger: None, log };
+        if validation {
+            let debug = ext::debug_utils::Instance::new(&instance.entry, &instance.raw);
             // SAFETY: the log that the messenger writes to lives as long as this instance.
-            let made = unsafe { debug.create_debug_utils_messenger(&messenger_info(&log), None) };
-            Some((debug, made.map_err(VulkanError::of("vkCreateDebugUtilsMessengerEXT"))?))
-        } else {
-            None
-        };
-        Ok(Arc::new(Self { _entry: entry, raw, messenger, log }))
+            let made = unsafe { debug.create_debug_utils_messenger(&messenger_info(&instance.log), None) };
+            let made = made.map_err(VulkanError::of("vkCreateDebugUtilsMessengerEXT"))?;
+            instance.messenger = Some((debug, made));
+        }
+        Ok(Arc::new(instance))
     }
 
     /// What the validation layer found; it can be read when the instance is gone.
@@ -214,39 +214,39 @@ impl Instance {
                 text(driver.driver_info_as_c_str())
             ),
             memory: memory.memory_heaps_as_slice().iter().filter(local).map(|heap| heap.size).sum(),
-            lacks: self.lacks(physical, &base),
+            lacks: lacks(&self.raw, physical, &base),
             physical,
         }
     }
+}
 
-    /// What a device would need and has not got.
-    fn lacks(
-        &self,
-        physical: vk::PhysicalDevice,
-        properties: &vk::PhysicalDeviceProperties,
-    ) -> Option<&'static str> {
-        if properties.api_version < vk::API_VERSION_1_2 {
-            return Some("it offers less than Vulkan 1.2");
-        }
-        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
-        let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
-        // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
-        let families = unsafe {
-            self.raw.get_physical_device_features2(physical, &mut features);
-            self.raw.get_physical_device_queue_family_properties(physical)
-        };
-        let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
-        let limits = &properties.limits;
-        match () {
-            () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
-            () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
-            () if !families.iter().any(computes) => Some("it has no queue for compute"),
-            () if limits.max_compute_work_group_invocations < 256 => Some("its work groups are too small"),
-            () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
-            () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
-            () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
-            () => None,
-        }
+/// What a device would need and has not got.
+pub(super) fn lacks(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    properties: &vk::PhysicalDeviceProperties,
+) -> Option<&'static str> {
+    if properties.api_version < vk::API_VERSION_1_2 {
+        return Some("it offers less than Vulkan 1.2");
+    }
+    let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
+    // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
+    let families = unsafe {
+        instance.get_physical_device_features2(physical, &mut features);
+        instance.get_physical_device_queue_family_properties(physical)
+    };
+    let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+    let limits = &properties.limits;
+    match () {
+        () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
+        () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
+        () if !families.iter().any(computes) => Some("it has no queue for compute"),
+        () if limits.max_compute_work_group_invocations < 256 => Some("its work groups are too small"),
+        () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
+        () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
+        () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
+        () => None,
     }
 }
 

@@ -64,7 +64,7 @@ pub(crate) use push_block;
 
 /// A program ready to run on a device.
 pub struct Kernel {
-    device: Arc<Shared>,
+    pub(super) device: Arc<Shared>,
     pub(super) program: &'static Program,
     pub(super) sets: vk::DescriptorSetLayout,
     pub(super) layout: vk::PipelineLayout,

@@ -16,7 +16,7 @@ use crate::stage::indicator::vulkan::indicate;
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
-use super::{BATCH, DeviceFrame, Fault, PAGE_BYTES, State};
+use super::{BIN_BATCH, DeviceFrame, Fault, PAGE_BYTES, State};
 
 /// Samples of a page.
 const SAMPLES: usize = 2 * PAGE_WORDS as usize;
@@ -33,6 +33,7 @@ struct BinEntry {
 struct BinBatch {
     bins: Range<usize>,
     pages: View,
+    read: View,
 }
 
 impl DeviceFrame {
@@ -120,11 +121,8 @@ impl DeviceFrame {
         lane.compute.stage("indicate", records.bytes() + bytes);
         let views = [entries, records, &pages];
         indicate(&mut lane.compute, &self.kernels.indicate, bins.len() as u32, indicator, views)?;
-        let computed = lane.compute.submit(lane.upload.last())?;
-        lane.download.stage("download", 2 * bytes);
-        lane.download.copy(&pages, &read);
-        lane.download.submit(&[computed])?;
-        Ok(BinBatch { bins, pages: read })
+        lane.compute.submit(lane.upload.last())?;
+        Ok(BinBatch { bins, pages, read })
     }
 
     /// The pages of particles that are binned on the device already.
@@ -140,8 +138,8 @@ impl DeviceFrame {
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
             run.clone()
-                .step_by(BATCH)
-                .map(move |begin| (begin..run.end.min(begin + BATCH), run.start, records))
+                .step_by(BIN_BATCH)
+                .map(move |begin| (begin..run.end.min(begin + BIN_BATCH), run.start, records))
         });
         let mut pages = Pages::with_capacity(bins.keys.len());
         fly(
@@ -179,20 +177,29 @@ fn read_pages(
     keys: &[MortonKey],
     side: BrickSide,
 ) -> Result<Pages, VulkanError> {
+    // Submitted only now, the copy leaves its queue free for the next batch's upload.
+    lane.download.stage("download", 2 * batch.pages.bytes());
+    lane.download.copy(&batch.pages, &batch.read);
+    lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
-    let samples: Vec<u16> = batch.pages.read(0, batch.bins.len() * SAMPLES);
+    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * SAMPLES);
     let page = |(dense, bin): (&[u16], usize)| {
         PageInfo::from_dense(keys[bin].coord(), dense, side).expect("a bin holds particles")
     };
     Ok(samples.par_chunks_exact(SAMPLES).zip(batch.bins).map(page).collect())
 }
 
+/// Bytes of a bin with so many particles, on the device and staged.
+pub(super) fn bin_bytes(count: usize) -> u64 {
+    2 * (8 * count as u64 + PAGE_BYTES)
+}
+
 /// As many bins as a batch has room for, at least one.
 fn bin_batch(bins: &Bins, range: Range<usize>, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;
-    while end < range.end && end - range.start < BATCH {
-        bytes += 2 * (8 * bins.count(end) as u64 + PAGE_BYTES);
+    while end < range.end && end - range.start < BIN_BATCH {
+        bytes += bin_bytes(bins.count(end));
         if end > range.start && bytes > room {
             break;
         }

@@ -21,7 +21,7 @@ use crate::units::Isovalue;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
-use super::{BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
+use super::{BLOCK_BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
 
 /// Vertices of a block on average that a batch has room for; a batch that has more is emitted again.
 const BLOCK_ROOM: u64 = 6144;
@@ -37,19 +37,10 @@ impl DeviceFrame {
         regions: &[CellBox],
         done: &mut Vec<Option<BlockMesh>>,
     ) -> Result<(), VulkanError> {
-        state.make_lanes(&self.device)?;
-        let constants = Constants::new(&self.device, surfaces)?;
-        let State { lanes, resident, batch_bytes, .. } = state;
-        let work = Contouring { frame: self, surfaces, constants, resident: resident.as_ref() };
-        let mut next = 0;
-        fly(
-            lanes,
-            |lane| work.start_next(lane, regions, &mut next, *batch_bytes),
-            |lane, batch| {
-                done.extend(work.read(lane, batch)?);
-                Ok(())
-            },
-        )
+        self.each_batch(state, surfaces, regions, &mut |work, lane, batch, begins| {
+            done.extend(work.read(lane, batch, begins)?);
+            Ok(())
+        })
     }
 
     /// The surfaces through some regions, which stay on the device.
@@ -59,35 +50,49 @@ impl DeviceFrame {
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
     ) -> Result<DeviceSurfaces, VulkanError> {
+        let (mut tiles, mut ends) = (Growing::default(), Growing::default());
+        let mut blocks = Vec::new();
+        self.each_batch(state, surfaces, regions, &mut |_, lane, batch, begins| {
+            let totals = begins[batch.blocks.len()];
+            let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
+            let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
+            lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
+            tiles.append(&self.device, &mut lane.download, &lane.buffers["tiles"].part(0, tile_bytes))?;
+            ends.append(&self.device, &mut lane.download, &lane.buffers["ends"].part(0, end_bytes))?;
+            lane.download.submit(lane.compute.last())?;
+            lane.download.wait()?;
+            let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
+            let coords = batch.regions.iter().map(|region| block_of(*region));
+            blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
+            Ok(())
+        })?;
+        Ok(DeviceSurfaces { blocks, tiles: tiles.view(&self.device)?, ends: ends.view(&self.device)? })
+    }
+
+    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order.
+    fn each_batch(
+        &self,
+        state: &mut State,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        take: &mut Take<'_>,
+    ) -> Result<(), VulkanError> {
         state.make_lanes(&self.device)?;
         let constants = Constants::new(&self.device, surfaces)?;
         let State { lanes, resident, batch_bytes, .. } = state;
-        let work = Contouring { frame: self, surfaces, constants, resident: resident.as_ref() };
-        let (mut tiles, mut ends) = (Growing::default(), Growing::default());
-        let mut blocks = Vec::new();
+        let work =
+            Contouring { frame: self, surfaces, constants, resident: resident.as_ref(), bytes: *batch_bytes };
         let mut next = 0;
         fly(
             lanes,
-            |lane| work.start_next(lane, regions, &mut next, *batch_bytes),
-            |lane, mut batch| {
-                let begins = work.begins(lane, &mut batch)?;
-                lane.download.stage("collect", 0);
-                let totals = begins[batch.blocks.len()];
-                let bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
-                tiles.append(&self.device, &mut lane.download, &lane.buffers["tiles"].part(0, bytes))?;
-                let bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
-                ends.append(&self.device, &mut lane.download, &lane.buffers["ends"].part(0, bytes))?;
-                lane.download.submit(lane.compute.last())?;
-                lane.download.wait()?;
-                let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
-                let coords = batch.regions.iter().map(|region| block_of(*region));
-                blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
-                Ok::<_, VulkanError>(())
-            },
-        )?;
-        Ok(DeviceSurfaces { blocks, tiles: tiles.view(&self.device)?, ends: ends.view(&self.device)? })
+            |lane| work.start_next(lane, regions, &mut next),
+            |lane, batch| work.finish(lane, batch, take),
+        )
     }
 }
+
+/// What becomes of a batch, given where each of its blocks begins in it, and where the last one ends.
+type Take<'a> = dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), VulkanError> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
@@ -112,7 +117,8 @@ impl Growing {
     fn append(&mut self, device: &Device, commands: &mut Batch, from: &View) -> Result<(), VulkanError> {
         let end = self.used + from.bytes();
         if self.buffer.as_ref().is_none_or(|buffer| buffer.bytes() < end) {
-            let larger = device.buffer(Place::Device, end.max(2 * self.used))?;
+            let doubled = device.buffer(Place::Device, end.max(2 * self.used));
+            let larger = doubled.or_else(|_| device.buffer(Place::Device, end))?;
             if let Some(buffer) = self.buffer.replace(Arc::clone(&larger)) {
                 commands.copy(&buffer.part(0, self.used), &larger.whole());
             }
@@ -182,8 +188,8 @@ struct BlockBatch {
 }
 
 impl BlockBatch {
-    /// As many of the first regions as fit into `bytes`, at least one.
-    fn new(work: &Contouring<'_>, regions: &[CellBox], bytes: u64) -> Self {
+    /// As many of the first regions as a batch may take, at least one.
+    fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let mut batch = Self {
             regions: Vec::new(),
             blocks: Vec::new(),
@@ -197,7 +203,7 @@ impl BlockBatch {
         let halo = work.surfaces.recipe.halo();
         let mut numbers: HashMap<IVec3, u32> = HashMap::new();
         let mut taken = batch.room * work.vertex_bytes() * 2;
-        for &region in regions.iter().take(BATCH) {
+        for &region in regions.iter().take(BLOCK_BATCH) {
             let cells = work.surfaces.field(region).grown(halo, halo);
             let mut block = DeviceBlock::new(cells, region.tiled());
             let bins: Vec<IVec3> = block.bins().collect();
@@ -207,7 +213,7 @@ impl BlockBatch {
             taken += work.block_bytes(&block) + new * 2 * PAGE_BYTES + 8 * bins.len() as u64;
             let field_bytes = 4 * (u64::from(batch.words) + u64::from(block.words()));
             let page_bytes = (batch.sent.len() as u64 + new) * PAGE_BYTES;
-            if !batch.blocks.is_empty() && (taken > bytes || field_bytes.max(page_bytes) > limit) {
+            if !batch.blocks.is_empty() && (taken > work.bytes || field_bytes.max(page_bytes) > limit) {
                 break;
             }
             block.field = batch.words;
@@ -239,6 +245,8 @@ struct Contouring<'a> {
     surfaces: &'a Surfaces<'a>,
     constants: Constants,
     resident: Option<&'a Resident>,
+    /// What a batch may take.
+    bytes: u64,
 }
 
 impl Contouring<'_> {
@@ -270,13 +278,12 @@ impl Contouring<'_> {
         lane: &mut Lane,
         regions: &[CellBox],
         next: &mut usize,
-        bytes: u64,
     ) -> Result<Option<BlockBatch>, VulkanError> {
         let left = &regions[*next..];
         if left.is_empty() {
             return Ok(None);
         }
-        let batch = BlockBatch::new(self, left, bytes);
+        let batch = BlockBatch::new(self, left);
         *next += batch.regions.len();
         self.start(lane, &batch)?;
         Ok(Some(batch))
@@ -371,25 +378,38 @@ impl Contouring<'_> {
         })
     }
 
-    /// Waits for a batch, and says where each of its blocks begins in it, and where the last one ends.
-    fn begins(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<Vec<Tally>, VulkanError> {
+    /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for is emitted again, in parts if they are more than its share.
+    fn finish(&self, lane: &mut Lane, mut batch: BlockBatch, take: &mut Take<'_>) -> Result<(), VulkanError> {
         let count = batch.blocks.len();
-        loop {
-            lane.compute.wait()?;
-            let begins: Vec<Tally> = lane.buffers["tallies read"].read(0, count + 1);
-            let vertices = u64::from(begins[count].vertices);
-            if vertices <= batch.room {
-                return Ok(begins);
-            }
-            batch.room = vertices;
-            self.start(lane, batch)?;
+        lane.compute.wait()?;
+        let begins: Vec<Tally> = lane.buffers["tallies read"].read(0, count + 1);
+        let vertices = u64::from(begins[count].vertices);
+        if vertices <= batch.room {
+            return take(self, lane, &batch, &begins);
         }
+        if 2 * vertices * self.vertex_bytes() <= self.bytes {
+            batch.room = vertices;
+            self.start(lane, &batch)?;
+            return self.finish(lane, batch, take);
+        }
+        let (first, second) = batch.regions.split_at(count / 2);
+        for half in [first, second] {
+            let mut next = 0;
+            while let Some(part) = self.start_next(lane, half, &mut next)? {
+                self.finish(lane, part, take)?;
+            }
+        }
+        Ok(())
     }
 
-    /// Waits for a batch, and reads it.
-    fn read(&self, lane: &mut Lane, mut batch: BlockBatch) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
+    /// Reads a batch.
+    fn read(
+        &self,
+        lane: &mut Lane,
+        batch: &BlockBatch,
+        begins: &[Tally],
+    ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
-        let begins = self.begins(lane, &mut batch)?;
         let totals = begins[batch.blocks.len()];
         let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
         let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;

@@ -29,20 +29,22 @@ use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
 use super::{Backend, Cpu, Pages, Stages, Surfaces};
+use bins::bin_bytes;
 pub use blocks::DeviceSurfaces;
 use lane::Lane;
 
 /// Batches in flight.
 const LANES: usize = 2;
-/// Blocks of a batch at the most, and bins.
-const BATCH: usize = 1024;
+/// Bins and blocks of a batch at the most.
+const BIN_BATCH: usize = 256;
+const BLOCK_BATCH: usize = 1024;
 /// Bytes of a batch at the most, and at which the processor takes over.
 const LARGEST_BATCH: u64 = 128 << 20;
 const SMALLEST_BATCH: u64 = 1 << 20;
 /// Bytes of a page on the device.
 const PAGE_BYTES: u64 = 4 * PAGE_WORDS as u64;
-/// What a driver that computes on the processor takes for its compiler.
-const SOFTWARE_DRIVER: u64 = 96 << 20;
+/// What a driver takes of the host's memory.
+const DRIVER: u64 = 96 << 20;
 
 /// A Vulkan device with all kernels ready.
 #[derive(Debug)]
@@ -108,10 +110,10 @@ impl Vulkan {
         if self.shares_host_memory {
             let total = own.min(budget.0 / 4);
             let batch = (total / 2 / LANES as u64).min(LARGEST_BATCH);
-            Shares { batch, resident: total / 2, host: total + SOFTWARE_DRIVER }
+            Shares { batch, resident: total / 2, host: total + DRIVER }
         } else {
             let batch = (own / 4 / LANES as u64).min(budget.0 / 8).min(LARGEST_BATCH);
-            Shares { batch, resident: own / 2, host: LANES as u64 * batch }
+            Shares { batch, resident: own / 2, host: LANES as u64 * batch + DRIVER }
         }
     }
 }
@@ -154,7 +156,14 @@ impl ResidentFrame {
         side: BrickSide,
     ) -> Result<Pages, VulkanError> {
         let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
-        self.0.indicate_resident(&mut state, bins, indicator, side)
+        loop {
+            match self.0.indicate_resident(&mut state, bins, indicator, side) {
+                Err(error @ VulkanError::OutOfMemory { .. }) if state.resident.is_some() => {
+                    state.recover(&error);
+                }
+                done => return done,
+            }
+        }
     }
 
     /// The surfaces of all blocks; in smaller batches where memory is exhausted.
@@ -229,8 +238,16 @@ impl Stages for DeviceFrame {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let mut pages = Pages::with_capacity(range.len());
         while !state.on_cpu && pages.len() < range.len() {
-            let left = range.start + pages.len()..range.end;
-            match self.indicate_batches(&mut state, bins, left, indicator, side, &mut pages) {
+            let begin = range.start + pages.len();
+            let room = state.batch_bytes.min(self.device.limits().storage_range);
+            let end = (begin..range.end).find(|&bin| bin_bytes(bins.count(bin)) > room).unwrap_or(range.end);
+            if end == begin {
+                // A bin too large for any batch. Without its page the others are of no use on the device.
+                (state.resident, state.resident_bytes) = (None, 0);
+                pages.extend(Cpu.indicate(bins, begin..begin + 1, indicator, side)?);
+                continue;
+            }
+            match self.indicate_batches(&mut state, bins, begin..end, indicator, side, &mut pages) {
                 Ok(()) => {}
                 Err(Fault::Scratch(error)) => return Err(error),
                 Err(Fault::Device(error)) => state.recover(&error),

@@ -445,7 +445,8 @@ impl Binning<'_> {
         let upload = self.device.buffer(Place::Upload, 4 * u64::from(len))?;
         let places = self.device.buffer(Place::Device, 4 * u64::from(len))?;
         let mut runs = Vec::new();
-        for run in runs_of(first, self.device.limits().storage_range / RECORD_BYTES) {
+        let limits = self.device.limits();
+        for run in runs_of(first, limits.storage_range.min(limits.allocation) / RECORD_BYTES) {
             let particles = first[run.end] - first[run.start];
             let records = self.device.buffer(Place::Device, particles as u64 * RECORD_BYTES)?;
             let mut values = vec![ELSEWHERE; len as usize];
