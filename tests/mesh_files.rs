@@ -294,8 +294,13 @@ fn vtp_data_are_read_in_either_byte_order_with_short_lengths() {
 fn vtp_files_that_are_not_read_say_why() {
     for (right, wrong, expected) in [
         ("PolyData\" ", "UnstructuredGrid\" ", "UnstructuredGrid"),
-        ("BigEndian\"", "BigEndian\" compressor=\"vtkZLibDataCompressor\"", "compressed by vtkZLib"),
-        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"binary\"", "array id has format \"binary\""),
+        ("BigEndian\"", "BigEndian\" compressor=\"vtkLZ4DataCompressor\"", "compressed by vtkLZ4"),
+        (
+            "Name=\"id\" format=\"ascii\"",
+            "Name=\"id\" format=\"hex\"",
+            "array id has the unknown format \"hex\"",
+        ),
+        ("Name=\"id\" format=\"ascii\"", "Name=\"id\" format=\"binary\"", "array id: Invalid input length"),
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
         ("7 8 9 10", "7 8 9", "array id is not of 1 numbers for each of 4 points"),

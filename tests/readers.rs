@@ -11,15 +11,18 @@ use meniscus::io::bytes::Bytes;
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input;
 use meniscus::io::scene::spacing_beside;
-use meniscus::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, xyz};
+use meniscus::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
 use meniscus::particles::{Particles, velocity_attribute};
 
-use build::{Bi4, gzip, tuples};
+use build::{Bi4, VtkXml, gzip, tuples};
+use zip::CompressionMethod;
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
 
 const TEXT: Reader = |bytes| xyz::read_text(bytes, Unpacking::in_memory());
 const XYZ: Reader = |bytes| xyz::read_particles(bytes, Unpacking::in_memory());
+const VTU: Reader = |bytes| vtp::read_particles(bytes, Unpacking::in_memory());
+const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
 
 /// With as much memory as unpacking takes.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
@@ -81,11 +84,22 @@ fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
         for wide in [false, true] {
             for double in [false, true] {
                 for mixed in [false, true] {
-                    let layout = Bi4 { big, wide, double, mixed, pieces: 1 };
+                    let layout = Bi4 { big, wide, double, mixed, pieces: 1, piece: 0 };
                     samples.push(("bi4", bi4::read_particles, layout.build(&points)));
                 }
             }
         }
+    }
+    samples
+}
+
+/// The same of formats that hold their numbers encoded, or may.
+fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
+    let points = tuples(7);
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> =
+        VtkXml::all().into_iter().map(|layout| ("vtu", VTU, layout.build(&points))).collect();
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        samples.push(("npz", NPZ, build::npz_frame(&points, compression)));
     }
     samples
 }
@@ -159,7 +173,7 @@ fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
 #[test]
 fn every_binary_layout_reads_back_to_the_bit_gzipped_or_not() {
     let folder = tempfile::tempdir().unwrap();
-    for (number, (name, _, bytes)) in samples().into_iter().enumerate() {
+    for (number, (name, _, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
         let plain = folder.path().join(format!("{number}.{name}"));
         let packed = folder.path().join(format!("{number}.{}.GZ", name.to_uppercase()));
         let misnamed = folder.path().join(format!("{number}-packed.{name}"));
@@ -175,7 +189,7 @@ fn every_binary_layout_reads_back_to_the_bit_gzipped_or_not() {
 
 #[test]
 fn any_range_of_a_file_is_the_same_as_in_the_whole() {
-    for (name, reader, bytes) in samples() {
+    for (name, reader, bytes) in samples().into_iter().chain(encoded_samples()) {
         let file = read(reader, &bytes).unwrap();
         let whole = positions(&file);
         for first in 0..=whole.len() {
@@ -202,7 +216,7 @@ fn attributes_of_a_bgeo_are_floats_vectors_and_integers_without_strings() {
 #[test]
 fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
     for mixed in [false, true] {
-        let layout = Bi4 { big: false, wide: false, double: false, mixed, pieces: 1 };
+        let layout = Bi4 { big: false, wide: false, double: false, mixed, pieces: 1, piece: 0 };
         let file = read(bi4::read_particles, &layout.build(&tuples(7))).unwrap();
         assert_eq!(file.spacing, Some(0.25));
         assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
@@ -214,7 +228,7 @@ fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
 
 #[test]
 fn no_particles_are_no_error() {
-    let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1 };
+    let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1, piece: 0 };
     let empty: [(Reader, Vec<u8>); 5] = [
         (bgeo::read_particles, build::bgeo(&[])),
         (npy::read_particles, build::npy(&[], "<f4", false)),
@@ -243,6 +257,151 @@ fn a_truncated_file_is_refused_at_every_prefix() {
             }
         }
     }
+}
+
+#[test]
+fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
+    for (name, reader, bytes) in encoded_samples() {
+        for end in 0..bytes.trim_ascii_end().len() {
+            assert!(read(reader, &bytes[..end]).is_err(), "{name} cut at {end} of {}", bytes.len());
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
+    let points = tuples(7);
+    let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
+    files.extend(
+        VtkXml::all().iter().filter(|layout| layout.zlib).filter_map(|layout| {
+            (layout.placed != build::Placed::Ascii).then(|| (VTU, layout.build(&points)))
+        }),
+    );
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        files.push((NPZ, build::npz(&[("pos", build::npy(&points, "<f4", true))], compression)));
+    }
+    for (reader, bytes) in files {
+        for at in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x10;
+            if let Ok(file) = read(reader, &damaged)
+                && !file.particles.is_empty()
+            {
+                assert_eq!(positions(&file), points, "byte {at} of {}: {}", bytes.len(), file.format);
+            }
+        }
+    }
+}
+
+#[test]
+fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
+    let doubled: Vec<f32> = tuples(7).as_flattened().iter().map(|&x| 2.0 * x as f32).collect();
+    for (name, reader, bytes) in encoded_samples() {
+        let file = read(reader, &bytes).unwrap();
+        let (velocity, time) = if name == "vtu" { ("velocity", Some(1.5)) } else { ("vel", None) };
+        assert_eq!((attributes(&file), file.time), (vec![(velocity, 3), ("id", 1)], time), "{name}");
+        assert_eq!(attribute(&file, velocity), doubled, "{name}");
+        assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{name}");
+    }
+}
+
+#[test]
+fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
+    let scratch = tempfile::tempdir().unwrap();
+    let unpacking = Unpacking { in_memory: 100, scratch: scratch.path() };
+    let folder = tempfile::tempdir().unwrap();
+    let mut scratched = 0;
+    for (name, reader, bytes) in encoded_samples() {
+        let path = folder.path().join(format!("a.{name}"));
+        std::fs::write(&path, &bytes).unwrap();
+        let file = input::open_particles(&path, unpacking).unwrap();
+        assert_eq!(positions(&file), positions(&read(reader, &bytes).unwrap()));
+        scratched += usize::from(file.particles.scratch_bytes() > 0);
+    }
+    // All but what is appended raw, and stored.
+    assert_eq!(scratched, 32 - 4 + 1);
+    let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere") };
+    let path = folder.path().join("a.npz");
+    let fault = input::open_particles(&path, nowhere).expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Scratch(_)), "{fault}");
+}
+
+#[test]
+fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
+    let points = tuples(4);
+    let vectors = build::npy(&points, "<f4", false);
+    let axis = |axis: usize| {
+        let column = points.iter().flat_map(|p| p[axis].to_le_bytes());
+        build::npy_header("<f8", false, "(4,)").into_iter().chain(column).collect::<Vec<u8>>()
+    };
+    let pairs = [build::npy_header("<i8", false, "(4, 2)"), vec![1; 64]].concat();
+    let [x, y, z] = [axis(0), axis(1), axis(2)];
+    let cases: Vec<(Vec<(&str, Vec<u8>)>, Vec<(&str, usize)>)> = vec![
+        (vec![("v", vectors.clone()), ("x", vectors.clone())], vec![("v", 3)]),
+        (vec![("v", vectors.clone()), ("Positions", vectors.clone())], vec![("v", 3)]),
+        (vec![("arr_0", vectors.clone())], vec![]),
+        (
+            vec![("mass", x.clone()), ("arr_0", vectors.clone()), ("pair", pairs)],
+            vec![("mass", 1), ("pair", 2)],
+        ),
+        (vec![("z", z), ("y", y), ("x", x.clone()), ("v", vectors.clone())], vec![("v", 3)]),
+    ];
+    for (arrays, expected) in cases {
+        let names: Vec<_> = arrays.iter().map(|(name, _)| *name).collect();
+        for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+            let file = read(NPZ, &build::npz(&arrays, compression)).unwrap();
+            assert_eq!(
+                (positions(&file), attributes(&file)),
+                (points.clone(), expected.clone()),
+                "{names:?}"
+            );
+        }
+    }
+    let neither = build::npz(&[("a", vectors.clone()), ("b", vectors)], CompressionMethod::Stored);
+    let fault = fault(read(NPZ, &neither));
+    assert!(
+        fault.contains("save it as pos, of shape (N, 3)") && fault.contains("a (4, 3), b (4, 3)"),
+        "{fault}"
+    );
+}
+
+#[test]
+fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = tuples(9);
+    let layout =
+        |piece: u32| Bi4 { big: false, wide: false, double: false, mixed: piece == 1, pieces: 3, piece };
+    let path = |piece: u32| folder.path().join(format!("Part_p{piece:02}_0007.bi4"));
+    for (piece, points) in (0..).zip(points.chunks(3)) {
+        std::fs::write(path(piece), layout(piece).build(points)).unwrap();
+    }
+    for piece in 0..3 {
+        assert_eq!(bi4::is_later_piece(&path(piece)), piece > 0);
+        let file = open_particles(&path(piece)).unwrap();
+        assert_eq!((positions(&file), file.spacing, file.time), (points.clone(), Some(0.25), Some(1.5)));
+        assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
+        assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0].repeat(3));
+    }
+    for (piece, bytes, said) in [
+        (1, layout(1).build(&points)[..500].to_vec(), "truncated"),
+        (2, layout(1).build(&points), "piece 1 of 3 where piece 2 of 3 was expected"),
+        (2, Bi4 { double: true, ..layout(2) }.build(&points), "no array Idp as there is in the first piece"),
+        (1, Bi4 { big: true, ..layout(1) }.build(&points), "no array Idp as there is in the first piece"),
+    ] {
+        let right = std::fs::read(path(piece)).unwrap();
+        std::fs::write(path(piece), bytes).unwrap();
+        let error = open_particles(&path(0)).expect_err(said);
+        assert_eq!(error.path, path(piece));
+        assert!(error.to_string().contains(said), "{error}");
+        std::fs::write(path(piece), right).unwrap();
+    }
+    std::fs::remove_file(path(1)).unwrap();
+    let error = open_particles(&path(2)).expect_err("missing");
+    assert!(error.path == path(1) && matches!(error.fault, ReadFault::Io(_)), "{error}");
+    let alone = folder.path().join("alone.bi4");
+    std::fs::rename(path(2), &alone).unwrap();
+    let fault = open_particles(&alone).expect_err("unnamed").to_string();
+    assert!(fault.contains("Part_p00_0000.bi4"), "{fault}");
 }
 
 #[test]
@@ -275,6 +434,7 @@ fn a_flipped_byte_is_read_or_refused_but_never_a_panic() {
         b"a title\nx,y,z,vel:0,vel:1,vel:2,rho\n1,2,3,4,5,6,7\n# note\n1e3,-.5,nan,4,5,6,7\n".to_vec();
     let mut samples = samples();
     samples.push(("csv", TEXT, table));
+    samples.extend(encoded_samples());
     for (_, reader, bytes) in samples {
         for at in 0..bytes.len() {
             for mask in [0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80, 0xff] {
@@ -307,7 +467,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
         }
     }
     for wide in [false, true] {
-        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1 }.build(&points);
+        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1, piece: 0 }.build(&points);
         let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
         for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
             // Past the tag, a name of 3 letters (all three are), the flag and the type.
@@ -330,9 +490,67 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
 }
 
 #[test]
+fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() {
+    let points = tuples(7);
+    let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
+    for layout in VtkXml::all() {
+        let bytes = layout.build(&points);
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        for count in ["8", "1000000000", "1537228672809129301", "18446744073709551615"] {
+            let wrong = format!("NumberOfPoints=\"{count}\"");
+            let at = text.find("NumberOfPoints=\"7\"").unwrap();
+            let rest = at + "NumberOfPoints=\"7\"".len();
+            cases.push((VTU, [&bytes[..at], wrong.as_bytes(), &bytes[rest..]].concat()));
+        }
+        if layout.placed == build::Placed::AppendedRaw {
+            let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
+            for field in 0..if layout.zlib { 3 } else { 1 } {
+                let width = if layout.wide { 8 } else { 4 };
+                let mut bytes = bytes.clone();
+                // Of the points' array, which the last element names.
+                let offset: usize =
+                    text.split("Name=\"Points\"").nth(1).unwrap().split('"').nth(5).unwrap().parse().unwrap();
+                bytes[data + offset + field * width..][..width].fill(0x7f);
+                cases.push((VTU, bytes));
+            }
+        }
+    }
+    for shape in
+        ["(2000000000, 3)", "(18446744073709551615, 3)", "(6148914691236517206, 3)", "(1, 2000000000)"]
+    {
+        let array = [build::npy_header("<f4", false, shape), vec![0; 24]].concat();
+        for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+            cases.push((NPZ, build::npz(&[("pos", array.clone())], compression)));
+        }
+    }
+    let archive = build::npz_frame(&points, CompressionMethod::Stored);
+    for field in [8, 10, 16] {
+        let mut bytes = archive.clone();
+        let end = bytes.len() - 22;
+        bytes[end + field..][..2].fill(0xfe);
+        cases.push((NPZ, bytes));
+    }
+    for (reader, bytes) in cases {
+        let (result, largest) = meter::largest_allocation(|| reader(Bytes::Owned(bytes)));
+        let fault = result.expect_err("refused");
+        assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
+    }
+}
+
+#[test]
+fn compressed_zeros_beyond_all_reason_are_refused() {
+    let zeros = [build::npy_header("<f4", false, "(12000000, 3)"), vec![0; 144_000_000]].concat();
+    let bomb = build::npz(&[("pos", zeros)], CompressionMethod::Deflated);
+    let (result, largest) = meter::largest_allocation(|| read(NPZ, &bomb));
+    let fault = result.expect_err("refused");
+    assert!(matches!(fault, ReadFault::Compression(_)), "{fault}");
+    assert!(largest < 1 << 20, "{largest} bytes");
+}
+
+#[test]
 fn what_is_not_read_says_what_to_do() {
     let points = tuples(2);
-    let of_pieces = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3 };
+    let of_pieces = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3, piece: 0 };
     let mut info = of_pieces.build(&points);
     info[9..27].copy_from_slice(b"JPartDataBi4_Info ");
     let cases: [(Reader, Vec<u8>, &str); 9] = [

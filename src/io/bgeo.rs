@@ -72,6 +72,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         ),
         format: "Houdini classic .bgeo",
         spacing: None,
+        time: None,
     })
 }
 

@@ -1,72 +1,206 @@
-//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part.
+//! DualSPHysics' .bi4 (JBinaryData): the fluid among the particles of one part, which may be in several files.
 //!
 //! A file head of 64 bytes is followed by a tree of items. An item has named values, named arrays and items
 //! below it; each is preceded by the size of its definition. The root's values describe the case, its child
 //! `PART_xxxx` holds one array a quantity. Fixed, moving and floating particles lie in the same arrays: the
 //! fluid are those whose number comes after theirs.
 
+use std::path::{Path, PathBuf};
+
 use crate::particles::AttributeInfo;
 use crate::units::positive_length;
 
-use super::bytes::Bytes;
-use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, open_bytes_within};
+use super::columns::{ColumnStore, Endian, Rows, Scalar};
 use super::cursor::{Cursor, malformed};
-use super::{ParticleFile, ReadFault};
+use super::vertices::columns;
+use super::{ParticleFile, ReadError, ReadFault};
 
 const HEAD: usize = 64;
+/// Rows that are joined at once.
+const ROWS: usize = 1 << 14;
+
+/// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several: `Part_p00_0000.bi4` stands
+/// beside `Part_p01_0000.bi4` and so on.
+///
+/// # Errors
+/// As [`read_particles`], each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
+pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    let fail = |fault| ReadError::new(path, fault);
+    let count = Tree::read(&bytes).map_err(fail)?.case.pieces;
+    if count <= 1 {
+        return read_particles(bytes).map_err(fail);
+    }
+    let name = PieceName::of(path).ok_or_else(|| {
+        let what = format!("one of {count} pieces of a part; their names are like Part_p00_0000.bi4");
+        fail(ReadFault::Unsupported(what))
+    })?;
+    let share = Unpacking { in_memory: unpacking.in_memory / count.saturating_add(1), ..unpacking };
+    let mut pieces = Vec::new();
+    for number in 0..count {
+        let path = name.path(number);
+        let bytes = open_bytes_within(&path, share)?;
+        let piece = Piece::read(&bytes).and_then(|piece| {
+            let said = (piece.case.piece, piece.case.pieces);
+            let expected = (Some(number), count);
+            if said == expected { Ok(piece) } else { Err(misplaced(said, expected)) }
+        });
+        pieces.push((piece.map_err(|fault| ReadError::new(&path, fault))?, bytes, path));
+    }
+    join(pieces, share)
+}
+
+/// Whether a file's name says that it is a piece of a part, and not the first.
+#[must_use]
+pub fn is_later_piece(path: &Path) -> bool {
+    PieceName::of(path).is_some_and(|name| name.number > 0)
+}
+
+fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
+    let words = |(piece, pieces): (Option<u64>, u64)| {
+        format!("piece {} of {pieces}", piece.map_or("?".to_owned(), |piece| piece.to_string()))
+    };
+    malformed(HEAD, format!("{} where {} was expected", words(said), words(expected)))
+}
+
+/// `Part_p00_0000.bi4`, taken apart.
+struct PieceName<'a> {
+    folder: &'a Path,
+    before: &'a str,
+    number: u64,
+    digits: usize,
+    after: &'a str,
+}
+
+impl<'a> PieceName<'a> {
+    fn of(path: &'a Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?;
+        name.rmatch_indices("_p").find_map(|(at, mark)| {
+            let (before, rest) = name.split_at(at + mark.len());
+            let digits = rest.find(|c: char| !c.is_ascii_digit())?;
+            let (number, after) = rest.split_at(digits);
+            let number = number.parse().ok()?;
+            let folder = path.parent().unwrap_or(Path::new(""));
+            after.starts_with('_').then_some(Self { folder, before, number, digits, after })
+        })
+    }
+
+    fn path(&self, number: u64) -> PathBuf {
+        let Self { before, digits, after, .. } = self;
+        self.folder.join(format!("{before}{number:0digits$}{after}"))
+    }
+}
+
+/// The pieces' fluid, one after the other.
+fn join(pieces: Vec<(Piece, Bytes, PathBuf)>, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    let (first, _, path) = &pieces[0];
+    let mut joined = Unpacked::new(unpacking);
+    let (mut position, mut attributes) = (None, Vec::new());
+    for (index, array) in first.arrays.iter().enumerate() {
+        let (scalar, components) = array.shape;
+        let offset = joined.len() as usize;
+        for (piece, bytes, path) in &pieces {
+            let fail = |fault| ReadError::new(path, fault);
+            let same = |other: &&Array| other.name == array.name && other.shape == array.shape;
+            let found = piece.arrays.iter().find(same).filter(|_| piece.endian == first.endian);
+            let found = found.ok_or_else(|| {
+                fail(malformed(HEAD, format!("no array {} as there is in the first piece", array.name)))
+            })?;
+            piece.fluid.pass_on(bytes, found, &mut joined).map_err(fail)?;
+        }
+        let stride = components * scalar.size();
+        let columns = columns(offset, stride, components, scalar, first.endian);
+        if index == first.position {
+            position = columns.try_into().ok();
+        } else {
+            attributes.push((AttributeInfo { name: array.name.clone(), components }, columns));
+        }
+    }
+    let count = pieces.iter().map(|(piece, ..)| piece.fluid.rows.count()).sum();
+    let bytes = joined.finish().map_err(|fault| ReadError::new(path, fault))?;
+    let position = position.expect("found with three");
+    Ok(ParticleFile {
+        particles: ColumnStore::new(bytes, Rows::All(count), position, attributes),
+        format: "DualSPHysics .bi4 in pieces",
+        spacing: first.case.spacing,
+        time: first.case.time,
+    })
+}
 
 /// Reads the tree and picks the fluid; the arrays stay where they are.
 ///
 /// Every array of numbers with one entry a particle becomes an attribute, positions excepted.
 ///
 /// # Errors
-/// [`ReadFault::Unsupported`] for the simulator's other files and for parts in several pieces;
+/// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let Tree { case, arrays, endian } = Tree::read(&bytes)?;
+    let Piece { case, arrays, position, fluid, endian } = Piece::read(&bytes)?;
     if case.pieces > 1 {
-        let what = format!("one of {} pieces of a part; only parts in one piece are read", case.pieces);
+        let what =
+            format!("one of {} pieces of a part; all are read together, from their files", case.pieces);
         return Err(ReadFault::Unsupported(what));
     }
-    let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
-        let array = arrays
-            .iter()
-            .find(|array| names.contains(&array.name.as_str()))
-            .ok_or_else(|| malformed(HEAD, format!("no array {} or {} in the part", names[0], names[1])))?;
-        match array.shape {
-            Some((scalar, width)) if scalars.contains(&scalar) && width == components => Ok((array, scalar)),
-            _ => Err(malformed(array.offset, format!("the array {} is of another type", array.name))),
-        }
-    };
-    let (ids, id_scalar) = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
-    let (position, _) = find(["Pos", "Posd"], [Scalar::F32, Scalar::F64], 3)?;
-    if ids.count != position.count {
-        let what = format!("{} positions for {} particles", position.count, ids.count);
-        return Err(malformed(position.offset, what));
-    }
-    let id_bytes = &bytes[ids.offset..][..ids.count * id_scalar.size()];
-    let fluid = Fluid::pick(id_bytes.chunks_exact(id_scalar.size()), case.boundary()?, endian)?;
-
     let columns = |array: &Array| {
-        let (scalar, components) = array.shape?;
+        let (scalar, components) = array.shape;
         let stride = components * scalar.size();
-        let first = Column { offset: array.offset + fluid.first * stride, stride, scalar, endian };
-        Some((0..components).map(|index| first.component(index)).collect::<Vec<_>>())
+        columns(array.offset + fluid.first * stride, stride, components, scalar, endian)
     };
-    let attributes = arrays
-        .iter()
-        .filter(|array| array.count == ids.count && array.name != position.name)
-        .filter_map(|array| {
-            let columns = columns(array)?;
-            Some((AttributeInfo { name: array.name.clone(), components: columns.len() }, columns))
-        })
-        .collect();
-    let position = columns(position).and_then(|columns| columns.try_into().ok()).expect("found with three");
+    let others = arrays.iter().enumerate().filter(|(index, _)| *index != position);
+    let attributes = others.map(|(_, array)| {
+        let info = AttributeInfo { name: array.name.clone(), components: array.shape.1 };
+        (info, columns(array))
+    });
+    let attributes = attributes.collect();
+    let position = columns(&arrays[position]).try_into().expect("found with three");
     Ok(ParticleFile {
         particles: ColumnStore::new(bytes, fluid.rows, position, attributes),
         format: "DualSPHysics .bi4",
         spacing: case.spacing,
+        time: case.time,
     })
+}
+
+/// The particles of one file.
+struct Piece {
+    case: Case,
+    /// Those with an entry for every particle.
+    arrays: Vec<Array>,
+    /// The number of the array of positions, which has three components.
+    position: usize,
+    fluid: Fluid,
+    endian: Endian,
+}
+
+impl Piece {
+    fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
+        let Tree { case, mut arrays, endian } = Tree::read(bytes)?;
+        let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
+            let array = arrays.iter().find(|array| names.contains(&array.name.as_str()));
+            let array = array.ok_or_else(|| {
+                malformed(HEAD, format!("no array {} or {} in the part", names[0], names[1]))
+            })?;
+            let (scalar, width) = array.shape;
+            if scalars.contains(&scalar) && width == components {
+                Ok(array)
+            } else {
+                Err(malformed(array.offset, format!("the array {} is of another type", array.name)))
+            }
+        };
+        let ids = find(["Idp", "Idpd"], [Scalar::U32, Scalar::U64], 1)?;
+        let position = find(["Pos", "Posd"], [Scalar::F32, Scalar::F64], 3)?;
+        if ids.count != position.count {
+            let what = format!("{} positions for {} particles", position.count, ids.count);
+            return Err(malformed(position.offset, what));
+        }
+        let width = ids.shape.0.size();
+        let id_bytes = &bytes[ids.offset..][..ids.count * width];
+        let fluid = Fluid::pick(id_bytes.chunks_exact(width), case.boundary()?, endian)?;
+        let (count, offset, name) = (ids.count, position.offset, position.name.clone());
+        arrays.retain(|array| array.count == count && (array.name != name || array.offset == offset));
+        let position = arrays.iter().position(|array| array.name == name).expect("found above");
+        Ok(Self { case, arrays, position, fluid, endian })
+    }
 }
 
 /// Which rows of the arrays are fluid: from `first` on, those of `rows`.
@@ -98,6 +232,33 @@ impl Fluid {
     }
 }
 
+impl Fluid {
+    /// Appends the fluid's rows of `array`.
+    fn pass_on(&self, bytes: &Bytes, array: &Array, out: &mut Unpacked) -> Result<(), ReadFault> {
+        let (scalar, components) = array.shape;
+        let stride = components * scalar.size();
+        let start = array.offset + self.first * stride;
+        match &self.rows {
+            Rows::All(count) => {
+                for first in (0..*count).step_by(ROWS) {
+                    let span = start + first * stride..start + (first + ROWS).min(*count) * stride;
+                    out.push(&bytes[span.clone()])?;
+                    bytes.release(span);
+                }
+            }
+            Rows::Chosen(rows) => {
+                for rows in rows.chunks(ROWS) {
+                    let row = |&row: &u32| &bytes[start + row as usize * stride..][..stride];
+                    let chosen: Vec<_> = rows.iter().flat_map(row).copied().collect();
+                    out.push(&chosen)?;
+                }
+                bytes.release(array.offset..array.offset + array.count * stride);
+            }
+        }
+        Ok(())
+    }
+}
+
 /// An unsigned number of up to eight bytes.
 fn number(bytes: &[u8], endian: Endian) -> u64 {
     let push = |number: u64, &byte: &u8| number << 8 | u64::from(byte);
@@ -113,7 +274,9 @@ struct Case {
     /// CaseNfixed, CaseNmoving and CaseNfloat.
     not_fluid: [Option<u64>; 3],
     pieces: u64,
+    piece: Option<u64>,
     spacing: Option<f64>,
+    time: Option<f64>,
 }
 
 impl Case {
@@ -131,10 +294,14 @@ impl Case {
             b"CaseNfixed" => self.not_fluid[0] = whole,
             b"CaseNmoving" => self.not_fluid[1] = whole,
             b"CaseNfloat" => self.not_fluid[2] = whole,
+            b"Piece" => self.piece = whole,
             b"Npiece" => self.pieces = whole.unwrap_or(1),
             b"Dp" if kind.scalar == Some(Scalar::F64) => {
                 let spacing = f64::from_bits(number(value, endian));
                 self.spacing = positive_length("Dp", spacing).ok();
+            }
+            b"TimeStep" if kind.scalar == Some(Scalar::F64) => {
+                self.time = Some(f64::from_bits(number(value, endian))).filter(|time| time.is_finite());
             }
             _ => {}
         }
@@ -144,8 +311,8 @@ impl Case {
 /// An array of the part, checked to lie within the file.
 struct Array {
     name: String,
-    /// Type and number of components; None for an array that is not of numbers.
-    shape: Option<(Scalar, usize)>,
+    /// Type and number of components.
+    shape: (Scalar, usize),
     count: usize,
     offset: usize,
 }
@@ -236,9 +403,7 @@ impl Tree {
         }
         for _ in 0..arrays {
             let array = Array::read(cursor, wide)?;
-            if is_part {
-                self.arrays.push(array);
-            }
+            self.arrays.extend(array.filter(|_| is_part));
         }
         Ok(items.into())
     }
@@ -259,7 +424,8 @@ impl Tree {
 }
 
 impl Array {
-    fn read(cursor: &mut Cursor, wide: bool) -> Result<Self, ReadFault> {
+    /// None for an array that is not of numbers.
+    fn read(cursor: &mut Cursor, wide: bool) -> Result<Option<Self>, ReadFault> {
         cursor.u32("an array's size")?;
         tag(cursor, b"\nARRAY")?;
         let name = String::from_utf8_lossy(text(cursor, "an array's name")?).into_owned();
@@ -274,8 +440,12 @@ impl Array {
             return Err(malformed(at, format!("the array {name} of {count} entries has {bytes} bytes")));
         }
         let offset = cursor.skip(&format!("the array {name}"), bytes, 1)?;
-        let shape = kind.scalar.map(|scalar| (scalar, kind.components));
-        Ok(Self { name, shape, count: count as usize, offset })
+        Ok(kind.scalar.map(|scalar| Self {
+            name,
+            shape: (scalar, kind.components),
+            count: count as usize,
+            offset,
+        }))
     }
 }
 

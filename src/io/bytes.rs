@@ -221,13 +221,18 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     if !bytes.starts_with(&[0x1f, 0x8b]) {
         return Ok(bytes);
     }
-    let limit = (GREATEST_RATIO * bytes.len() as u64).max(ALWAYS_UNPACKED);
+    let limit = unpacked_limit(bytes.len() as u64);
     match bytes {
         // Read from the file, its pages never count as this process's.
         Bytes::Mapped(_) => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking),
         packed => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking),
     }
     .map_err(fail)
+}
+
+/// What a file of `packed` bytes may unpack to.
+pub(super) fn unpacked_limit(packed: u64) -> u64 {
+    packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }
 
 /// Unpacks up to `limit` bytes.

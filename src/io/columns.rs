@@ -80,6 +80,17 @@ pub enum Rows {
     Chosen(Vec<u32>),
 }
 
+impl Rows {
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        match self {
+            Self::All(count) => *count,
+            Self::Chosen(rows) => rows.len(),
+        }
+    }
+}
+
 impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     /// Joins columns to the bytes that hold them. Of attributes with one name the first is kept.
     ///
@@ -175,10 +186,7 @@ impl ColumnStore {
 
 impl<B: ByteStore> Particles for ColumnStore<B> {
     fn len(&self) -> usize {
-        match &self.rows {
-            Rows::All(count) => *count,
-            Rows::Chosen(rows) => rows.len(),
-        }
+        self.rows.count()
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {

@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
-use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, ply, vtk, xyz};
+use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
-pub const KNOWN: &str =
-    ".bgeo, .bhclassic, .bi4, .csv, .npy, .ply, .txt, .vtk, .xyz, and .gz after any of them";
+pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them";
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -18,7 +17,11 @@ pub const KNOWN: &str =
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let reader = reader_for(path).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
-    reader(open_bytes_within(path, unpacking)?, unpacking).map_err(fail)
+    let bytes = open_bytes_within(path, unpacking)?;
+    match reader {
+        Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
+        Reader::Pieces(open) => open(path, bytes, unpacking),
+    }
 }
 
 /// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
@@ -28,9 +31,10 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let has_faces = match extension(path).as_deref() {
-        Some("obj" | "stl" | "vtp") => return Ok(true),
+        Some("obj" | "stl") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
+        Some("vtp") => vtp::has_faces,
         _ => return Ok(false),
     };
     has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
@@ -43,18 +47,24 @@ fn extension(path: &Path) -> Option<String> {
     Some(extension.to_owned())
 }
 
-type Reader = fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>;
+enum Reader {
+    OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
+    /// The file may be one of several.
+    Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
+}
 
 fn reader_for(path: &Path) -> Option<Reader> {
-    match extension(path)?.as_str() {
+    Some(Reader::OneFile(match extension(path)?.as_str() {
         // `.bgeo.sc` is recognised to say what to do instead.
-        "bgeo" | "bhclassic" | "sc" => Some(|bytes, _| bgeo::read_particles(bytes)),
-        "bi4" => Some(|bytes, _| bi4::read_particles(bytes)),
-        "csv" | "txt" => Some(xyz::read_text),
-        "npy" => Some(|bytes, _| npy::read_particles(bytes)),
-        "ply" => Some(ply::read_particles),
-        "vtk" => Some(vtk::read_particles),
-        "xyz" => Some(xyz::read_particles),
-        _ => None,
-    }
+        "bgeo" | "bhclassic" | "sc" => |bytes, _| bgeo::read_particles(bytes),
+        "bi4" => return Some(Reader::Pieces(bi4::open_particles)),
+        "csv" | "txt" => xyz::read_text,
+        "npy" => |bytes, _| npy::read_particles(bytes),
+        "npz" => npz::read_particles,
+        "ply" => ply::read_particles,
+        "vtk" => vtk::read_particles,
+        "vtp" | "vtu" => vtp::read_particles,
+        "xyz" => xyz::read_particles,
+        _ => return None,
+    }))
 }

@@ -10,6 +10,7 @@ pub mod input;
 pub mod mnf;
 pub mod names;
 pub mod npy;
+pub mod npz;
 pub mod obj;
 pub mod output;
 pub mod ply;
@@ -38,6 +39,8 @@ pub struct ParticleFile {
     pub format: &'static str,
     /// The spacing of the particles, where the file says it.
     pub spacing: Option<f64>,
+    /// The simulation's time in seconds, where the file says it.
+    pub time: Option<f64>,
 }
 
 /// How wide a mesh file's coordinates are, where its format leaves the choice.

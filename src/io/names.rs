@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 /// What a position may be called, the likeliest first. The empty name is that of plain `x`, `y`, `z`.
-const POSITION: [&str; 10] =
-    ["", "points", "point", "pos", "position", "positions", "p", "coordinates", "coords", "coord"];
+const POSITION: [&str; 11] =
+    ["", "points", "point", "pos", "position", "positions", "p", "coordinates", "coords", "coord", "x"];
 
 /// One quantity of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -5,7 +5,8 @@ use std::ops::{ControlFlow, Range};
 use rayon::prelude::*;
 
 use super::ReadFault;
-use super::bytes::ByteStore;
+use super::bytes::{ByteStore, Unpacked};
+use super::scan::Scanner;
 
 /// Bytes of a piece, at the least.
 const PIECE: usize = 1 << 16;
@@ -45,4 +46,31 @@ pub(super) fn decode_pieces<T: Send>(
         start = at;
     }
     Ok(())
+}
+
+/// Appends the numbers of a `text` within `source` as little-endian f64.
+///
+/// # Errors
+/// [`ReadFault::Line`] for what is no number, and those of [`Unpacked::push`].
+pub(super) fn decode_numbers(
+    source: &dyn ByteStore,
+    text: Range<usize>,
+    out: &mut Unpacked,
+) -> Result<(), ReadFault> {
+    let decode = |words: Range<usize>| {
+        let mut scan = Scanner::new(&source[..words.end], words.start);
+        let mut numbers = Vec::new();
+        loop {
+            scan.skip_whitespace();
+            if scan.rest().is_empty() {
+                return Ok(numbers);
+            }
+            numbers.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
+        }
+    };
+    let is_end = |byte: u8| byte.is_ascii_whitespace();
+    decode_pieces(source, text, is_end, decode, |numbers: Result<Vec<u8>, ReadFault>| {
+        out.push(&numbers?)?;
+        Ok(ControlFlow::Continue(()))
+    })
 }

@@ -25,7 +25,7 @@ impl Vertices {
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.unwrap_or(bytes);
         let particles = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
-        ParticleFile { particles, format, spacing: None }
+        ParticleFile { particles, format, spacing: None, time: None }
     }
 
     /// The vertices of a mesh.

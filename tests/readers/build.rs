@@ -1,9 +1,13 @@
 //! Files of every binary layout, written byte by byte from the formats' descriptions.
 
-use std::io::Write;
+use std::io::{Cursor, Write};
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
 use flate2::Compression;
-use flate2::write::GzEncoder;
+use flate2::write::{GzEncoder, ZlibEncoder};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
 
 /// Positions that an f32 holds exactly, no two coordinates alike.
 pub fn tuples(count: usize) -> Vec<[f64; 3]> {
@@ -43,6 +47,175 @@ pub fn npy(points: &[[f64; 3]], descr: &str, fortran: bool) -> Vec<u8> {
         }
     }
     bytes
+}
+
+/// Arrays in a zip archive.
+pub fn npz(arrays: &[(&str, Vec<u8>)], compression: CompressionMethod) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, array) in arrays {
+        let options = SimpleFileOptions::default().compression_method(compression);
+        archive.start_file(format!("{name}.npy"), options).expect("memory takes all");
+        archive.write_all(array).expect("memory takes all");
+    }
+    archive.finish().expect("memory takes all").into_inner()
+}
+
+/// The positions, twice as large velocities, and ids, beside an array that is none of the particles'.
+pub fn npz_frame(points: &[[f64; 3]], compression: CompressionMethod) -> Vec<u8> {
+    let doubled: Vec<_> = points.iter().map(|p| p.map(|x| 2.0 * x)).collect();
+    let mut ids = npy_header("<i4", false, &format!("({},)", points.len()));
+    ids.extend((0..points.len() as i32).flat_map(i32::to_le_bytes));
+    let arrays = [
+        ("vel", npy(&doubled, "<f4", true)),
+        ("pos", npy(points, "<f8", false)),
+        ("id", ids),
+        ("dt", npy_header("<f8", false, "()").into_iter().chain([0; 8]).collect()),
+        ("names", npy_header("<U1", false, "(2,)").into_iter().chain([0; 8]).collect()),
+    ];
+    npz(&arrays, compression)
+}
+
+/// Where a .vtu or .vtp has its numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Placed {
+    Ascii,
+    Base64,
+    AppendedRaw,
+    AppendedBase64,
+}
+
+/// How a .vtu or .vtp is laid out.
+#[derive(Clone, Copy, Debug)]
+pub struct VtkXml {
+    pub placed: Placed,
+    pub zlib: bool,
+    pub big: bool,
+    pub wide: bool,
+}
+
+impl VtkXml {
+    pub fn all() -> Vec<Self> {
+        let mut all = Vec::new();
+        for placed in [Placed::Ascii, Placed::Base64, Placed::AppendedRaw, Placed::AppendedBase64] {
+            for zlib in [false, true] {
+                for big in [false, true] {
+                    all.extend([false, true].map(|wide| Self { placed, zlib, big, wide }));
+                }
+            }
+        }
+        all
+    }
+
+    /// Points with ids and twice as large velocities, at time 1.5.
+    pub fn build(self, points: &[[f64; 3]]) -> Vec<u8> {
+        let mut appended = Vec::new();
+        let mut array = |what: &str, kind: &str, numbers: &[f64]| {
+            let mut element = format!("<DataArray type=\"{kind}\" {what} ");
+            let stored: Vec<u8> = numbers.iter().flat_map(|&x| self.number(kind, x)).collect();
+            element += &match self.placed {
+                Placed::Ascii => {
+                    let text: Vec<_> = numbers.iter().map(f64::to_string).collect();
+                    format!("format=\"ascii\">\n{}\n</DataArray>", text.join(" "))
+                }
+                Placed::Base64 => {
+                    format!("format=\"binary\">\n  {}\n</DataArray>", self.base64(&stored))
+                }
+                placed => {
+                    let offset = appended.len();
+                    match placed {
+                        Placed::AppendedRaw => appended.extend(self.packed(&stored).concat()),
+                        _ => appended.extend(self.base64(&stored).into_bytes()),
+                    }
+                    format!("format=\"appended\" offset=\"{offset}\"/>")
+                }
+            };
+            element
+        };
+        let flat = points.as_flattened();
+        let doubled: Vec<_> = flat.iter().map(|x| 2.0 * x).collect();
+        let ids: Vec<_> = (0..points.len()).map(|id| id as f64).collect();
+        let connectivity = array("Name=\"connectivity\"", "Int64", &ids);
+        let time = array("Name=\"TimeValue\" NumberOfTuples=\"1\"", "Float64", &[1.5]);
+        let velocity = array("Name=\"velocity\" NumberOfComponents=\"3\"", "Float32", &doubled);
+        let id = array("Name=\"id\"", "Int32", &ids);
+        let position = array("Name=\"Points\" NumberOfComponents=\"3\"", "Float32", flat);
+        let compressor = if self.zlib { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
+        let mut bytes = format!(
+            "<?xml version=\"1.0\"?>\n\
+             <VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"{}Endian\" \
+             header_type=\"UInt{}\"{compressor}>\n\
+             <UnstructuredGrid><FieldData>{time}</FieldData>\n\
+             <Piece NumberOfPoints=\"{count}\" NumberOfCells=\"{count}\">\n\
+             <PointData Vectors=\"velocity\">{velocity}\n{id}</PointData>\n\
+             <Points>{position}</Points>\n\
+             <Cells>{connectivity}</Cells>\n\
+             </Piece></UnstructuredGrid>",
+            if self.big { "Big" } else { "Little" },
+            if self.wide { 64 } else { 32 },
+            count = points.len(),
+        )
+        .into_bytes();
+        match self.placed {
+            Placed::AppendedRaw => bytes.extend(b"<AppendedData encoding=\"raw\">\n _"),
+            Placed::AppendedBase64 => bytes.extend(b"<AppendedData encoding=\"base64\">_"),
+            Placed::Ascii | Placed::Base64 => {}
+        }
+        if !appended.is_empty() {
+            bytes.extend(appended);
+            bytes.extend(b"\n</AppendedData>");
+        }
+        bytes.extend(b"</VTKFile>\n");
+        bytes
+    }
+
+    fn number(self, kind: &str, x: f64) -> Vec<u8> {
+        let mut bytes = match kind {
+            "Float32" => (x as f32).to_le_bytes().to_vec(),
+            "Float64" => x.to_le_bytes().to_vec(),
+            "Int32" => (x as i32).to_le_bytes().to_vec(),
+            _ => (x as i64).to_le_bytes().to_vec(),
+        };
+        if self.big {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// The header, and the data as they follow it.
+    fn packed(self, data: &[u8]) -> [Vec<u8>; 2] {
+        const BLOCK: usize = 32;
+        if !self.zlib {
+            return [self.length(data.len()), data.to_vec()];
+        }
+        let blocks: Vec<Vec<u8>> = data
+            .chunks(BLOCK)
+            .map(|block| {
+                let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+                encoder.write_all(block).expect("memory takes all");
+                encoder.finish().expect("memory takes all")
+            })
+            .collect();
+        let lengths = [blocks.len(), BLOCK, data.len() % BLOCK];
+        let lengths = lengths.into_iter().chain(blocks.iter().map(Vec::len));
+        [lengths.flat_map(|length| self.length(length)).collect(), blocks.concat()]
+    }
+
+    /// A compressed array's header is encoded on its own.
+    fn base64(self, data: &[u8]) -> String {
+        let [header, data] = self.packed(data);
+        match self.zlib {
+            true => BASE64_STANDARD.encode(header) + &BASE64_STANDARD.encode(data),
+            false => BASE64_STANDARD.encode([header, data].concat()),
+        }
+    }
+
+    fn length(self, length: usize) -> Vec<u8> {
+        let mut bytes = (length as u64).to_le_bytes()[..if self.wide { 8 } else { 4 }].to_vec();
+        if self.big {
+            bytes.reverse();
+        }
+        bytes
+    }
 }
 
 /// Attributes id, v, an indexed string, uv, and a second v. No bytes after the points, so that none can be spared.
@@ -96,6 +269,8 @@ pub struct Bi4 {
     /// Boundary and fluid take turns, where else the boundary comes first.
     pub mixed: bool,
     pub pieces: u32,
+    /// The number of this one.
+    pub piece: u32,
 }
 
 impl Bi4 {
@@ -112,6 +287,7 @@ impl Bi4 {
         }
         values.push(("CaseName", 1, self.text("Dam")));
         values.push(("NpDynamic", 2, self.u32(0)));
+        values.push(("Piece", 8, self.u32(self.piece)));
         values.push(("Npiece", 8, self.u32(self.pieces)));
         values.push(("Dp", 12, self.u64(0.25f64.to_bits())));
         head.extend(self.item("JPartDataBi4", 0, 1, &self.values(&values)));

@@ -1,11 +1,9 @@
 //! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
 
-use std::ops::{ControlFlow, Range};
-
 use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Scanner, malformed};
-use crate::io::text::decode_pieces;
+use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault};
 use crate::mesh::Mesh;
@@ -96,7 +94,7 @@ fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Re
             return Ok(columns(at, components * scalar.size(), components, scalar, Endian::Big));
         }
         let offset = decoded.len() as usize;
-        decode(source, array, &mut decoded)?;
+        decode_numbers(source, array.at..array.end, &mut decoded)?;
         Ok(columns(offset, components * Scalar::F64.size(), components, Scalar::F64, Endian::Little))
     };
     let position = place(&layout.points)?;
@@ -111,26 +109,6 @@ fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Re
         position: [position[0], position[1], position[2]],
         attributes,
         normals: layout.normals,
-    })
-}
-
-/// Appends an array of text as little-endian f64.
-fn decode(source: &dyn ByteStore, array: &Array, out: &mut Unpacked) -> Result<(), ReadFault> {
-    let decode = |words: Range<usize>| {
-        let mut scan = Scanner::new(source, words.start);
-        let mut numbers = Vec::new();
-        loop {
-            scan.skip_whitespace();
-            if scan.at() >= words.end {
-                return Ok(numbers);
-            }
-            numbers.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
-        }
-    };
-    let is_end = |byte: u8| byte.is_ascii_whitespace();
-    decode_pieces(source, array.at..array.end, is_end, decode, |numbers: Result<Vec<u8>, ReadFault>| {
-        out.push(&numbers?)?;
-        Ok(ControlFlow::Continue(()))
     })
 }
 

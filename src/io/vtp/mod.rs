@@ -1,13 +1,15 @@
-//! .vtp: PolyData in VTK's XML, the numbers behind it as they are ("appended raw").
+//! VTK's XML: .vtp (PolyData: particles or a mesh) and .vtu (UnstructuredGrid: particles), the numbers in the XML
+//! or behind it.
 //!
-//! Each array is named in the XML with its type and where it lies; after `<AppendedData encoding="raw">` and an
-//! underscore come its length in bytes and its numbers. What other programs write is read as far as it is
-//! appended raw or text; compressed and base64 data are refused by name.
+//! Each array is named in the XML with its type and where it lies: as text, in base64, or after `<AppendedData>` and
+//! an underscore, raw or in base64; all but text may be compressed by zlib, block by block. A mesh is written raw.
 
+mod data;
+mod layout;
 mod read;
 mod write;
 
-pub use read::read_mesh;
+pub use read::{has_faces, read_mesh, read_particles};
 pub use write::write_mesh;
 
 /// What the array of normals is called.

@@ -1,0 +1,366 @@
+//! The arrays' data: text, or a header of lengths and numbers, which may be in base64, compressed, or both.
+//!
+//! Plain data follow their length in bytes. Compressed data follow the number of their blocks, a block's size, the
+//! size of a last block that is smaller (0 if none is) and each block's compressed size.
+
+use std::io::{self, Read};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use flate2::read::ZlibDecoder;
+
+use crate::io::ReadFault;
+use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking, unpacked_limit};
+use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::scan::{Scanner, malformed};
+use crate::io::text::decode_numbers;
+use crate::io::vertices::{columns, integer};
+
+use super::layout::{Array, Data, Layout, Packing};
+
+/// Bytes that are decoded at once.
+const CHUNK: usize = 1 << 16;
+/// Bytes that are passed before their memory is given back.
+const PASSED: usize = 1 << 20;
+
+/// Decodes the arrays of a file, one after the other.
+pub(super) struct Decoder<'a> {
+    layout: &'a Layout<'a>,
+    /// What is not read where it lies.
+    unpacked: Unpacked<'a>,
+    /// Bytes that may yet be decoded: arrays can name the same data, and a small file ask for much memory.
+    allowance: u64,
+}
+
+impl<'a> Decoder<'a> {
+    pub fn new(layout: &'a Layout<'a>, unpacking: Unpacking<'a>) -> Self {
+        let allowance = unpacked_limit(layout.bytes.len() as u64);
+        Self { layout, unpacked: Unpacked::new(unpacking), allowance }
+    }
+
+    /// Columns over the points, in the file or in what [`finish`](Self::finish) returns.
+    pub fn columns(&mut self, arrays: &[&Array]) -> Result<Vec<Vec<Column>>, ReadFault> {
+        let is_raw = |array: &&Array| matches!(array.data, Data::Raw(_));
+        if self.layout.packing == Packing::Plain && arrays.iter().all(is_raw) {
+            return self.in_place(arrays);
+        }
+        arrays.iter().map(|array| self.unpack(array)).collect()
+    }
+
+    fn in_place(&self, arrays: &[&Array]) -> Result<Vec<Vec<Column>>, ReadFault> {
+        let mut claimed = 0;
+        let mut all = Vec::new();
+        for array in arrays {
+            let &&Array { scalar, components, .. } = array;
+            let span = Stored { layout: self.layout, array }.raw_span()?;
+            let expected = self.expected_bytes(array)?;
+            if span.len() as u64 != expected {
+                return Err(self.wrong_count(array));
+            }
+            claimed += expected;
+            if claimed > self.layout.bytes.len() as u64 {
+                let what = format!("array {} shares its data with others", array.name);
+                return Err(malformed(span.start, what));
+            }
+            let stride = components * scalar.size();
+            all.push(columns(span.start, stride, components, scalar, self.layout.endian));
+        }
+        Ok(all)
+    }
+
+    fn unpack(&mut self, array: &Array) -> Result<Vec<Column>, ReadFault> {
+        let expected = self.expected_bytes(array)?;
+        let offset = self.unpacked.len();
+        let (scalar, endian) = if let Data::Text(text) = &array.data {
+            decode_numbers(self.layout.bytes, text.clone(), &mut self.unpacked)?;
+            let count = (self.unpacked.len() - offset) / Scalar::F64.size() as u64;
+            if count.checked_mul(array.scalar.size() as u64) != Some(expected) {
+                return Err(self.wrong_count(array));
+            }
+            (Scalar::F64, Endian::Little)
+        } else {
+            let stored = Stored { layout: self.layout, array };
+            let out = &mut self.unpacked;
+            stored.read(Some(expected), &mut self.allowance, &mut |chunk| out.push(chunk))?;
+            (array.scalar, self.layout.endian)
+        };
+        let stride = array.components * scalar.size();
+        Ok(columns(offset as usize, stride, array.components, scalar, endian))
+    }
+
+    /// Of values for every point.
+    fn expected_bytes(&self, array: &Array) -> Result<u64, ReadFault> {
+        let values = self.layout.points.checked_mul(array.components).filter(|values| *values > 0);
+        let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
+        bytes.map(|bytes| bytes as u64).ok_or_else(|| self.wrong_count(array))
+    }
+
+    fn wrong_count(&self, array: &Array) -> ReadFault {
+        array.wrong_count(self.layout.points)
+    }
+
+    /// What was decoded for columns; nothing where they are all in the file.
+    pub fn finish(self) -> Result<Option<Bytes>, ReadFault> {
+        if self.unpacked.is_empty() { Ok(None) } else { self.unpacked.finish().map(Some) }
+    }
+
+    /// All numbers of an array of integers.
+    pub fn integers(&mut self, array: &Array) -> Result<Vec<i64>, ReadFault> {
+        if let Data::Text(text) = &array.data {
+            return numbers(&self.layout.bytes[..text.end], text.start);
+        }
+        let bytes = self.whole(array)?;
+        let whole = bytes.chunks_exact(array.scalar.size());
+        let numbers: Option<_> =
+            whole.map(|number| integer(array.scalar, self.layout.endian, number)).collect();
+        numbers.ok_or_else(|| malformed(array.place(), format!("array {} holds no integers", array.name)))
+    }
+
+    /// The one number of an array; none of another type than a double.
+    pub fn double(&mut self, array: &Array) -> Result<Option<f64>, ReadFault> {
+        if let Data::Text(text) = &array.data {
+            return Ok(numbers(&self.layout.bytes[..text.end], text.start)?.first().copied());
+        }
+        let bytes = self.whole(array)?;
+        let double = bytes.first_chunk().filter(|_| array.scalar == Scalar::F64);
+        Ok(double.map(|&bytes| match self.layout.endian {
+            Endian::Little => f64::from_le_bytes(bytes),
+            Endian::Big => f64::from_be_bytes(bytes),
+        }))
+    }
+
+    fn whole(&mut self, array: &Array) -> Result<Vec<u8>, ReadFault> {
+        let mut bytes = Vec::new();
+        let stored = Stored { layout: self.layout, array };
+        stored.read(None, &mut self.allowance, &mut |chunk| {
+            bytes.extend_from_slice(chunk);
+            Ok(())
+        })?;
+        Ok(bytes)
+    }
+}
+
+/// The numbers of a text from byte `at` on.
+fn numbers<T: std::str::FromStr>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> {
+    let mut scan = Scanner::new(text, at);
+    let mut numbers = Vec::new();
+    loop {
+        scan.skip_whitespace();
+        if scan.rest().is_empty() {
+            return Ok(numbers);
+        }
+        numbers.push(scan.number()?);
+    }
+}
+
+type Take<'t> = dyn FnMut(&[u8]) -> Result<(), ReadFault> + 't;
+
+/// An array that is not text.
+struct Stored<'a> {
+    layout: &'a Layout<'a>,
+    array: &'a Array,
+}
+
+impl Stored<'_> {
+    /// Passes the numbers' bytes on in pieces, if they are as many as `expected` and the `allowance` bears them.
+    fn read(&self, expected: Option<u64>, allowance: &mut u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
+        let mut stream: Box<dyn Read> = match self.array.data {
+            Data::Base64(ref text) => {
+                Box::new(Base64 { text: self.ahead(text.start, text.end), plain: Vec::new(), given: 0 })
+            }
+            _ => Box::new(self.ahead(self.array.place(), self.layout.bytes.len())),
+        };
+        let mut claim = |bytes: Option<u64>| match bytes {
+            Some(bytes) if expected.is_some_and(|expected| bytes != expected) => {
+                Err(self.array.wrong_count(self.layout.points))
+            }
+            Some(bytes) if bytes <= *allowance => {
+                *allowance -= bytes;
+                Ok(bytes)
+            }
+            _ => {
+                let what = format!("array {} unpacks to more than is reasonable", self.array.name);
+                Err(ReadFault::Compression(what))
+            }
+        };
+        match self.layout.packing {
+            Packing::Plain => {
+                // Where nothing is encoded, what is missing can be told in bytes.
+                if let Data::Raw(_) = self.array.data {
+                    self.raw_span()?;
+                }
+                let length = claim(Some(self.number(&mut stream)?))?;
+                self.pass_on(&mut stream, length, take)
+            }
+            Packing::Zlib => {
+                let count = self.number(&mut stream)?;
+                let block = self.number(&mut stream)?;
+                let last = self.number(&mut stream)?;
+                let full = if last == 0 { count } else { count.saturating_sub(1) };
+                claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
+                // As many as the file has lengths for.
+                let mut packed = Vec::new();
+                for _ in 0..count {
+                    packed.push(self.number(&mut stream)?);
+                }
+                for (number, packed) in (0..).zip(packed) {
+                    let mut packed = stream.by_ref().take(packed);
+                    self.unpack(&mut packed, if number < full { block } else { last }, take)?;
+                    io::copy(&mut packed, &mut io::sink()).map_err(|e| self.fault(&e))?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// One block, which must hold `length` bytes.
+    fn unpack(&self, packed: &mut dyn Read, length: u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
+        let damaged = |what: String| ReadFault::Compression(format!("array {}: {what}", self.array.name));
+        let mut plain = ZlibDecoder::new(packed);
+        let mut chunk = Vec::new();
+        let mut left = length;
+        loop {
+            chunk.clear();
+            let most = left.min(CHUNK as u64) + 1;
+            plain.by_ref().take(most).read_to_end(&mut chunk).map_err(|e| damaged(e.to_string()))?;
+            let Some(rest) = left.checked_sub(chunk.len() as u64) else {
+                return Err(damaged(format!("a block of more than {length} bytes")));
+            };
+            if chunk.is_empty() {
+                break;
+            }
+            take(&chunk)?;
+            left = rest;
+        }
+        if left > 0 { Err(damaged(format!("a block of less than {length} bytes"))) } else { Ok(()) }
+    }
+
+    fn pass_on(&self, stream: &mut dyn Read, length: u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
+        let mut chunk = vec![0; length.min(CHUNK as u64) as usize];
+        let mut left = length;
+        while left > 0 {
+            let some = &mut chunk[..left.min(CHUNK as u64) as usize];
+            stream.read_exact(some).map_err(|e| self.fault(&e))?;
+            take(some)?;
+            left -= some.len() as u64;
+        }
+        Ok(())
+    }
+
+    /// A length in the header.
+    fn number(&self, stream: &mut dyn Read) -> Result<u64, ReadFault> {
+        let mut bytes = [0; 8];
+        let bytes = &mut bytes[..self.layout.header.size()];
+        stream.read_exact(bytes).map_err(|e| self.fault(&e))?;
+        let number = integer(self.layout.header, self.layout.endian, bytes);
+        Ok(number.and_then(|number| u64::try_from(number).ok()).unwrap_or(u64::MAX))
+    }
+
+    fn fault(&self, fault: &io::Error) -> ReadFault {
+        let Array { name, .. } = self.array;
+        let what = match fault.kind() {
+            io::ErrorKind::UnexpectedEof => format!("array {name} has less data than it says"),
+            _ => format!("array {name}: {fault}"),
+        };
+        malformed(self.array.place(), what)
+    }
+
+    /// Where the numbers of an array lie that is neither encoded nor compressed.
+    fn raw_span(&self) -> Result<std::ops::Range<usize>, ReadFault> {
+        let Layout { bytes, header, endian, .. } = self.layout;
+        let have = bytes.len() as u64;
+        let what = || format!("array {}", self.array.name);
+        let truncated = |needed| ReadFault::Truncated { what: what(), needed, have };
+        let Data::Raw(at) = self.array.data else { return Err(malformed(self.array.place(), what())) };
+        let start = at.saturating_add(header.size() as u64);
+        if start > have {
+            return Err(truncated(start));
+        }
+        let length = integer(*header, *endian, &bytes[at as usize..start as usize]);
+        let length = length.and_then(|length| u64::try_from(length).ok()).unwrap_or(u64::MAX);
+        let end = start.saturating_add(length);
+        if end > have { Err(truncated(end)) } else { Ok(start as usize..end as usize) }
+    }
+
+    fn ahead(&self, at: usize, end: usize) -> Ahead<'_> {
+        let at = at.min(end);
+        Ahead { bytes: self.layout.bytes, at, end, held: at }
+    }
+}
+
+/// What lies ahead in the file; the memory of what is passed is given back.
+struct Ahead<'a> {
+    bytes: &'a dyn ByteStore,
+    at: usize,
+    end: usize,
+    held: usize,
+}
+
+impl<'a> Ahead<'a> {
+    fn rest(&self) -> &'a [u8] {
+        &self.bytes[self.at..self.end]
+    }
+
+    fn pass(&mut self, count: usize) {
+        self.at += count;
+        if self.at - self.held >= PASSED {
+            self.bytes.release(self.held..self.at);
+            self.held = self.at;
+        }
+    }
+}
+
+impl Read for Ahead<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let count = self.rest().read(out)?;
+        self.pass(count);
+        Ok(count)
+    }
+}
+
+/// Decodes base64 with white space anywhere. Padding may end any group of four: a header that was encoded on its
+/// own has one before the data.
+struct Base64<'a> {
+    text: Ahead<'a>,
+    plain: Vec<u8>,
+    given: usize,
+}
+
+impl Base64<'_> {
+    fn decode(&mut self) -> io::Result<()> {
+        let rest = self.text.rest();
+        let rest = &rest[..rest.len().min(CHUNK)];
+        let is_code = |&byte: &u8| byte != b'=' && !byte.is_ascii_whitespace();
+        let codes = rest.iter().position(|byte| !is_code(byte)).unwrap_or(rest.len()) / 4 * 4;
+        let mut group = Vec::new();
+        let (codes, passed) = if codes > 0 {
+            (&rest[..codes], codes)
+        } else {
+            let mut passed = 0;
+            while group.len() < 4
+                && let Some(&byte) = self.text.rest().get(passed)
+            {
+                passed += 1;
+                group.extend(Some(byte).filter(|byte| !byte.is_ascii_whitespace()));
+            }
+            (&group[..], passed)
+        };
+        self.plain.clear();
+        self.given = 0;
+        let damaged = |e: base64::DecodeError| io::Error::new(io::ErrorKind::InvalidData, e.to_string());
+        BASE64_STANDARD.decode_vec(codes, &mut self.plain).map_err(damaged)?;
+        self.text.pass(passed);
+        Ok(())
+    }
+}
+
+impl Read for Base64<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while self.given == self.plain.len() && !self.text.rest().is_empty() {
+            self.decode()?;
+        }
+        let count = (&self.plain[self.given..]).read(out)?;
+        self.given += count;
+        Ok(count)
+    }
+}

@@ -1,0 +1,312 @@
+//! What the XML says: which arrays there are, of what, and where their data lie.
+
+use std::ops::Range;
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use crate::io::ReadFault;
+use crate::io::bytes::ByteStore;
+use crate::io::columns::{Endian, Scalar};
+use crate::io::scan::{Scanner, malformed};
+
+/// What a file's time is called.
+pub(super) const TIME: &str = "TimeValue";
+
+/// Which part of the file an array belongs to.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Section {
+    FieldData,
+    PointData,
+    Points,
+    Polys,
+}
+
+/// An array, as the XML has it.
+pub(super) struct Array {
+    pub section: Section,
+    pub name: String,
+    pub scalar: Scalar,
+    pub components: usize,
+    pub data: Data,
+}
+
+/// Where an array's data are, from the start of the file.
+pub(super) enum Data {
+    /// Numbers in decimal.
+    Text(Range<usize>),
+    /// A header of lengths and the numbers, within this text.
+    Base64(Range<usize>),
+    /// The same as they are, from this byte on.
+    Raw(u64),
+    /// At this offset of data that have not been found yet.
+    Appended(u64),
+}
+
+impl Array {
+    /// A byte to name in messages.
+    pub fn place(&self) -> usize {
+        match &self.data {
+            Data::Text(text) | Data::Base64(text) => text.start,
+            Data::Raw(at) | Data::Appended(at) => *at as usize,
+        }
+    }
+
+    /// It has not a value for each of so many points.
+    pub fn wrong_count(&self, points: usize) -> ReadFault {
+        let Self { name, components, .. } = self;
+        let what = format!("array {name} is not of {components} numbers for each of {points} points");
+        malformed(self.place(), what)
+    }
+}
+
+/// What the XML says.
+pub(super) struct Layout<'a> {
+    pub bytes: &'a dyn ByteStore,
+    pub data_set: DataSet,
+    pub endian: Endian,
+    /// Type of the lengths before an array's data.
+    pub header: Scalar,
+    pub packing: Packing,
+    pub points: usize,
+    pub polygons: usize,
+    pub strips: usize,
+    pub normals: Option<String>,
+    pub arrays: Vec<Array>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum DataSet {
+    PolyData,
+    UnstructuredGrid,
+}
+
+/// How the data that are not text are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Packing {
+    Plain,
+    /// In blocks, each a zlib stream.
+    Zlib,
+}
+
+impl<'a> Layout<'a> {
+    pub fn parse(bytes: &'a dyn ByteStore) -> Result<Self, ReadFault> {
+        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+            return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
+        }
+        let mut xml = Reader::from_reader(&**bytes);
+        let mut layout = Layout {
+            bytes,
+            data_set: DataSet::PolyData,
+            endian: Endian::Little,
+            header: Scalar::U32,
+            packing: Packing::Plain,
+            points: 0,
+            polygons: 0,
+            strips: 0,
+            normals: None,
+            arrays: Vec::new(),
+        };
+        let mut pieces = 0;
+        let mut section = None;
+        let mut seen_root = false;
+        loop {
+            let at = xml.buffer_position() as usize;
+            let event = xml
+                .read_event()
+                .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
+            let behind = xml.buffer_position() as usize;
+            bytes.release(at..behind);
+            let (tag, is_empty) = match &event {
+                Event::Start(tag) => (tag, false),
+                Event::Empty(tag) => (tag, true),
+                Event::End(end) => {
+                    if section_named(end.name().as_ref()).is_some() {
+                        section = None;
+                    }
+                    continue;
+                }
+                Event::Eof if layout.arrays.iter().any(|array| matches!(array.data, Data::Appended(_))) => {
+                    return Err(malformed(at, "no <AppendedData>"));
+                }
+                Event::Eof => break,
+                _ => continue,
+            };
+            let tag = Tag { tag, at };
+            match (tag.tag.name().as_ref(), section) {
+                ("VTKFile", _) => {
+                    layout.root(&tag)?;
+                    seen_root = true;
+                }
+                ("Piece", _) => {
+                    pieces += 1;
+                    layout.piece(&tag)?;
+                }
+                ("AppendedData", _) => {
+                    layout.appended(&tag, behind)?;
+                    break;
+                }
+                ("DataArray", Some(section)) => layout.array(&tag, section, behind)?,
+                (name, _) if !is_empty && section_named(name).is_some() => {
+                    section = section_named(name);
+                    if section == Some(Section::PointData) {
+                        layout.normals = tag.value("Normals")?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        match (seen_root, pieces) {
+            (false, _) => Err(malformed(0, "no <VTKFile>")),
+            (true, 1) => Ok(layout),
+            (true, _) => Err(ReadFault::Unsupported(format!("{pieces} pieces; save the data as one"))),
+        }
+    }
+
+    fn root(&mut self, tag: &Tag) -> Result<(), ReadFault> {
+        let kind = tag.value("type")?.unwrap_or_default();
+        self.data_set = match kind.as_str() {
+            "PolyData" => DataSet::PolyData,
+            "UnstructuredGrid" => DataSet::UnstructuredGrid,
+            _ => {
+                let what = "points are read from PolyData and UnstructuredGrid";
+                return Err(ReadFault::Unsupported(format!("a data set of type {kind:?}; {what}")));
+            }
+        };
+        self.packing = match tag.value("compressor")?.as_deref() {
+            None | Some("") => Packing::Plain,
+            Some("vtkZLibDataCompressor") => Packing::Zlib,
+            Some(other) => {
+                let what = format!("data compressed by {other}; save them by zlib, or uncompressed");
+                return Err(ReadFault::Unsupported(what));
+            }
+        };
+        if tag.value("byte_order")?.as_deref() == Some("BigEndian") {
+            self.endian = Endian::Big;
+        }
+        if tag.value("header_type")?.as_deref() == Some("UInt64") {
+            self.header = Scalar::U64;
+        }
+        Ok(())
+    }
+
+    fn piece(&mut self, tag: &Tag) -> Result<(), ReadFault> {
+        self.points = tag.number("NumberOfPoints")?.unwrap_or(0);
+        self.polygons = tag.number("NumberOfPolys")?.unwrap_or(0);
+        self.strips = tag.number("NumberOfStrips")?.unwrap_or(0);
+        Ok(())
+    }
+
+    fn array(&mut self, tag: &Tag, section: Section, behind: usize) -> Result<(), ReadFault> {
+        let name = tag.value("Name")?.unwrap_or_default();
+        let kind = tag.value("type")?.unwrap_or_default();
+        let Some(scalar) = scalar_named(&kind) else {
+            // Strings and bits are no values of a vertex; whatever else needs this array will miss it.
+            return Ok(());
+        };
+        if section == Section::FieldData && name != TIME {
+            return Ok(());
+        }
+        let default = if section == Section::Points { 3 } else { 1 };
+        let components = tag.number("NumberOfComponents")?.unwrap_or(default);
+        let data = match tag.value("format")?.as_deref() {
+            Some("appended") => {
+                let offset = tag.number("offset")?;
+                Data::Appended(
+                    offset.ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
+                )
+            }
+            Some("ascii") => Data::Text(self.text(behind)),
+            Some("binary") => Data::Base64(self.text(behind)),
+            other => {
+                let shown = other.unwrap_or_default();
+                return Err(malformed(tag.at, format!("array {name} has the unknown format {shown:?}")));
+            }
+        };
+        self.arrays.push(Array { section, name, scalar, components, data });
+        Ok(())
+    }
+
+    /// Adds where the data start to the offsets so far. The XML ends here for us.
+    fn appended(&mut self, tag: &Tag, behind: usize) -> Result<(), ReadFault> {
+        let mut scan = Scanner::new(self.bytes, behind);
+        scan.skip_whitespace();
+        if scan.rest().first() != Some(&b'_') {
+            return Err(malformed(scan.at(), "no underscore before the data"));
+        }
+        let data = scan.at() as u64 + 1;
+        let encoding = tag.value("encoding")?.unwrap_or_default();
+        let text = match encoding.as_str() {
+            "raw" => None,
+            "base64" => Some(self.text(data as usize)),
+            _ => return Err(malformed(tag.at, format!("data of the unknown encoding {encoding:?}"))),
+        };
+        for array in &mut self.arrays {
+            if let Data::Appended(offset) = array.data {
+                let at = data.saturating_add(offset);
+                array.data = match &text {
+                    None => Data::Raw(at),
+                    Some(text) => Data::Base64((at as usize).min(text.end)..text.end),
+                };
+            }
+        }
+        Ok(())
+    }
+
+    /// From byte `at` to the next element.
+    fn text(&self, at: usize) -> Range<usize> {
+        let rest = &self.bytes[at..];
+        at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
+    }
+}
+
+/// An element and where it starts.
+struct Tag<'a> {
+    tag: &'a BytesStart<'a>,
+    at: usize,
+}
+
+impl Tag<'_> {
+    fn value(&self, name: &str) -> Result<Option<String>, ReadFault> {
+        let fault = |fault: &dyn std::fmt::Display| malformed(self.at, fault.to_string());
+        let attribute = self.tag.try_get_attribute(name).map_err(|e| fault(&e))?;
+        attribute
+            .map(|attribute| {
+                let value = attribute.normalized_value(quick_xml::XmlVersion::Implicit1_0);
+                value.map(|value| value.into_owned()).map_err(|e| fault(&e))
+            })
+            .transpose()
+    }
+
+    fn number<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, ReadFault> {
+        let Some(value) = self.value(name)? else { return Ok(None) };
+        let parsed = value.trim().parse().map_err(|_| malformed(self.at, format!("{name} is {value:?}")))?;
+        Ok(Some(parsed))
+    }
+}
+
+fn section_named(name: &str) -> Option<Section> {
+    match name {
+        "FieldData" => Some(Section::FieldData),
+        "PointData" => Some(Section::PointData),
+        "Points" => Some(Section::Points),
+        "Polys" => Some(Section::Polys),
+        _ => None,
+    }
+}
+
+fn scalar_named(name: &str) -> Option<Scalar> {
+    Some(match name {
+        "Int8" => Scalar::I8,
+        "UInt8" => Scalar::U8,
+        "Int16" => Scalar::I16,
+        "UInt16" => Scalar::U16,
+        "Int32" => Scalar::I32,
+        "UInt32" => Scalar::U32,
+        "Int64" => Scalar::I64,
+        "UInt64" => Scalar::U64,
+        "Float32" => Scalar::F32,
+        "Float64" => Scalar::F64,
+        _ => return None,
+    })
+}
