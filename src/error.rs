@@ -8,6 +8,7 @@ use crate::frame::FrameError;
 use crate::grid::DomainError;
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 use crate::mesh::compare::CompareError;
+use crate::sequence::SequenceError;
 use crate::units::UnitError;
 use crate::vulkan::VulkanError;
 
@@ -40,6 +41,9 @@ pub enum Error {
         /// What is wrong with them.
         fault: FrameError,
     },
+    /// The frames of a simulation, or what is kept of them.
+    #[error(transparent)]
+    Sequence(#[from] SequenceError),
     /// A mesh that cannot be compared.
     #[error("{}: {fault}", path.display())]
     Mesh {
@@ -97,12 +101,16 @@ impl Error {
             | Self::NoSpacing { .. }
             | Self::Mesh { .. }
             | Self::Read(_) => Cause::Input,
+            Self::Sequence(SequenceError::NoFrames(_)) => Cause::Input,
+            Self::Sequence(SequenceError::Io { .. }) => Cause::Output,
+            Self::Sequence(_) => Cause::Request,
             Self::Vulkan(_) => Cause::Device,
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,
-                WriteFault::Exists | WriteFault::UnknownExtension { .. } | WriteFault::Unsupported(_) => {
-                    Cause::Request
-                }
+                WriteFault::Exists
+                | WriteFault::ExistsInSequence
+                | WriteFault::UnknownExtension { .. }
+                | WriteFault::Unsupported(_) => Cause::Request,
             },
         }
     }

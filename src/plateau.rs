@@ -80,13 +80,18 @@ pub fn recipe(
     detail: Detail,
     iso: Option<Isovalue>,
 ) -> (Recipe, Plateau) {
-    let smoothing = Smoothing::new(indicator, sigma);
-    let plateau = Plateau::of(dif, &smoothing, domain);
+    let plateau = Plateau::of(dif, &Smoothing::new(indicator, sigma), domain);
+    (recipe_at(indicator, sigma, detail, iso.unwrap_or(plateau.isovalue())), plateau)
+}
+
+/// The same where the isovalue is known, of whichever frame.
+#[must_use]
+pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isovalue) -> Recipe {
     let detail = match detail {
         Detail::Smoothed => None,
         Detail::Recovered => Some(Kernel::gaussian(sigma.half())),
     };
-    (Recipe { smoothing, detail, iso: iso.unwrap_or(plateau.isovalue()) }, plateau)
+    Recipe { smoothing: Smoothing::new(indicator, sigma), detail, iso }
 }
 
 type Histogram = Vec<u64>;

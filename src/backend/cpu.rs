@@ -23,6 +23,10 @@ impl Backend for Cpu {
         format!("CPU, {} threads", rayon::current_num_threads())
     }
 
+    fn divides(&self) -> bool {
+        true
+    }
+
     fn host_bytes(&self, _: MemoryBudget) -> u64 {
         0
     }

@@ -26,6 +26,9 @@ pub trait Backend: Debug + Send + Sync {
     /// What it is, for people.
     fn name(&self) -> String;
 
+    /// Whether frames can be computed side by side, each by a share of the threads.
+    fn divides(&self) -> bool;
+
     /// Bytes of the host's memory that a frame takes under `budget`, besides what every frame takes.
     fn host_bytes(&self, budget: MemoryBudget) -> u64;
 

@@ -177,35 +177,51 @@ pub fn estimate(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
 ) -> Result<(Census, Estimate), FrameError> {
-    let (plan, estimate) = count(particles, sampling)?;
-    Ok((plan.census(), estimate))
+    let counted = Counted::of(particles, sampling)?;
+    Ok((counted.plan.census(), counted.estimate))
 }
 
-/// Counts the particles, and refuses what cannot be done with them.
-fn count<'a>(
-    particles: &(impl Particles + ?Sized),
+/// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
+pub struct Counted<'a, P: ?Sized> {
+    particles: &'a P,
     sampling: &'a Sampling,
-) -> Result<(BinPlan<'a>, Estimate), FrameError> {
-    let Sampling { grid, domain, invalid, resources, .. } = sampling;
-    let limit = bin_limit(resources.budget);
-    let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
-        Err(BinError::TooManyBins { .. }) => {
-            return Err(FrameError::OverBudget(OverBudget {
-                cell_size: grid.cell_size(),
-                budget: resources.budget.0,
-                fitting_cell_size: fitting_cell_size(particles, sampling, limit),
-            }));
+    plan: BinPlan<'a>,
+    estimate: Estimate,
+}
+
+impl<'a, P: Particles + ?Sized> Counted<'a, P> {
+    /// Counts the particles, and refuses what cannot be done with them.
+    ///
+    /// # Errors
+    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+    pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
+        let Sampling { grid, domain, invalid, resources, .. } = sampling;
+        let limit = bin_limit(resources.budget);
+        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
+            Err(BinError::TooManyBins { .. }) => {
+                return Err(FrameError::OverBudget(OverBudget {
+                    cell_size: grid.cell_size(),
+                    budget: resources.budget.0,
+                    fitting_cell_size: fitting_cell_size(particles, sampling, limit),
+                }));
+            }
+            plan => plan?,
+        };
+        if plan.census().binned == 0 {
+            return Err(FrameError::NoParticles(plan.census()));
         }
-        plan => plan?,
-    };
-    if plan.census().binned == 0 {
-        return Err(FrameError::NoParticles(plan.census()));
+        let attributes = particles.attributes();
+        let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
+        let in_memory = particles.resident_bytes() + resources.host_bytes();
+        let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
+        Ok(Self { particles, sampling, plan, estimate })
     }
-    let attributes = particles.attributes();
-    let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-    let in_memory = particles.resident_bytes() + resources.host_bytes();
-    let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
-    Ok((plan, estimate))
+
+    /// Bytes that the frame takes with all of it in memory.
+    #[must_use]
+    pub fn in_core_bytes(&self) -> u64 {
+        self.estimate.in_core()
+    }
 }
 
 /// The smallest doubling of the cell size with which the tables of bins fit.
@@ -222,7 +238,8 @@ fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling,
 }
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their own.
-fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
+#[must_use]
+pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);
     let name = |&index: &usize| {
@@ -267,9 +284,24 @@ impl Frame {
         sampling: &Sampling,
         laps: &mut Laps,
     ) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, indicator, side, carried, resources, .. } = sampling;
-        let (bin_plan, estimate) = count(particles, sampling)?;
+        let counted = Counted::of(particles, sampling)?;
         laps.lap("count");
+        Self::sample_counted(counted, sampling.resources.budget, laps)
+    }
+
+    /// The same for particles that have been counted, under a budget of its own.
+    ///
+    /// # Errors
+    /// [`FrameError`] for more than the disk can hold, and scratch files that fail.
+    pub fn sample_counted<P: Particles + ?Sized>(
+        counted: Counted<'_, P>,
+        budget: MemoryBudget,
+        laps: &mut Laps,
+    ) -> Result<Self, FrameError> {
+        let Counted { particles, sampling, plan: bin_plan, estimate } = counted;
+        let sampling =
+            &Sampling { resources: Resources { budget, ..sampling.resources.clone() }, ..sampling.clone() };
+        let Sampling { grid, domain, indicator, side, carried, resources, .. } = sampling;
         let census = bin_plan.census();
         let plan = estimate.plan(resources.budget);
         resources.check_room(estimate.least_scratch(plan))?;
@@ -377,18 +409,31 @@ impl Frame {
     /// [`FrameError::NoSurface`], and [`FrameError::Scratch`] where scratch files fail.
     pub fn surface(&self, surfacing: &Surfacing, laps: &mut Laps) -> Result<Surface, FrameError> {
         let (recipe, plateau) = self.recipe(surfacing);
-        let iso = recipe.iso;
         laps.lap("plateau");
+        let mesh = self.surface_by(&recipe, surfacing.normals, laps)?;
+        Ok(Surface { mesh, iso: recipe.iso, plateau })
+    }
+
+    /// The surface by a recipe that is known, with nothing measured.
+    ///
+    /// # Errors
+    /// As [`surface`](Self::surface).
+    pub fn surface_by(
+        &self,
+        recipe: &Recipe,
+        normals: Normals,
+        laps: &mut Laps,
+    ) -> Result<Stitched, FrameError> {
+        let iso = recipe.iso;
         let attributes = self.carried.as_ref().map_or(Vec::new(), |(_, infos)| infos.clone());
         let components = attributes.iter().map(|info| info.components).collect();
-        let mut spool = Spool::in_memory(surfacing.normals == Normals::Gradient, components);
-        self.mesh_blocks(&recipe, surfacing.normals, &mut spool).map_err(self.resources.scratch_error())?;
+        let mut spool = Spool::in_memory(normals == Normals::Gradient, components);
+        self.mesh_blocks(recipe, normals, &mut spool).map_err(self.resources.scratch_error())?;
         laps.lap("mesh");
         if spool.is_empty() {
             return Err(FrameError::NoSurface { iso });
         }
-        let mesh = Stitched::new(spool, self.facts.grid, self.facts.domain, iso, attributes);
-        Ok(Surface { mesh, iso, plateau })
+        Ok(Stitched::new(spool, self.facts.grid, self.facts.domain, iso, attributes))
     }
 
     /// Meshes all blocks in Morton order into `spool`.

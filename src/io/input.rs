@@ -24,6 +24,12 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
     }
 }
 
+/// Whether a file's extension names a format of particles.
+#[must_use]
+pub fn is_known(path: &Path) -> bool {
+    reader_for(path).is_some()
+}
+
 /// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
 /// serves both.
 ///

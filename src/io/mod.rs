@@ -147,6 +147,9 @@ pub enum WriteFault {
     /// It is there already, and may not be replaced.
     #[error("exists already; --overwrite replaces it")]
     Exists,
+    /// The output of a frame is there already, and may not be replaced.
+    #[error("exists already; --resume goes on with the frames, --overwrite replaces them")]
+    ExistsInSequence,
     /// The extension names no format that we write.
     #[error("unknown extension; known are {known}")]
     UnknownExtension {

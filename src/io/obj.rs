@@ -27,6 +27,10 @@ const IGNORED: [&[u8]; 14] = [
 /// # Panics
 /// As [`MeshFormat::write`](super::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    if mesh.vertex_count() == 0 {
+        // A file of no bytes is rather one that was not written.
+        writeln!(out, "# no vertices")?;
+    }
     write_vertices(out, mesh, |vertices, out| {
         for &[x, y, z] in &*vertices.positions {
             match width {

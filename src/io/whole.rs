@@ -9,6 +9,10 @@ use tempfile::NamedTempFile;
 
 use super::{WriteError, WriteFault};
 
+/// Of temporary files, so that those that were left behind can be told.
+const PREFIX: &str = ".meniscus-";
+const SUFFIX: &str = ".tmp";
+
 /// Whether an output may take the place of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Replace {
@@ -107,6 +111,34 @@ impl WholeFile {
     }
 }
 
+/// Puts a small file in place of any other in one step. It may be lost where power is.
+///
+/// # Errors
+/// Those of the system.
+pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = temporary_beside(path)?;
+    file.write_all(content)?;
+    file.persist(path)?;
+    Ok(())
+}
+
+/// Removes what processes that were killed have left half-written in `folder`. What belongs to a process that
+/// lives, on this machine or another that shares the folder, is locked, and stays.
+pub fn sweep(folder: &Path) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
+            continue;
+        }
+        let unlocked = File::open(&path).and_then(|file| file.try_lock().map(|()| file).map_err(Into::into));
+        // The lock is held until the name is gone: who just created the file will find that, and begin again.
+        if let Ok(_lock) = unlocked {
+            let _ = fs::remove_file(&path);
+        }
+    }
+}
+
 fn counted(file: &mut File, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<u64> {
     let mut counted = Counted { out: BufWriter::new(file), bytes: 0 };
     content(&mut counted)?;
@@ -132,14 +164,21 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".meniscus-").suffix(".tmp");
+    builder.prefix(PREFIX).suffix(SUFFIX);
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         // The system takes away what the user's mask says.
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
-    builder.tempfile_in(folder.unwrap_or(Path::new(".")))
+    loop {
+        let file = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
+        // A file system without locks has nobody who sweeps by them.
+        let _ = file.as_file().lock_shared();
+        if file.path().try_exists()? {
+            return Ok(file);
+        }
+    }
 }
 
 /// A refusal of the format's writer has no number of the system's.

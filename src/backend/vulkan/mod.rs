@@ -192,6 +192,10 @@ impl Backend for Vulkan {
         format!("Vulkan, {}", self.device.name())
     }
 
+    fn divides(&self) -> bool {
+        false
+    }
+
     fn host_bytes(&self, budget: MemoryBudget) -> u64 {
         self.shares(budget).host
     }

@@ -1,21 +1,67 @@
 //! Ctrl-C and termination: leave no half-written file, and exit with 130.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// The temporary file of the output in progress.
-static UNFINISHED: Mutex<Option<PathBuf>> = Mutex::new(None);
+/// The temporary files of the outputs in progress.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+/// Whether frames that are done stay when an interrupt comes.
+static RESUMABLE: AtomicBool = AtomicBool::new(false);
 
-/// From now on an interrupt removes `temporary` before the process ends.
-pub fn remove_on_interrupt(temporary: Option<&Path>) {
-    *UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner) = temporary.map(Path::to_owned);
+fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// An output in progress: as long as this lives, an interrupt removes its temporary file.
+pub struct Unfinished(Option<PathBuf>);
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        let mut unfinished = unfinished();
+        unfinished.retain(|path| Some(path) != self.0.as_ref());
+    }
+}
+
+/// Prepares an output whose `temporary` file an interrupt removes. None comes between its creation and this.
+pub fn guard<T, E>(
+    prepare: impl FnOnce() -> Result<T, E>,
+    temporary: impl Fn(&T) -> Option<&Path>,
+) -> Result<(T, Unfinished), E> {
+    handle();
+    let mut unfinished = unfinished();
+    let output = prepare()?;
+    let path = temporary(&output).map(Path::to_owned);
+    unfinished.extend(path.clone());
+    Ok((output, Unfinished(path)))
+}
+
+/// Does something short that no interrupt comes between.
+pub fn undisturbed<T>(act: impl FnOnce() -> T) -> T {
+    let _held = unfinished();
+    act()
+}
+
+/// From now on frames are done one by one, and stay.
+pub fn resumable() {
+    RESUMABLE.store(true, Ordering::Relaxed);
+    handle();
+}
+
+fn handle() {
     // A second call finds the handler in place, which is what it is for.
     let _ = ctrlc::set_handler(|| {
-        let unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(path) = &*unfinished {
+        // Never unlocked again: whoever would create a file from now on waits for the end.
+        let unfinished = unfinished();
+        for path in &*unfinished {
             let _ = std::fs::remove_file(path);
         }
-        eprintln!("meniscus: interrupted; nothing was written");
+        let what = if RESUMABLE.load(Ordering::Relaxed) {
+            "what is done stays; --resume goes on"
+        } else {
+            "nothing was written"
+        };
+        eprintln!("meniscus: interrupted; {what}");
         std::process::exit(130);
     });
 }

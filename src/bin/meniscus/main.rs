@@ -4,10 +4,13 @@ mod devices;
 mod info;
 mod inspect;
 mod interrupt;
+mod lanes;
 mod pack;
+mod progress;
 mod reconstruct;
 mod run;
 mod sampling;
+mod sequence;
 
 use std::process::ExitCode;
 
@@ -24,7 +27,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Reconstruct the surface of a frame of particles.
+    /// Reconstruct the surface of a frame of particles, or of each frame of a simulation.
     Reconstruct(Box<reconstruct::Options>),
     /// Sample a frame once, to be reconstructed later with other filters or isovalues.
     Pack(Box<pack::Options>),

@@ -12,7 +12,7 @@ use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 
 use crate::Verdict;
-use crate::interrupt::remove_on_interrupt;
+use crate::interrupt;
 use crate::reconstruct::{is_frame, refuse_same_file};
 use crate::run::{RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, report_frame};
@@ -40,8 +40,8 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let resources = options.run.resources(&options.output)?;
     refuse_same_file(&options.input, &options.output)?;
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-    let output = WholeFile::prepare(&options.output, replace)?;
-    remove_on_interrupt(output.temporary());
+    let prepare = || WholeFile::prepare(&options.output, replace);
+    let (output, unfinished) = interrupt::guard(prepare, WholeFile::temporary)?;
 
     let mut laps = Laps::default();
     let file = open_particles(&options.input, unpacking(&resources))?;
@@ -54,7 +54,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     report_frame(&frame, &notes);
     let bytes = output.write(|out| frame.pack(out))?;
-    remove_on_interrupt(None);
+    drop(unfinished);
     laps.lap("write");
     notes.say(format!(
         "{}: {} full cells in {} bricks, {} in {:.2} s",

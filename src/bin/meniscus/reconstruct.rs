@@ -1,4 +1,4 @@
-//! `meniscus reconstruct`: one frame of particles to one mesh.
+//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see `sequence`.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -18,24 +18,33 @@ use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::particles::{Particles, velocity_attribute};
 use meniscus::plateau::Plateau;
+use meniscus::sequence::inputs::Inputs;
+use meniscus::sequence::naming::Naming;
+use meniscus::sequence::state::Settings;
 use meniscus::stage::indicator::Indicator;
+use meniscus::stitch::Stitched;
 use meniscus::units::{FULL, Isovalue, MeanCount, Sigma};
 use serde_json::json;
 
 use crate::Verdict;
-use crate::interrupt::remove_on_interrupt;
+use crate::interrupt;
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest, report_frame};
+use crate::sequence::{self, SequenceOptions};
 
 #[derive(Args)]
 pub struct Options {
-    /// The particles: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not; or a .mnf that `pack` made.
-    input: PathBuf,
-    /// The mesh: .ply, .obj, .vtk, .vtp or .stl.
+    /// The particles: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not; or a .mnf that `pack` made. The
+    /// frames of a simulation: files, a folder, a glob, or a name with {} for the number.
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// The mesh: .ply, .obj, .vtk, .vtp or .stl. Of a simulation: a name with {} or {:04} for the number, or a folder.
     #[arg(short, long)]
-    output: PathBuf,
+    pub output: PathBuf,
     #[command(flatten)]
-    sampling: SamplingOptions,
+    pub sequence: SequenceOptions,
+    #[command(flatten)]
+    pub sampling: SamplingOptions,
     /// Width of the Gaussian.
     #[arg(long, value_name = "CELLS", default_value_t = 1.0, allow_negative_numbers = true)]
     sigma: f64,
@@ -53,12 +62,12 @@ pub struct Options {
     attributes: Option<Vec<String>>,
     /// Say what would be done and what it would take, and do nothing.
     #[arg(long)]
-    dry_run: bool,
-    /// Append a JSON record of counts, times and settings to this file.
+    pub dry_run: bool,
+    /// Append a JSON record of counts, times and settings to this file, a line for each frame.
     #[arg(long, value_name = "FILE")]
-    stats: Option<PathBuf>,
+    pub stats: Option<PathBuf>,
     #[command(flatten)]
-    run: RunOptions,
+    pub run: RunOptions,
 }
 
 #[derive(Clone, Copy)]
@@ -81,7 +90,26 @@ pub fn is_frame(path: &Path) -> bool {
 }
 
 impl Options {
-    fn surfacing(&self) -> Result<Surfacing, Error> {
+    /// What was asked for and tells in the bytes of the mesh, by the options' names.
+    pub fn settings(&self) -> Settings {
+        let mut settings = self.sampling.settings();
+        let iso = match self.iso {
+            IsoOption::Auto => json!("auto"),
+            IsoOption::Value(value) => json!(value.value()),
+        };
+        for (name, value) in [
+            ("sigma", json!(self.sigma)),
+            ("iso", iso),
+            ("detail", json!(self.detail)),
+            ("normals", json!(self.normals)),
+            ("attributes", json!(self.attributes)),
+        ] {
+            settings.insert(name.to_owned(), value);
+        }
+        settings
+    }
+
+    pub fn surfacing(&self) -> Result<Surfacing, Error> {
         Ok(Surfacing {
             sigma: Sigma::new(self.sigma)?,
             iso: match self.iso {
@@ -94,9 +122,9 @@ impl Options {
     }
 
     /// Refuses what a frame that is sampled already cannot give.
-    fn validate_frame_input(&self) -> Result<(), Error> {
+    pub fn validate_frame_input(&self, input: &Path) -> Result<(), Error> {
         let refuse = |what: &str| {
-            Err(Error::Request(format!("{}: {what} needs the particles themselves", self.input.display())))
+            Err(Error::Request(format!("{}: {what} needs the particles themselves", input.display())))
         };
         if let Some(option) = self.sampling.given() {
             return refuse(option);
@@ -108,7 +136,7 @@ impl Options {
     }
 
     /// Refuses what is asked for and the format cannot hold.
-    fn validate_format(&self, format: MeshFormat) -> Result<(), Error> {
+    pub fn validate_format(&self, format: MeshFormat) -> Result<(), Error> {
         let refuse = |what: &str| {
             Err(Error::Request(format!("{}: {format} cannot hold {what}", self.output.display())))
         };
@@ -122,7 +150,12 @@ impl Options {
     }
 
     /// The numbers of the attributes to carry.
-    fn carried(&self, file: &ParticleFile, format: MeshFormat) -> Result<Vec<usize>, Error> {
+    pub fn carried(
+        &self,
+        input: &Path,
+        file: &ParticleFile,
+        format: MeshFormat,
+    ) -> Result<Vec<usize>, Error> {
         let attributes = file.particles.attributes();
         let velocity = velocity_attribute(attributes);
         let Some(names) = &self.attributes else {
@@ -137,7 +170,7 @@ impl Options {
             let found = named.or(velocity.filter(|_| name == "velocity")).ok_or_else(|| {
                 let known: Vec<_> = attributes.iter().map(|a| a.name.as_str()).collect();
                 let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-                Error::Request(format!("{}: no attribute {name:?}; there are: {known}", self.input.display()))
+                Error::Request(format!("{}: no attribute {name:?}; there are: {known}", input.display()))
             })?;
             if !carried.contains(&found) {
                 carried.push(found);
@@ -149,17 +182,18 @@ impl Options {
     /// The frame, from particles or as it was packed; `None` where only an estimate was asked for.
     fn frame(
         &self,
+        input: &Path,
         request: &SamplingRequest,
         format: MeshFormat,
         resources: Resources,
         laps: &mut Laps,
         notes: &Notes,
     ) -> Result<Option<Frame>, Error> {
-        let in_file = |fault: FrameError| Error::Frame { path: self.input.clone(), fault };
-        if is_frame(&self.input) {
-            let (facts, dif) = open_frame(&self.input, resources.budget.0 / 4)?;
+        let in_file = |fault: FrameError| Error::Frame { path: input.to_owned(), fault };
+        if is_frame(input) {
+            let (facts, dif) = open_frame(input, resources.budget.0 / 4)?;
             laps.lap("open");
-            notes.say(format!("{}: {} particles, packed frame", self.input.display(), facts.census.binned));
+            notes.say(format!("{}: {} particles, packed frame", input.display(), facts.census.binned));
             if self.dry_run {
                 let output = self.output.display();
                 crate::print(&format!("would reconstruct {} particles into {output}", facts.census.binned))?;
@@ -167,11 +201,11 @@ impl Options {
             }
             return Ok(Some(Frame::from_parts(facts, dif, resources)));
         }
-        let file = open_particles(&self.input, unpacking(&resources))?;
+        let file = open_particles(input, unpacking(&resources))?;
         laps.lap("open");
-        notes.say(format!("{}: {} particles, {}", self.input.display(), file.particles.len(), file.format));
-        let carried = self.carried(&file, format)?;
-        let sampling = request.sampling(&self.input, &file, carried, resources, notes)?;
+        notes.say(format!("{}: {} particles, {}", input.display(), file.particles.len(), file.format));
+        let carried = self.carried(input, &file, format)?;
+        let sampling = request.sampling(input, &file, carried, resources, notes)?;
         laps.lap("spacing");
         if self.dry_run {
             let (census, estimate) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
@@ -204,89 +238,123 @@ impl Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let inputs = Inputs::of(&options.inputs)?;
+    let naming = Naming::of(&options.output)?;
+    match (inputs, naming) {
+        (None, None) => run_frame(options, &options.inputs[0]),
+        (inputs, Some(naming)) => {
+            let inputs = inputs.unwrap_or_else(|| Inputs::Files(options.inputs.clone()));
+            sequence::run(options, &inputs, naming)
+        }
+        (Some(inputs), None) => Err(Error::Request(format!(
+            "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder",
+            options.output.display(),
+            inputs.describe()
+        ))),
+    }
+}
+
+fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let notes = options.run.notes();
+    options.sequence.refuse_for_one_frame()?;
     let request = options.sampling.validate()?;
     let surfacing = options.surfacing()?;
-    if is_frame(&options.input) {
-        options.validate_frame_input()?;
+    if is_frame(input) {
+        options.validate_frame_input(input)?;
     }
     let resources = options.run.resources(&options.output)?;
-    refuse_same_file(&options.input, &options.output)?;
+    refuse_same_file(input, &options.output)?;
     if let Some(stats) = &options.stats {
-        refuse_same_file(&options.input, stats)?;
+        refuse_same_file(input, stats)?;
         refuse_same_file(&options.output, stats)?;
     }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-    let output = MeshOutput::prepare(&options.output, replace)?;
-    remove_on_interrupt(output.temporary());
+    let prepare = || MeshOutput::prepare(&options.output, replace);
+    let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
     let format = output.format();
     options.validate_format(format)?;
 
     let mut laps = Laps::default();
-    let Some(frame) = options.frame(&request, format, resources, &mut laps, &notes)? else {
+    let Some(frame) = options.frame(input, &request, format, resources, &mut laps, &notes)? else {
         return Ok(Verdict::Good);
     };
     report_frame(&frame, &notes);
-    let in_file = |fault| Error::Frame { path: options.input.clone(), fault };
-    let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
+    let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
+    let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
     frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
-    report_isovalue(&surface, surfacing.iso, &notes);
+    report_isovalue(iso, plateau, surfacing.iso, &notes);
 
-    let width = coordinate_width(&surface, frame.facts().grid.cell_size(), format, &notes)?;
-    let bytes = output.write(&surface.mesh, width)?;
-    remove_on_interrupt(None);
+    let width = coordinate_width(&mesh, frame.facts().grid.cell_size(), format, &notes)?;
+    let bytes = output.write(&mesh, width)?;
+    drop(unfinished);
     laps.lap("write");
     notes.say(format!(
         "{}: {} vertices, {} triangles, {} in {:.2} s",
         options.output.display(),
-        surface.mesh.vertex_count(),
-        surface.mesh.triangle_count(),
+        mesh.vertex_count(),
+        mesh.triangle_count(),
         ByteSize(bytes),
         laps.total(),
     ));
     for (stage, seconds) in laps.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
-    if let Some(path) = &options.stats {
-        let record = record(options, &frame, &surface, bytes, &laps);
-        let file = OpenOptions::new().create(true).append(true).open(path);
-        let written = file.and_then(|mut file| writeln!(file, "{record}"));
-        written.map_err(|e| WriteError::new(path, e))?;
+    if options.stats.is_some() {
+        let record = options.record([input, &options.output], &frame, iso, &mesh, bytes, &laps);
+        options.append_stats(&record)?;
     }
     Ok(Verdict::Good)
 }
 
-/// What a program wants to know of the run.
-fn record(options: &Options, frame: &Frame, surface: &Surface, bytes: u64, laps: &Laps) -> serde_json::Value {
-    let facts = frame.facts();
-    let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
-    json!({
-        "input": options.input,
-        "output": options.output,
-        "particles": facts.census.binned,
-        "not_finite": facts.census.not_finite,
-        "too_far": facts.census.too_far,
-        "outside_domain": facts.census.outside,
-        "cell_size": facts.grid.cell_size(),
-        "origin": facts.grid.origin().to_array(),
-        "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-        "indicator": match facts.indicator {
-            Indicator::Symmetry => "symmetry",
-            Indicator::Counting { .. } => "counting",
-        },
-        "mu0": frame.mean_count().map(MeanCount::particles),
-        "sigma": options.sigma,
-        "isovalue": surface.iso.value(),
-        "detail": options.detail,
-        "vertices": surface.mesh.vertex_count(),
-        "triangles": surface.mesh.triangle_count(),
-        "output_bytes": bytes,
-        "seconds": seconds.collect::<serde_json::Map<_, _>>(),
-        "total_seconds": laps.total(),
-        "backend": frame.backend(),
-        "threads": rayon::current_num_threads(),
-        "peak_resident_bytes": peak_resident(),
-    })
+impl Options {
+    /// What a program wants to know of a frame.
+    pub fn record(
+        &self,
+        [input, output]: [&Path; 2],
+        frame: &Frame,
+        iso: Isovalue,
+        mesh: &dyn MeshSource,
+        bytes: u64,
+        laps: &Laps,
+    ) -> serde_json::Value {
+        let facts = frame.facts();
+        let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+        json!({
+            "input": input,
+            "output": output,
+            "particles": facts.census.binned,
+            "not_finite": facts.census.not_finite,
+            "too_far": facts.census.too_far,
+            "outside_domain": facts.census.outside,
+            "cell_size": facts.grid.cell_size(),
+            "origin": facts.grid.origin().to_array(),
+            "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+            "indicator": match facts.indicator {
+                Indicator::Symmetry => "symmetry",
+                Indicator::Counting { .. } => "counting",
+            },
+            "mu0": frame.mean_count().map(MeanCount::particles),
+            "sigma": self.sigma,
+            "isovalue": iso.value(),
+            "detail": self.detail,
+            "vertices": mesh.vertex_count(),
+            "triangles": mesh.triangle_count(),
+            "output_bytes": bytes,
+            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
+            "total_seconds": laps.total(),
+            "backend": frame.backend(),
+            "threads": rayon::current_num_threads(),
+            "peak_resident_bytes": peak_resident(),
+        })
+    }
+
+    /// Appends a line to the statistics, if they are asked for.
+    pub fn append_stats(&self, record: &serde_json::Value) -> Result<(), Error> {
+        let Some(path) = &self.stats else { return Ok(()) };
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        let written = file.and_then(|mut file| writeln!(file, "{record}"));
+        Ok(written.map_err(|e| WriteError::new(path, e))?)
+    }
 }
 
 /// A file that is to be read or written and written again is a slip of the hand.
@@ -300,10 +368,10 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     }
 }
 
-fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
+fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, notes: &Notes) {
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
-    let iso = surface.iso.value();
-    match (surface.plateau, given) {
+    let iso = iso.value();
+    match (plateau, given) {
         (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
             "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",
             fraction(lowest)
@@ -320,13 +388,13 @@ fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
 }
 
 /// f64 where f32 would move vertices by more than 1 / 256 of a cell, or not hold them, if the format can.
-fn coordinate_width(
-    surface: &Surface,
+pub fn coordinate_width(
+    surface: &Stitched,
     cell_size: f64,
     format: MeshFormat,
     notes: &Notes,
 ) -> Result<CoordinateWidth, Error> {
-    let farthest = surface.mesh.farthest_coordinate();
+    let farthest = surface.farthest_coordinate();
     let step = cell_size / 256.0;
     let holds = farthest <= f64::from(f32::MAX) && step >= f64::from(f32::MIN_POSITIVE);
     if holds && farthest * f64::from(f32::EPSILON) <= step {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
+use indicatif::MultiProgress;
 use meniscus::backend::{Backend, Cpu, Vulkan};
 use meniscus::error::Error;
 use meniscus::estimate::SMALLEST_BUDGET;
@@ -110,7 +111,7 @@ impl RunOptions {
     }
 
     pub fn notes(&self) -> Notes {
-        Notes { quiet: self.quiet, verbose: self.verbose }
+        Notes { quiet: self.quiet, verbose: self.verbose, bars: None }
     }
 }
 
@@ -126,21 +127,50 @@ pub fn unpacking(resources: &Resources) -> Unpacking<'_> {
 }
 
 /// The notes that a run makes for people, on standard error.
+#[derive(Clone, Default)]
 pub struct Notes {
     quiet: bool,
     verbose: bool,
+    /// Bars that stand below the notes.
+    bars: Option<MultiProgress>,
 }
 
 impl Notes {
+    /// The same notes above bars.
+    pub fn above(self, bars: MultiProgress) -> Self {
+        Self { bars: Some(bars), ..self }
+    }
+
+    /// No notes at all.
+    pub fn none() -> Self {
+        Self { quiet: true, ..Self::default() }
+    }
+
+    pub fn is_quiet(&self) -> bool {
+        self.quiet
+    }
+
     pub fn say(&self, text: impl AsRef<str>) {
         if !self.quiet {
-            eprintln!("{}", text.as_ref());
+            self.print(text.as_ref());
         }
     }
 
     pub fn detail(&self, text: impl AsRef<str>) {
         if self.verbose {
-            eprintln!("{}", text.as_ref());
+            self.print(text.as_ref());
+        }
+    }
+
+    /// Says what even a quiet run has to say.
+    pub fn error(&self, text: impl AsRef<str>) {
+        self.print(text.as_ref());
+    }
+
+    fn print(&self, text: &str) {
+        match &self.bars {
+            Some(bars) => bars.suspend(|| eprintln!("{text}")),
+            None => eprintln!("{text}"),
         }
     }
 }

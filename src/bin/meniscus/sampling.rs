@@ -94,6 +94,33 @@ impl SamplingOptions {
         .find_map(|(name, given)| given.then_some(name))
     }
 
+    /// What was asked for, by the options' names.
+    pub fn settings(&self) -> serde_json::Map<String, serde_json::Value> {
+        let indicator = match self.indicator {
+            Some(IndicatorName::Counting) => "counting",
+            _ => "symmetry",
+        };
+        let settings = serde_json::json!({
+            "spacing": self.spacing.or(self.radius.map(|radius| 2.0 * radius)),
+            "cell-size": self.cell_size,
+            "cell": self.cell,
+            "origin": self.origin,
+            "domain": self.domain,
+            "indicator": indicator,
+            "mu0": self.mu0,
+            "skip-invalid": self.skip_invalid,
+        });
+        match settings {
+            serde_json::Value::Object(map) => map,
+            _ => unreachable!("an object was made"),
+        }
+    }
+
+    /// Whether the grid is to stay where it was asked for.
+    pub fn origin_given(&self) -> bool {
+        self.origin.is_some()
+    }
+
     /// Refuses what is wrong whatever the particles are.
     pub fn validate(&self) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator.unwrap_or(IndicatorName::Symmetry), self.mu0) {
@@ -129,6 +156,22 @@ impl SamplingOptions {
     }
 }
 
+/// The edge of a cell, and what it was taken from.
+pub struct Cells {
+    pub size: f64,
+    pub spacing: Option<f64>,
+    /// Where the spacing comes from, where it matters.
+    pub source: Option<String>,
+}
+
+impl Cells {
+    fn describe(&self) -> Option<String> {
+        let spacing = self.spacing.zip(self.source.as_ref());
+        spacing
+            .map(|(spacing, source)| format!("spacing {spacing:.6} ({source}), cell size {:.6}", self.size))
+    }
+}
+
 impl SamplingRequest {
     /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices.
     pub fn sampling(
@@ -139,12 +182,25 @@ impl SamplingRequest {
         resources: Resources,
         notes: &Notes,
     ) -> Result<Sampling, Error> {
-        let (cell_size, spacing) = self.cell_size(path, file, notes)?;
-        let grid = Grid::new(self.origin, cell_size)?;
+        let cells = self.cells(path, file)?;
+        cells.describe().iter().for_each(|text| notes.say(text));
+        let grid = Grid::new(self.origin, cells.size)?;
+        self.sampling_on(grid, self.indicator, cells.spacing, carried, resources)
+    }
+
+    /// The same on a grid that is known.
+    pub fn sampling_on(
+        &self,
+        grid: Grid,
+        indicator: Indicator,
+        spacing: Option<f64>,
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<Sampling, Error> {
         Ok(Sampling {
             grid,
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
-            indicator: self.indicator,
+            indicator,
             invalid: self.invalid,
             side: BrickSide::default(),
             carried,
@@ -153,15 +209,15 @@ impl SamplingRequest {
         })
     }
 
-    /// The edge of a cell, the spacing where it matters, and a word on where that comes from.
-    fn cell_size(
-        &self,
-        path: &Path,
-        file: &ParticleFile,
-        notes: &Notes,
-    ) -> Result<(f64, Option<f64>), Error> {
+    /// The grid that was asked for, with cells of some size.
+    pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
+        Ok(Grid::new(self.origin, cell_size)?)
+    }
+
+    /// The edge of a cell, the spacing where it matters, and where that comes from.
+    pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
         let (ratio, spacing) = match self.cell {
-            Cell::Size(size) => return Ok((size, file.spacing)),
+            Cell::Size(size) => return Ok(Cells { size, spacing: file.spacing, source: None }),
             Cell::Ratio(ratio, spacing) => (ratio, spacing),
         };
         let (spacing, source) = if let Some(spacing) = spacing {
@@ -179,8 +235,7 @@ impl SamplingRequest {
             (spacing, "estimated from the particles".to_owned())
         };
         let size = positive_length("the cell size", ratio * spacing)?;
-        notes.say(format!("spacing {spacing:.6} ({source}), cell size {size:.6}"));
-        Ok((size, Some(spacing)))
+        Ok(Cells { size, spacing: Some(spacing), source: Some(source) })
     }
 }
 

@@ -1,0 +1,157 @@
+//! Frames side by side: how many, what each may take, and large ones alone.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use meniscus::units::MemoryBudget;
+
+/// A lane that may not have so much is not worth a thread.
+const LEAST: u64 = 64 << 20;
+
+/// How the machine is divided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Division {
+    /// Frames at once.
+    pub lanes: usize,
+    /// Threads of each.
+    pub threads: usize,
+    /// What a lane may take before it is known how large its frame is.
+    pub opening: MemoryBudget,
+    /// What a frame may take beside others.
+    pub share: MemoryBudget,
+    /// What a frame may take alone.
+    pub alone: MemoryBudget,
+}
+
+impl Division {
+    /// For so many frames. One frame more than there are threads is under way, so that no thread waits for a disk.
+    pub fn of(frames: usize, threads: usize, budget: MemoryBudget) -> Self {
+        let affordable = usize::try_from(budget.0 / LEAST).unwrap_or(usize::MAX);
+        let lanes = frames.min(threads + 1).min(affordable).max(1);
+        if lanes == 1 {
+            return Self { lanes, threads, opening: budget, share: budget, alone: budget };
+        }
+        let part = |bytes: u64| MemoryBudget(bytes);
+        Self {
+            lanes,
+            threads: (threads / lanes).max(1),
+            // All lanes may be waiting with an open frame while one of them computes.
+            opening: part(budget.0 / 4 / lanes as u64),
+            share: part(budget.0 / 4 * 3 / lanes as u64),
+            alone: part(budget.0 / 4 * 3),
+        }
+    }
+}
+
+/// Lets frames compute side by side, or one alone.
+#[derive(Debug)]
+pub struct Gate {
+    lanes: usize,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    inside: usize,
+    waiting_alone: usize,
+}
+
+/// Room in the gate, given back when dropped.
+#[derive(Debug)]
+pub struct Permit<'a> {
+    gate: &'a Gate,
+    lanes: usize,
+}
+
+impl Gate {
+    pub fn new(lanes: usize) -> Self {
+        Self { lanes, state: Mutex::default(), changed: Condvar::new() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for a lane. Whoever waits to be alone comes first, or it would wait for ever.
+    pub fn enter(&self) -> Permit<'_> {
+        let closed = |state: &mut State| state.waiting_alone > 0 || state.inside == self.lanes;
+        let mut state = self.changed.wait_while(self.state(), closed).unwrap_or_else(PoisonError::into_inner);
+        state.inside += 1;
+        Permit { gate: self, lanes: 1 }
+    }
+
+    /// Waits until nobody else is inside.
+    pub fn enter_alone(&self) -> Permit<'_> {
+        let mut state = self.state();
+        state.waiting_alone += 1;
+        let busy = |state: &mut State| state.inside > 0;
+        let mut state = self.changed.wait_while(state, busy).unwrap_or_else(PoisonError::into_inner);
+        state.waiting_alone -= 1;
+        state.inside = self.lanes;
+        Permit { gate: self, lanes: self.lanes }
+    }
+}
+
+impl Permit<'_> {
+    /// Whether others compute at the same time.
+    pub fn is_beside(&self) -> bool {
+        self.lanes < self.gate.lanes
+    }
+}
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        self.gate.state().inside -= self.lanes;
+        self.gate.changed.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[test]
+    fn whatever_is_divided_fits_the_budget() {
+        for frames in [1, 2, 100] {
+            for threads in [1, 2, 64] {
+                for budget in [16 << 20, 100 << 20, 8 << 30, 1 << 40] {
+                    let division = Division::of(frames, threads, MemoryBudget(budget));
+                    let Division { lanes, opening, share, alone, .. } = division;
+                    if lanes > 1 {
+                        assert!(lanes as u64 * (opening.0 + share.0) <= budget, "{division:?}");
+                        assert!(lanes as u64 * opening.0 + alone.0 <= budget, "{division:?}");
+                    }
+                    assert!(lanes <= frames);
+                    assert!(division.threads >= 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn who_is_alone_is_alone_and_comes_through_a_crowd() {
+        let gate = Gate::new(3);
+        let inside = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            for thread in 0..6 {
+                let (gate, inside) = (&gate, &inside);
+                scope.spawn(move || {
+                    for turn in 0..200 {
+                        if (thread + turn) % 5 == 0 {
+                            let _permit = gate.enter_alone();
+                            assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
+                            std::thread::yield_now();
+                            inside.fetch_sub(1, Ordering::SeqCst);
+                        } else {
+                            let _permit = gate.enter();
+                            assert!(inside.fetch_add(1, Ordering::SeqCst) < 3);
+                            std::thread::yield_now();
+                            inside.fetch_sub(1, Ordering::SeqCst);
+                        }
+                    }
+                });
+            }
+        });
+    }
+}

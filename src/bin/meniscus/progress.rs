@@ -1,0 +1,85 @@
+//! How far a sequence is: bars on a terminal, a line for each frame elsewhere.
+
+use std::io::IsTerminal;
+use std::time::Duration;
+
+use clap::ValueEnum;
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+
+use crate::run::Notes;
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ProgressMode {
+    /// Bars on a terminal, else a line for each frame.
+    Auto,
+    /// Bars, wherever they go.
+    Always,
+    /// No bars: a line for each frame.
+    Never,
+}
+
+/// Bars, if there are any: one for all frames, and one for each lane.
+pub struct Progress {
+    bars: Option<(ProgressBar, Vec<ProgressBar>)>,
+}
+
+impl Progress {
+    /// For so many bytes of input, and the notes that go with it. What is left is told from the bytes done so far,
+    /// for frames differ in size.
+    pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
+        let wanted = match mode {
+            ProgressMode::Auto => std::io::stderr().is_terminal(),
+            ProgressMode::Always => true,
+            ProgressMode::Never => false,
+        };
+        if !wanted || notes.is_quiet() {
+            return (Self { bars: None }, notes);
+        }
+        let all = MultiProgress::new();
+        let style = |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
+        let frames = all.add(ProgressBar::new(bytes));
+        frames.set_style(style("[{bar:30}] {msg}, {elapsed} gone, about {eta} left"));
+        frames.enable_steady_tick(Duration::from_millis(500));
+        let lane = || {
+            let bar = all.add(ProgressBar::new_spinner());
+            bar.set_style(style("  {spinner} {msg}"));
+            bar.enable_steady_tick(Duration::from_millis(200));
+            bar
+        };
+        let lanes = (0..lanes).map(|_| lane()).collect();
+        (Self { bars: Some((frames, lanes)) }, notes.above(all))
+    }
+
+    pub fn has_bars(&self) -> bool {
+        self.bars.is_some()
+    }
+
+    /// Says what a lane is at.
+    pub fn stage(&self, lane: usize, what: impl FnOnce() -> String) {
+        if let Some(bar) = self.bars.as_ref().and_then(|(_, lanes)| lanes.get(lane)) {
+            bar.set_message(what());
+        }
+    }
+
+    /// Says how many frames are done, and that a further one took so many bytes of input.
+    pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: u64) {
+        let Some((bar, _)) = &self.bars else { return };
+        let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
+        bar.set_message(format!("{done} of {frames} frames{failed}"));
+        bar.inc(bytes);
+    }
+
+    /// More frames have come.
+    pub fn lengthen(&self, bytes: u64) {
+        if let Some((bar, _)) = &self.bars {
+            bar.inc_length(bytes);
+        }
+    }
+
+    pub fn finish(&self) {
+        if let Some((bar, lanes)) = &self.bars {
+            lanes.iter().for_each(ProgressBar::finish_and_clear);
+            bar.finish_and_clear();
+        }
+    }
+}

@@ -1,0 +1,387 @@
+//! Which files are the frames of a sequence, and in which order.
+//!
+//! A frame has a number. `{}` in a name says where it stands, padded or not; otherwise it is the last digits of the
+//! name before its extensions. Order is that of the numbers.
+
+use std::path::{Path, PathBuf};
+
+use crate::io::input::is_known;
+
+use super::SequenceError;
+
+/// One frame, as found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FrameFile {
+    /// What it is called by.
+    pub number: u64,
+    /// The number as the name spells it.
+    pub digits: String,
+    /// The file.
+    pub path: PathBuf,
+}
+
+/// A way to find the frames, which can be asked again as they come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Inputs {
+    /// A name with `{}` for the number.
+    Pattern(Pattern),
+    /// All that we read in a folder.
+    Folder(PathBuf),
+    /// What a shell would expand.
+    Glob(String),
+    /// As they are.
+    Files(Vec<PathBuf>),
+}
+
+/// A file name with a place for a number.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pattern {
+    /// Of the file.
+    pub folder: PathBuf,
+    /// Before the number.
+    pub prefix: String,
+    /// After the number.
+    pub suffix: String,
+    /// The least number of digits, where `{:04}` says so; padded with zeros.
+    pub width: Option<usize>,
+}
+
+impl Pattern {
+    /// Reads `{}` or `{:04}` in the name of `path`; `None` where there is none.
+    ///
+    /// # Errors
+    /// [`SequenceError::Names`] for more than one, one in a folder's name, or braces that say something else.
+    pub fn parse(path: &Path) -> Result<Option<Self>, SequenceError> {
+        let wrong = |what: &str| Err(SequenceError::Names(format!("{}: {what}", path.display())));
+        let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if folder.to_string_lossy().contains("{}") {
+            return wrong("{} stands for the number in a file's name, not in a folder's");
+        }
+        let Some((prefix, rest)) = name.split_once('{') else { return Ok(None) };
+        let Some((inside, suffix)) = rest.split_once('}') else { return Ok(None) };
+        if suffix.contains('{') {
+            return wrong("one {} is enough");
+        }
+        let width = match inside {
+            "" => None,
+            _ => match inside.strip_prefix(":0").and_then(|width| width.parse().ok()) {
+                Some(width @ 1..=20) => Some(width),
+                _ => return wrong("a frame's number is written {} or, padded to four digits, {:04}"),
+            },
+        };
+        let (prefix, suffix) = (prefix.to_owned(), suffix.to_owned());
+        Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width }))
+    }
+
+    /// The digits of a name that fits.
+    fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
+        let digits = name.strip_prefix(&*self.prefix)?.strip_suffix(&*self.suffix)?;
+        let padded = |width: usize| digits.len() == width || digits.len() > width && !digits.starts_with('0');
+        let fits = all_digits(digits) && self.width.is_none_or(padded);
+        fits.then_some(digits)
+    }
+
+    /// The name for a number, spelled `digits` where no width is given.
+    #[must_use]
+    pub fn path(&self, number: u64, digits: &str) -> PathBuf {
+        let Self { folder, prefix, suffix, width } = self;
+        folder.join(match width {
+            Some(width) => format!("{prefix}{number:0width$}{suffix}"),
+            None => format!("{prefix}{digits}{suffix}"),
+        })
+    }
+}
+
+fn all_digits(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())
+}
+
+impl Inputs {
+    /// What the arguments ask for; `None` where they name one file.
+    ///
+    /// # Errors
+    /// [`SequenceError::Names`] for a pattern that cannot be one.
+    pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SequenceError> {
+        let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
+        if path.is_file() {
+            return Ok(None);
+        }
+        if path.is_dir() {
+            return Ok(Some(Self::Folder(path.clone())));
+        }
+        if let Some(pattern) = Pattern::parse(path)? {
+            return Ok(Some(Self::Pattern(pattern)));
+        }
+        let text = path.to_string_lossy();
+        Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
+    }
+
+    /// As it was asked for.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Pattern(Pattern { folder, prefix, suffix, .. }) => {
+                folder.join(format!("{prefix}{{}}{suffix}")).display().to_string()
+            }
+            Self::Folder(folder) => folder.display().to_string(),
+            Self::Glob(pattern) => pattern.clone(),
+            Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
+        }
+    }
+
+    /// The frames that are there now, in order.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] for a folder that cannot be read, [`SequenceError::Names`] where two files are the same
+    /// frame.
+    pub fn list(&self) -> Result<Vec<FrameFile>, SequenceError> {
+        let mut frames = match self {
+            Self::Pattern(pattern) => {
+                let number = |path: PathBuf| {
+                    let digits = pattern.digits(path.file_name()?.to_str()?)?.to_owned();
+                    frame(digits, path)
+                };
+                let folder = Some(&*pattern.folder).filter(|folder| !folder.as_os_str().is_empty());
+                let here = folder.is_none();
+                let files = files_in(folder.unwrap_or(Path::new(".")))?.into_iter();
+                let named = |path: PathBuf| {
+                    if here { path.file_name().map_or_else(PathBuf::new, Into::into) } else { path }
+                };
+                files.map(named).filter_map(number).collect()
+            }
+            Self::Folder(folder) => {
+                // A folder holds other things too: what has no number is no frame.
+                let known = files_in(folder)?.into_iter().filter(|path| is_known(path));
+                known.filter_map(by_last_digits).collect()
+            }
+            Self::Glob(pattern) => {
+                let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));
+                let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
+                numbered(paths.filter(|path| path.is_file()).collect())?
+            }
+            Self::Files(files) => numbered(files.clone())?,
+        };
+        frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
+        if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
+            return Err(SequenceError::Names(format!(
+                "{} and {} are both frame {}; name one sequence, with {{}} for its numbers",
+                a.path.display(),
+                b.path.display(),
+                a.number
+            )));
+        }
+        Ok(frames)
+    }
+}
+
+fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
+    frames.iter().zip(frames.iter().skip(1))
+}
+
+fn frame(digits: String, path: PathBuf) -> Option<FrameFile> {
+    Some(FrameFile { number: digits.parse().ok()?, digits, path })
+}
+
+fn by_last_digits(path: PathBuf) -> Option<FrameFile> {
+    let name = path.file_name()?.to_str()?;
+    let (_, digits, _) = split_number(name)?;
+    frame(digits.to_owned(), path)
+}
+
+/// Cuts a name around the last digits before its extension.
+pub(super) fn split_number(name: &str) -> Option<(&str, &str, &str)> {
+    let plain = name.strip_suffix(".gz").unwrap_or(name);
+    let stem = match plain.rsplit_once('.') {
+        Some((stem, extension)) if !all_digits(extension) => stem,
+        _ => plain,
+    };
+    let is_digit = |c: char| c.is_ascii_digit();
+    let end = stem.rfind(is_digit)? + 1;
+    let start = stem[..end].trim_end_matches(is_digit).len();
+    Some((&name[..start], &name[start..end], &name[end..]))
+}
+
+/// Each has a number in its name, or none has and they are counted.
+fn numbered(files: Vec<PathBuf>) -> Result<Vec<FrameFile>, SequenceError> {
+    let frames: Vec<_> = files.iter().cloned().map(by_last_digits).collect();
+    match frames.iter().position(Option::is_none) {
+        None => Ok(frames.into_iter().flatten().collect()),
+        Some(_) if frames.iter().all(Option::is_none) => {
+            let count = |(number, path): (usize, PathBuf)| FrameFile {
+                number: number as u64,
+                digits: number.to_string(),
+                path,
+            };
+            Ok(files.into_iter().enumerate().map(count).collect())
+        }
+        Some(odd) => Err(SequenceError::Names(format!(
+            "{}: its name has no number, those of other frames have",
+            files[odd].display()
+        ))),
+    }
+}
+
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SequenceError> {
+    let fail = |fault| SequenceError::Io { path: folder.to_owned(), fault };
+    let entries = std::fs::read_dir(folder).map_err(fail)?;
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(fail)?.path();
+        if !path.is_dir() {
+            files.push(path);
+        }
+    }
+    Ok(files)
+}
+
+/// Which of the frames are wanted. Ends are included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Selection {
+    /// The first number.
+    pub start: u64,
+    /// The last number.
+    pub end: u64,
+    /// Every so many numbers from the first.
+    pub step: u64,
+}
+
+impl Default for Selection {
+    fn default() -> Self {
+        Self { start: 0, end: u64::MAX, step: 1 }
+    }
+}
+
+impl Selection {
+    /// The frames that are wanted. Steps count from the first number asked for, else from the first there is.
+    #[must_use]
+    pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
+        let from = if self.start > 0 { self.start } else { frames.first().map_or(0, |frame| frame.number) };
+        let wanted = |number: u64| {
+            (self.start..=self.end).contains(&number) && (number - from).is_multiple_of(self.step.max(1))
+        };
+        frames.into_iter().filter(|frame| wanted(frame.number)).collect()
+    }
+}
+
+/// The numbers that are missing between others, by the greatest step that leads to all that are there.
+#[must_use]
+pub fn gaps(frames: &[FrameFile]) -> Gaps {
+    let steps = neighbours(frames).map(|(a, b)| b.number - a.number);
+    let step = steps.fold(0, greatest_common_divisor);
+    let mut ranges = Vec::new();
+    for (a, b) in neighbours(frames) {
+        if b.number - a.number > step {
+            ranges.push((a.number + step, a.number + (b.number - a.number - 1) / step * step));
+        }
+    }
+    let count = ranges.iter().map(|(first, last)| (last - first) / step + 1).sum();
+    Gaps { step, ranges, count, sparse: count >= frames.len() as u64 }
+}
+
+fn greatest_common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
+/// What the file of a missing number would be called, going by the one before it.
+#[must_use]
+pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
+    let before = frames.iter().rev().find(|frame| frame.number < number);
+    let Some(FrameFile { digits, path, .. }) = before.or(frames.first()) else { return PathBuf::new() };
+    let width = if digits.starts_with('0') { digits.len() } else { 1 };
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let at = name.rfind(&**digits).unwrap_or(0);
+    path.with_file_name(format!("{}{number:0width$}{}", &name[..at], &name[at + digits.len()..]))
+}
+
+/// What [`gaps`] finds.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Gaps {
+    /// From one number to the next.
+    pub step: u64,
+    /// The first and the last missing number of each gap.
+    pub ranges: Vec<(u64, u64)>,
+    /// Missing numbers in all.
+    pub count: u64,
+    /// More is missing than there: a choice of frames, and not a sequence with gaps.
+    pub sparse: bool,
+}
+
+impl Gaps {
+    /// The missing numbers, one by one.
+    pub fn numbers(&self) -> impl Iterator<Item = u64> + '_ {
+        self.ranges.iter().flat_map(|&(first, last)| (first..=last).step_by(self.step.max(1) as usize))
+    }
+}
+
+impl std::fmt::Display for Gaps {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let range = |&(first, last): &(u64, u64)| {
+            if first == last { first.to_string() } else { format!("{first} to {last}") }
+        };
+        f.write_str(&self.ranges.iter().map(range).collect::<Vec<_>>().join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames(numbers: &[u64]) -> Vec<FrameFile> {
+        let frame = |&number: &u64| FrameFile { number, digits: number.to_string(), path: PathBuf::new() };
+        numbers.iter().map(frame).collect()
+    }
+
+    #[test]
+    fn the_number_is_the_last_digits_before_the_extensions() {
+        for (name, parts) in [
+            ("ParticleData_Fluid_12.bgeo", ("ParticleData_Fluid_", "12", ".bgeo")),
+            ("fluid.0042.bgeo.gz", ("fluid.", "0042", ".bgeo.gz")),
+            ("Part_0005.bi4", ("Part_", "0005", ".bi4")),
+            ("run3_é7.csv", ("run3_é", "7", ".csv")),
+            ("12.npy", ("", "12", ".npy")),
+            ("v2.final_3.ply", ("v2.final_", "3", ".ply")),
+            ("fluid.0042", ("fluid.", "0042", "")),
+        ] {
+            assert_eq!(split_number(name), Some(parts));
+        }
+        assert_eq!(split_number("fluid.bgeo"), None);
+    }
+
+    #[test]
+    fn gaps_are_told_by_the_step_that_leads_to_all() {
+        let found = gaps(&frames(&[0, 10, 20, 40, 50, 90]));
+        assert_eq!((found.step, &*found.ranges, found.count), (10, &[(30, 30), (60, 80)][..], 4));
+        assert!(!found.sparse);
+        assert_eq!(found.numbers().collect::<Vec<_>>(), [30, 60, 70, 80]);
+        assert_eq!(gaps(&frames(&[3, 4, 5])).ranges, []);
+        assert!(gaps(&frames(&[1, 10, 20])).sparse);
+        assert!(gaps(&frames(&[0, 12, 13, 14])).sparse, "four frames of fifteen are a choice");
+    }
+
+    #[test]
+    fn a_selection_takes_both_ends_and_steps_from_the_first() {
+        let numbers = |selection: Selection| {
+            selection.of(frames(&[1, 2, 3, 4, 5, 6, 7])).iter().map(|f| f.number).collect::<Vec<_>>()
+        };
+        assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
+        assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
+        assert_eq!(numbers(Selection { start: 2, end: u64::MAX, step: 2 }), [2, 4, 6]);
+    }
+
+    #[test]
+    fn a_pattern_matches_what_it_writes() {
+        let padded = Pattern::parse(Path::new("a/x_{:04}.ply")).unwrap().unwrap();
+        assert_eq!(padded.path(42, "42"), Path::new("a/x_0042.ply"));
+        assert_eq!(padded.digits("x_0042.ply"), Some("0042"));
+        assert_eq!(padded.digits("x_12345.ply"), Some("12345"));
+        assert_eq!((padded.digits("x_42.ply"), padded.digits("x_01234567.ply")), (None, None));
+        let plain = Pattern::parse(Path::new("x{}")).unwrap().unwrap();
+        assert_eq!(plain.path(42, "0042"), Path::new("x0042"));
+        assert_eq!((plain.digits("x"), plain.digits("x4a"), plain.digits("x007")), (None, None, Some("007")));
+        for wrong in ["x_{}_{}.ply", "x_{:4}.ply", "x_{n}.ply", "a_{}/x_{}.ply"] {
+            Pattern::parse(Path::new(wrong)).unwrap_err();
+        }
+        assert_eq!(Pattern::parse(Path::new("x.ply")).unwrap(), None);
+    }
+}

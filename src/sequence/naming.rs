@@ -1,0 +1,106 @@
+//! What the outputs of a sequence are called.
+
+use std::path::{Path, PathBuf};
+
+use crate::io::output::MeshFormat;
+
+use super::SequenceError;
+use super::inputs::{FrameFile, Pattern, split_number};
+
+/// How outputs are called.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Naming {
+    /// A name with `{}` for the number.
+    Pattern(Pattern),
+    /// As the inputs, in this folder, as .ply.
+    Folder(PathBuf),
+}
+
+/// What a folder is filled with.
+const IN_FOLDER: &str = ".ply";
+
+impl Naming {
+    /// What an output path asks for; `None` where it names one file.
+    ///
+    /// # Errors
+    /// [`SequenceError::Names`] for a pattern that cannot be one.
+    pub fn of(path: &Path) -> Result<Option<Self>, SequenceError> {
+        // A folder called as a mesh is in the way of one.
+        let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
+        if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
+            return Ok(Some(Self::Folder(path.to_owned())));
+        }
+        Ok(Pattern::parse(path)?.map(Self::Pattern))
+    }
+
+    /// The folder of all outputs.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        match self {
+            Self::Pattern(pattern) if pattern.folder.as_os_str().is_empty() => Path::new("."),
+            Self::Pattern(pattern) => &pattern.folder,
+            Self::Folder(folder) => folder,
+        }
+    }
+
+    /// The output of a frame: its number padded as it is in the input's name, unless the pattern says how.
+    #[must_use]
+    pub fn path(&self, frame: &FrameFile) -> PathBuf {
+        match self {
+            Self::Pattern(pattern) => pattern.path(frame.number, &frame.digits),
+            Self::Folder(folder) => {
+                let stem = stem(frame);
+                folder.join(format!("{stem}{}{IN_FOLDER}", frame.digits))
+            }
+        }
+    }
+
+    /// Beside the outputs, without any number: what state and series of the sequence are called by.
+    #[must_use]
+    pub fn sequence(&self, first: &FrameFile) -> PathBuf {
+        let (stem, suffix) = match self {
+            Self::Pattern(pattern) => (pattern.prefix.clone(), &*pattern.suffix),
+            Self::Folder(_) => (stem(first), IN_FOLDER),
+        };
+        let stem = match stem.trim_end_matches(['_', '-', '.', ' ']) {
+            "" => "frames",
+            stem => stem,
+        };
+        self.folder().join(format!("{stem}{suffix}"))
+    }
+}
+
+/// The name of a frame before its number.
+fn stem(frame: &FrameFile) -> String {
+    let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
+    let stem = match split_number(&name) {
+        Some((stem, digits, _)) if digits == frame.digits => stem,
+        // Numbered by its place among the others.
+        _ => "",
+    };
+    stem.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(name: &str, digits: &str) -> FrameFile {
+        FrameFile { number: digits.parse().unwrap(), digits: digits.into(), path: name.into() }
+    }
+
+    #[test]
+    fn outputs_keep_the_inputs_padding_and_the_sequence_has_no_number() {
+        let input = frame("sim/Fluid_007.bgeo.gz", "007");
+        let folder = Naming::of(Path::new("mesh/")).unwrap().unwrap();
+        assert_eq!(folder.path(&input), Path::new("mesh/Fluid_007.ply"));
+        assert_eq!(folder.sequence(&input), Path::new("mesh/Fluid.ply"));
+        let pattern = Naming::of(Path::new("mesh/a_{}.obj")).unwrap().unwrap();
+        assert_eq!(pattern.path(&input), Path::new("mesh/a_007.obj"));
+        assert_eq!(pattern.sequence(&input), Path::new("mesh/a.obj"));
+        let bare = Naming::of(Path::new("{:02}.vtk")).unwrap().unwrap();
+        assert_eq!(bare.path(&input), Path::new("07.vtk"));
+        assert_eq!(bare.sequence(&input), Path::new("./frames.vtk"));
+        assert_eq!(Naming::of(Path::new("mesh/a.ply")).unwrap(), None);
+    }
+}

@@ -1,0 +1,246 @@
+//! What is kept beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
+//! all frames have in common, and `42.json`, the record of frame 42.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::io::whole::replace_small;
+use crate::units::MeanCount;
+
+use super::SequenceError;
+pub use super::frozen::Stamp;
+
+use super::frozen::Frozen;
+
+/// What was asked for, by the names of the options.
+pub type Settings = Map<String, Value>;
+
+/// What all frames of a sequence have in common.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// The version of this library.
+    pub meniscus: String,
+    /// What was asked for.
+    pub settings: Settings,
+    /// What was measured.
+    pub frozen: Frozen,
+}
+
+impl State {
+    /// By this version.
+    #[must_use]
+    pub fn new(settings: Settings, frozen: Frozen) -> Self {
+        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
+    }
+
+    /// A number that differs where anything does.
+    #[must_use]
+    pub fn fingerprint(&self) -> u32 {
+        crc32fast::hash(&json(self))
+    }
+
+    /// Which settings differ from `wanted`, for people; empty where none does.
+    #[must_use]
+    pub fn differing(&self, wanted: &Settings) -> String {
+        let mut names: Vec<&str> = Vec::new();
+        if self.meniscus != env!("CARGO_PKG_VERSION") {
+            names.push("version");
+        }
+        let keys = self.settings.keys().chain(wanted.keys().filter(|key| !self.settings.contains_key(*key)));
+        names.extend(keys.filter(|key| self.settings.get(*key) != wanted.get(*key)).map(String::as_str));
+        names.join(", ")
+    }
+}
+
+/// A frame that is done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// Its number.
+    pub frame: u64,
+    /// What it was made from.
+    pub input: Stamp,
+    /// The state's fingerprint.
+    pub fingerprint: u32,
+    /// The output's name in its folder.
+    pub file: String,
+    /// The output's size.
+    pub bytes: u64,
+    /// In seconds, where the input says it.
+    pub time: Option<f64>,
+    /// Particles that were used.
+    pub particles: u64,
+    /// Of the mesh.
+    pub vertices: u64,
+    /// Of the mesh.
+    pub triangles: u64,
+}
+
+/// The folder that holds all this.
+#[derive(Debug, Clone)]
+pub struct Store {
+    folder: PathBuf,
+}
+
+impl Store {
+    /// Beside the outputs of a sequence; nothing is created yet.
+    #[must_use]
+    pub fn beside(sequence: &Path) -> Self {
+        let mut name = sequence.as_os_str().to_owned();
+        name.push(".meniscus");
+        Self { folder: name.into() }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The state's file.
+    #[must_use]
+    pub fn state_path(&self) -> PathBuf {
+        self.folder.join("state.json")
+    }
+
+    /// The state, if there is one.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] and [`SequenceError::State`] where it cannot be read.
+    pub fn load(&self) -> Result<Option<State>, SequenceError> {
+        let path = self.state_path();
+        let bytes = match fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) => return Err(SequenceError::Io { path, fault }),
+        };
+        let state: State = serde_json::from_slice(&bytes)
+            .map_err(|e| SequenceError::State { path: path.clone(), what: e.to_string() })?;
+        let Frozen { cell_size, isovalue, mu0, .. } = state.frozen;
+        let sound = state.frozen.grid().is_ok() && state.frozen.iso().is_ok();
+        if !sound || mu0.is_some_and(|mu0| MeanCount::new(mu0).is_err()) {
+            let what = format!("cells of {cell_size} and isovalue {isovalue} cannot have been measured");
+            return Err(SequenceError::State { path, what });
+        }
+        Ok(Some(state))
+    }
+
+    /// Keeps a state in place of any other.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`].
+    pub fn save(&self, state: &State) -> Result<(), SequenceError> {
+        fs::create_dir_all(&self.folder)
+            .map_err(|fault| SequenceError::Io { path: self.folder.clone(), fault })?;
+        let path = self.state_path();
+        replace_small(&path, &json(state)).map_err(|fault| SequenceError::Io { path, fault })
+    }
+
+    fn record_path(&self, frame: u64) -> PathBuf {
+        self.folder.join(format!("{frame}.json"))
+    }
+
+    /// The record of a frame. One that cannot be read is none: the frame is made again.
+    #[must_use]
+    pub fn record(&self, frame: u64) -> Option<Record> {
+        serde_json::from_slice(&fs::read(self.record_path(frame)).ok()?).ok()
+    }
+
+    /// Keeps the record of a frame.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`].
+    pub fn keep(&self, record: &Record) -> Result<(), SequenceError> {
+        let path = self.record_path(record.frame);
+        replace_small(&path, &json(record)).map_err(|fault| SequenceError::Io { path, fault })
+    }
+
+    /// The record of a frame whose output is whole and what it would be if it were made now.
+    #[must_use]
+    pub fn current(&self, frame: u64, input: &Path, output: &Path, fingerprint: u32) -> Option<Record> {
+        let record = self.record(frame)?;
+        let same = record.fingerprint == fingerprint
+            && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
+            && output.file_name().is_some_and(|name| *name == *record.file)
+            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.bytes);
+        same.then_some(record)
+    }
+}
+
+fn json(value: &impl Serialize) -> Vec<u8> {
+    let mut text = serde_json::to_vec_pretty(value).expect("string keys and finite depth");
+    text.push(b'\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::Isovalue;
+
+    fn frozen(isovalue: f64) -> Frozen {
+        Frozen {
+            frame: 1,
+            input: Stamp { bytes: 1, modified: u64::MAX },
+            spacing: Some(0.1 + 0.2),
+            spacing_source: Some("a test".into()),
+            cell_size: 0.1 + 0.7,
+            origin: [1e-17, -0.1, 1.0 / 3.0],
+            mu0: Some(7.0 / 3.0),
+            isovalue,
+        }
+    }
+
+    #[test]
+    fn a_state_comes_back_to_the_last_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::beside(&folder.path().join("fluid.ply"));
+        assert_eq!(store.load().unwrap(), None);
+        for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
+            let iso = Isovalue::half_of(theta);
+            let state = State::new(Settings::new(), frozen(iso.value()));
+            store.save(&state).unwrap();
+            let loaded = store.load().unwrap().unwrap();
+            assert_eq!(loaded, state);
+            assert_eq!(loaded.fingerprint(), state.fingerprint());
+            assert_eq!(loaded.frozen.iso().unwrap(), iso);
+        }
+        fs::write(store.state_path(), "{").unwrap();
+        assert!(matches!(store.load(), Err(SequenceError::State { .. })));
+    }
+
+    #[test]
+    fn a_record_holds_only_for_the_same_input_output_and_settings() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["in_1.xyz", "out_1.ply"].map(|name| folder.path().join(name));
+        fs::write(&input, "particles").unwrap();
+        fs::write(&output, "mesh").unwrap();
+        let store = Store::beside(&folder.path().join("out.ply"));
+        fs::create_dir(store.folder()).unwrap();
+        let record = Record {
+            frame: 1,
+            input: Stamp::of(&input).unwrap(),
+            fingerprint: 5,
+            file: "out_1.ply".into(),
+            bytes: 4,
+            time: Some(0.1),
+            particles: 1,
+            vertices: 0,
+            triangles: 0,
+        };
+        store.keep(&record).unwrap();
+        let current = |fingerprint| store.current(1, &input, &output, fingerprint);
+        assert_eq!(current(5), Some(record.clone()));
+        assert_eq!(current(6), None, "other settings");
+        assert_eq!(store.current(2, &input, &output, 5), None, "another frame");
+        assert_eq!(store.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");
+        fs::write(&output, "mes").unwrap();
+        assert_eq!(current(5), None, "a truncated output");
+        fs::write(&output, "mesh").unwrap();
+        fs::write(&input, "particles and more").unwrap();
+        assert_eq!(current(5), None, "another input");
+    }
+}

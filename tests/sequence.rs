@@ -1,0 +1,458 @@
+//! What the program promises for the frames of a simulation: the same bytes however they are made, every frame that can
+//! be, and nothing left behind.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use common::fill;
+use common::scene::Random;
+use glam::{DQuat, DVec3, EulerRot};
+use meniscus::io::output::read_mesh;
+use meniscus::mesh::check::check;
+use meniscus::mesh::measure::measure;
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    command.current_dir(folder).arg("reconstruct").args(arguments);
+    command
+}
+
+#[track_caller]
+fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
+    let Output { status, stderr, .. } = command(folder, arguments).output().unwrap();
+    let errors = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(code), "{arguments:?}: {errors}");
+    assert!(!errors.contains("panicked"), "{errors}");
+    errors
+}
+
+fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
+    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+}
+
+/// A ball that falls, in `in/f_N.xyz`, with particles in disorder.
+fn falling(frames: std::ops::RangeInclusive<u64>) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("in")).unwrap();
+    for frame in frames {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), raw(&ball(frame))).unwrap();
+    }
+    folder
+}
+
+fn ball(frame: u64) -> Vec<[f64; 3]> {
+    let fall = DVec3::new(0.0, -0.07 * frame as f64, 0.0);
+    let ball = fill(10.0, 2.0, 0.4, frame, |p| p.length() < 5.0);
+    ball.into_iter().map(|p| (DVec3::from(p) + fall).to_array()).collect()
+}
+
+/// Every file below a folder, by its path in it.
+fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for path in fs::read_dir(next).unwrap().map(|e| e.unwrap().path()) {
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+                files.insert(name, fs::read(path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+const ALL: [&str; 3] = ["in/f_{}.xyz", "-o", "out/m_{}.ply"];
+
+fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    [&ALL[..], more].concat()
+}
+
+#[test]
+fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
+    let folder = falling(1..=9);
+    let bytes = |runs: &[&[&str]]| {
+        let out = folder.path().join("out");
+        let _ = fs::remove_dir_all(&out);
+        runs.iter().for_each(|options| drop(run(folder.path(), &with(options), 0)));
+        tree(&out)
+    };
+    let first = bytes(&[&["--threads", "1"]]);
+    assert_eq!(first.len(), 9 + 9 + 2, "meshes, their records, the state and a manifest");
+    assert!(first == bytes(&[&["--threads", "3"]]));
+    assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
+    // The last job sees the frames of all others.
+    assert!(first == bytes(&[&["--frames", "6..9"], &["--frames", "1..2"], &["--frames", "3..5"]]));
+    assert!(first == bytes(&[&["--plan"], &["--frames", "4..9"], &["--resume"]]));
+}
+
+#[test]
+fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_nothing_else() {
+    let folder = falling(1..=8);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let whole = tree(&out);
+    let times = || -> Vec<_> {
+        (1..=8).map(|i| out.join(format!("m_{i}.ply")).metadata().unwrap().modified().unwrap()).collect()
+    };
+    let before = times();
+
+    fs::remove_file(out.join("m_2.ply")).unwrap();
+    fs::write(out.join("m_3.ply"), "ply").unwrap();
+    fs::remove_file(out.join("m.ply.meniscus/4.json")).unwrap();
+    fs::write(out.join("m.ply.meniscus/5.json"), "{").unwrap();
+    fs::write(out.join(".meniscus-dead.tmp"), "left behind").unwrap();
+    fs::write(out.join("m.ply.meniscus/.meniscus-dead.tmp"), "left behind").unwrap();
+    let alive = fs::File::create(out.join(".meniscus-alive.tmp")).unwrap();
+    alive.lock_shared().unwrap();
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("4 of 8 frames are done already"), "{errors}");
+    fs::remove_file(out.join(".meniscus-alive.tmp")).expect("what another process writes stays");
+    assert!(tree(&out) == whole);
+    let again: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
+    assert_eq!(again, [2, 3, 4, 5]);
+
+    // An input that has changed is another frame.
+    fs::write(folder.path().join("in/f_7.xyz"), raw(&ball(11))).unwrap();
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("7 of 8 frames"), "{errors}");
+    let other = tree(&out);
+    assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
+
+    // Other settings are refused, unless all may be made again.
+    let errors = run(folder.path(), &with(&["--sigma", "1.3"]), 2);
+    assert!(errors.contains("sigma") && errors.contains("--resume"), "{errors}");
+    assert!(tree(&out) == other);
+    run(folder.path(), &with(&["--sigma", "1.3", "--resume"]), 0);
+    let wide = tree(&out);
+    run(folder.path(), &with(&["--sigma", "1.3", "--overwrite"]), 0);
+    assert!(tree(&out) == wide && wide["m_1.ply"] != other["m_1.ply"]);
+}
+
+#[test]
+fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
+    let folder = falling(1..=20);
+    run(folder.path(), &ALL, 0);
+    let whole = tree(&folder.path().join("out"));
+    fs::remove_dir_all(folder.path().join("out")).unwrap();
+
+    let input = |frame: u64| folder.path().join(format!("in/f_{frame}.xyz"));
+    let bytes = fs::read(input(5)).unwrap();
+    fs::write(input(5), &bytes[..bytes.len() - 5]).unwrap();
+    fs::remove_file(input(11)).unwrap();
+    let mut bytes = fs::read(input(17)).unwrap();
+    bytes[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
+    fs::write(input(17), bytes).unwrap();
+
+    let errors = run(folder.path(), &with(&["--stats", "stats.jsonl"]), 1);
+    assert!(errors.contains("3 frames failed"), "{errors}");
+    for cause in
+        ["frame 5: in/f_5.xyz: ", "frame 11: in/f_11.xyz: missing", "frame 17: in/f_17.xyz: particle 0"]
+    {
+        assert!(errors.contains(cause), "{cause}: {errors}");
+    }
+    let out = tree(&folder.path().join("out"));
+    let meshes = |files: &BTreeMap<String, Vec<u8>>| -> Vec<String> {
+        files.keys().filter(|name| name.starts_with("m_")).cloned().collect()
+    };
+    assert_eq!(meshes(&out).len(), 17);
+    assert!(meshes(&out).iter().all(|name| out[name] == whole[name]));
+    let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+    let lines: Vec<Value> = stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 19);
+    assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
+    assert!(lines.iter().all(|line| line["frame"].is_u64()));
+
+    // A bad first frame does not keep the others from being measured.
+    fs::write(input(1), "").unwrap();
+    let errors = run(folder.path(), &["in", "-o", "other/"], 1);
+    assert!(errors.contains("frame 1: in/f_1.xyz: the file is empty"), "{errors}");
+    assert_eq!(tree(&folder.path().join("other")).keys().filter(|name| name.starts_with("f_")).count(), 16);
+}
+
+#[test]
+fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
+    let folder = falling(8..=11);
+    fs::write(folder.path().join("in/notes.md"), "no frame").unwrap();
+    fs::write(folder.path().join("in/scene.json"), "{}").unwrap();
+    let inputs: [&[&str]; 4] = [
+        &["in/f_{}.xyz"],
+        &["in"],
+        &["in/f_*.xyz"],
+        &["in/f_10.xyz", "in/f_9.xyz", "in/f_11.xyz", "in/f_8.xyz"],
+    ];
+    let outputs: Vec<_> = inputs
+        .iter()
+        .enumerate()
+        .map(|(i, inputs)| {
+            let out = format!("out{i}/m_{{:03}}.ply");
+            run(folder.path(), &[inputs, &["-o", &out][..]].concat(), 0);
+            tree(&folder.path().join(format!("out{i}")))
+        })
+        .collect();
+    assert!(outputs.iter().all(|out| *out == outputs[0]));
+    assert!(outputs[0].contains_key("m_008.ply") && outputs[0].contains_key("m_011.ply"));
+    let manifest: Value = serde_json::from_slice(&outputs[0]["m.ply.json"]).unwrap();
+    let files: Vec<_> =
+        manifest["frames"].as_array().unwrap().iter().map(|f| f["file"].as_str().unwrap()).collect();
+    assert_eq!(files, ["m_008.ply", "m_009.ply", "m_010.ply", "m_011.ply"]);
+
+    run(folder.path(), &["in", "-o", "some/", "--start", "9", "--step", "2", "--fps", "25"], 0);
+    let some = tree(&folder.path().join("some"));
+    let manifest: Value = serde_json::from_slice(&some["f.ply.json"]).unwrap();
+    let times: Vec<_> =
+        manifest["frames"].as_array().unwrap().iter().map(|f| f["time"].as_f64().unwrap()).collect();
+    assert_eq!(times, [9.0 / 25.0, 11.0 / 25.0]);
+}
+
+#[test]
+fn what_cannot_be_a_sequence_is_refused_before_any_work() {
+    let folder = falling(1..=3);
+    fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("in/g_1.xyz")).unwrap();
+    fs::create_dir(folder.path().join("none")).unwrap();
+    let before = tree(folder.path());
+    for (arguments, code, says) in [
+        (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
+        (vec!["in", "-o", "out_{}.ply"], 2, "both frame 1"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.abc"], 2, "unknown extension"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.stl", "--normals"], 2, "normals"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}_{}.ply"], 2, "one {}"),
+        (vec!["in/f_{}.xyz", "-o", "out_{:4}.ply"], 2, "{:04}"),
+        (vec!["in/f_{}.xyz", "-o", "in/f_{}.xyz"], 2, "unknown extension"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--frames", "7..9"], 2, "--frames"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--frames", "9..7"], 2, "--frames"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--step", "0"], 2, "--step"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--fps", "0"], 2, "--fps"),
+        (vec!["in/f_1.xyz", "-o", "out.ply", "--resume"], 2, "--resume"),
+        (vec!["none", "-o", "out_{}.ply"], 3, "no frames"),
+        (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no frames"),
+    ] {
+        let errors = run(folder.path(), &arguments, code);
+        assert!(errors.contains(says), "{arguments:?}: {errors}");
+        assert!(tree(folder.path()) == before, "{arguments:?} left something");
+    }
+    fs::create_dir(folder.path().join("out")).unwrap();
+    fs::write(folder.path().join("out/m_2.ply"), "precious").unwrap();
+    let before = tree(folder.path());
+    let errors = run(folder.path(), &ALL, 2);
+    assert!(errors.contains("m_2.ply") && errors.contains("--resume"), "{errors}");
+    assert!(tree(folder.path()) == before);
+}
+
+#[test]
+fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
+    let folder = falling(1..=4);
+    fs::remove_file(folder.path().join("in/f_3.xyz")).unwrap();
+    let before = tree(folder.path());
+    let output = command(folder.path(), &with(&["--dry-run"])).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success());
+    for word in ["3 of 3 frames", "missing: 3", "isovalue", "in memory of", "disk: about", "time: about"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    assert!(tree(folder.path()) == before);
+}
+
+#[test]
+fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_read() {
+    let folder = TempDir::new().unwrap();
+    let header = "x,y,z,vx,vy,vz\n";
+    let rows = |particles: &[[f64; 3]]| -> String {
+        particles.iter().map(|[x, y, z]| format!("{x},{y},{z},1,2,3\n")).collect()
+    };
+    fs::write(folder.path().join("f_0.csv"), format!("{header}{}", rows(&ball(0)))).unwrap();
+    fs::write(folder.path().join("f_1.csv"), format!("{header}{}", rows(&[[0.0; 3]]))).unwrap();
+    fs::write(folder.path().join("f_2.csv"), header).unwrap();
+    for extension in ["ply", "obj", "vtk", "vtp", "stl"] {
+        let out = format!("m_{{}}.{extension}");
+        run(folder.path(), &["f_{}.csv", "-o", &out], 0);
+        let whole = read_mesh(&folder.path().join(format!("m_0.{extension}"))).unwrap();
+        assert!(whole.triangles.len() > 1000);
+        for frame in [1, 2] {
+            let mesh = read_mesh(&folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
+            assert_eq!((mesh.positions.len(), mesh.triangles.len()), (0, 0), "{extension}");
+            // Not by reading: what has no vertices has no values to tell an attribute by.
+            let bytes = fs::read(folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
+            let names = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
+            assert_eq!(names(b"velocity") || names(b"float vx"), !whole.attributes.is_empty(), "{extension}");
+        }
+    }
+}
+
+#[test]
+fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will_be() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let folder = TempDir::new().unwrap();
+    for name in [
+        "ParticleData_Fluid_1.bgeo",
+        "ParticleData_Fluid_10.bgeo",
+        "ParticleData_Fluid_20.bgeo",
+        "scene.json",
+    ] {
+        fs::copy(data.join(name), folder.path().join(name)).unwrap();
+    }
+    let frozen = |sequence: &str| -> Value {
+        let text = fs::read(folder.path().join(sequence).join("state.json")).unwrap();
+        serde_json::from_slice::<Value>(&text).unwrap()["frozen"].clone()
+    };
+    let number = |value: &Value| value.as_f64().unwrap();
+    // Its own isovalue is 0.0003; that of the last frame alone 0.2227.
+    run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply"], 0);
+    let symmetry = frozen("s.ply.meniscus");
+    assert_eq!(symmetry["frame"], 1);
+    assert!((number(&symmetry["isovalue"]) - 0.2227).abs() < 0.01, "{symmetry}");
+    // Counts on a lattice are all 1, and its plateau too: half of that would thin the splash by a third.
+    let counting = ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--indicator", "counting"];
+    run(folder.path(), &counting, 0);
+    let counting = frozen("c.ply.meniscus");
+    assert_ne!(counting["frame"], 1);
+    assert_eq!(number(&counting["mu0"]), 1.0);
+    assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
+
+    let volume = 8664.0 * 0.05_f64.powi(3);
+    for name in ["s_1", "s_10", "s_20", "c_1", "c_10"] {
+        let mesh = read_mesh(&folder.path().join(format!("{name}.ply"))).unwrap();
+        assert!(check(&mesh).is_closed_oriented_manifold());
+        let share = measure(&mesh).volume.unwrap() / volume;
+        assert!((0.8..1.15).contains(&share), "{name}: {share}");
+    }
+}
+
+/// A settled pool on a slope: every particle somewhere near its place, and no layer of them along a layer of cells.
+fn pool(shift: [f64; 3]) -> Vec<[f64; 3]> {
+    let mut random = Random::new(9);
+    let slope = DQuat::from_euler(EulerRot::XYZ, 0.6, 0.1, 0.4);
+    let mut particles = Vec::new();
+    for z in 0..24 {
+        for y in 0..12 {
+            for x in 0..24 {
+                let jitter = [0; 3].map(|_| 0.6 * (random.unit() - 0.5));
+                let at = slope * (DVec3::new(f64::from(x), f64::from(y), f64::from(z)) + DVec3::from(jitter));
+                particles.push((0.1 * (at + DVec3::from(shift))).to_array());
+            }
+        }
+    }
+    particles
+}
+
+#[test]
+fn a_fluid_at_rest_does_not_flicker() {
+    let folder = TempDir::new().unwrap();
+    let shifts =
+        [[0.0; 3], [0.0; 3], [0.25, 0.0, 0.0], [0.25, 0.5, 0.0], [0.4, 0.6, 0.8], [1.4, 0.6, -0.2], [0.5; 3]];
+    for (frame, shift) in shifts.into_iter().enumerate() {
+        fs::write(folder.path().join(format!("p_{frame}.xyz")), raw(&pool(shift))).unwrap();
+    }
+    run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
+    let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+    assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
+    for frame in 2..shifts.len() {
+        let [before, after] = [frame - 1, frame].map(|frame| measure(&mesh(frame)));
+        let moved = (after.volume.unwrap() - before.volume.unwrap()) / before.area / 0.1;
+        assert!(
+            moved.abs() < 0.02,
+            "the surface moves by {moved:.4} cells from frame {} to {frame}",
+            frame - 1
+        );
+    }
+}
+
+#[test]
+fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
+    let folder = TempDir::new().unwrap();
+    let frame = raw(&fill(46.0, 1.0, 0.4, 1, |p| p.length() < 46.0));
+    for i in 0..6 {
+        fs::write(folder.path().join(format!("f_{i}.xyz")), &frame).unwrap();
+    }
+    for memory in ["64MiB", "192MiB"] {
+        let stats = format!("{memory}.jsonl");
+        let arguments = [
+            "f_{}.xyz",
+            "-o",
+            "m_{}.ply",
+            "--spacing",
+            "1",
+            "--memory",
+            memory,
+            "--threads",
+            "2",
+            "--overwrite",
+        ];
+        run(folder.path(), &[&arguments[..], &["--stats", &stats]].concat(), 0);
+        let text = fs::read_to_string(folder.path().join(stats)).unwrap();
+        let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there are.
+        let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
+        assert!(last["peak_resident_bytes"].as_u64().unwrap() <= budget, "{memory}: {last}");
+    }
+}
+
+#[test]
+fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
+    let folder = falling(1..=12);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let whole = tree(&out);
+    for i in 0..6 {
+        fs::remove_dir_all(&out).unwrap();
+        let mut child = command(folder.path(), &ALL).stderr(Stdio::null()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(15 + 23 * i));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        fs::create_dir_all(&out).unwrap();
+        run(folder.path(), &with(&["--resume"]), 0);
+        assert!(tree(&out) == whole, "killed after {} ms", 15 + 23 * i);
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
+    let folder = falling(1..=200);
+    let mut child = command(folder.path(), &ALL).stderr(Stdio::piped()).spawn().unwrap();
+    let out = folder.path().join("out");
+    while !out.join("m_3.ply").exists() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let left = tree(&out);
+    assert!(left.keys().all(|name| !name.contains(".tmp")), "{:?}", left.keys());
+    assert!(left.keys().filter(|name| name.starts_with("m_")).count() < 200);
+    run(folder.path(), &with(&["--resume", "-q"]), 0);
+    assert_eq!(tree(&out).keys().filter(|name| name.starts_with("m_")).count(), 200);
+}
+
+#[test]
+fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame() {
+    let folder = falling(1..=2);
+    let plain = falling(1..=5);
+    run(plain.path(), &ALL, 0);
+    let child =
+        command(folder.path(), &with(&["--watch=20", "--end", "5"])).stderr(Stdio::piped()).spawn().unwrap();
+    let path = |frame: u64| -> PathBuf { folder.path().join(format!("in/f_{frame}.xyz")) };
+    for frame in 3..=5 {
+        // A writer that pauses for longer than a file has to rest.
+        let bytes = raw(&ball(frame));
+        let half = bytes.len() / 2 / 12 * 12 + 5;
+        fs::write(path(frame), &bytes[..half]).unwrap();
+        std::thread::sleep(Duration::from_millis(if frame == 4 { 2000 } else { 300 }));
+        fs::write(path(frame), &bytes).unwrap();
+    }
+    let output = child.wait_with_output().unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    let meshes = |folder: &TempDir| -> BTreeMap<String, Vec<u8>> {
+        tree(&folder.path().join("out")).into_iter().filter(|(name, _)| name.starts_with("m_")).collect()
+    };
+    assert!(meshes(&folder) == meshes(&plain), "{errors}");
+}
