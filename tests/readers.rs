@@ -272,11 +272,8 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
 fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
     let points = tuples(7);
     let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
-    files.extend(
-        VtkXml::all().iter().filter(|layout| layout.zlib).filter_map(|layout| {
-            (layout.placed != build::Placed::Ascii).then(|| (VTU, layout.build(&points)))
-        }),
-    );
+    let compressed = |layout: &VtkXml| layout.zlib && layout.placed != build::Placed::Ascii;
+    files.extend(VtkXml::all().into_iter().filter(compressed).map(|layout| (VTU, layout.build(&points))));
     for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
         files.push((NPZ, build::npz(&[("pos", build::npy(&points, "<f4", true))], compression)));
     }
@@ -336,7 +333,8 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
     };
     let pairs = [build::npy_header("<i8", false, "(4, 2)"), vec![1; 64]].concat();
     let [x, y, z] = [axis(0), axis(1), axis(2)];
-    let cases: Vec<(Vec<(&str, Vec<u8>)>, Vec<(&str, usize)>)> = vec![
+    type Case = (Vec<(&'static str, Vec<u8>)>, Vec<(&'static str, usize)>);
+    let cases: Vec<Case> = vec![
         (vec![("v", vectors.clone()), ("x", vectors.clone())], vec![("v", 3)]),
         (vec![("v", vectors.clone()), ("Positions", vectors.clone())], vec![("v", 3)]),
         (vec![("arr_0", vectors.clone())], vec![]),
@@ -344,7 +342,7 @@ fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
             vec![("mass", x.clone()), ("arr_0", vectors.clone()), ("pair", pairs)],
             vec![("mass", 1), ("pair", 2)],
         ),
-        (vec![("z", z), ("y", y), ("x", x.clone()), ("v", vectors.clone())], vec![("v", 3)]),
+        (vec![("z", z), ("y", y), ("x", x), ("v", vectors.clone())], vec![("v", 3)]),
     ];
     for (arrays, expected) in cases {
         let names: Vec<_> = arrays.iter().map(|(name, _)| *name).collect();

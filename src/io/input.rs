@@ -37,7 +37,7 @@ pub fn is_known(path: &Path) -> bool {
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let has_faces = match extension(path).as_deref() {
-        Some("obj" | "stl") => return Ok(true),
+        Some("obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
         Some("vtp") => vtp::has_faces,

@@ -10,7 +10,7 @@ use crate::mesh::source::MeshSource;
 use super::bytes::open_bytes;
 use super::whole::{Replace, WholeFile};
 use super::{CoordinateWidth, ReadError, ReadFault, WriteError, WriteFault};
-use super::{obj, ply, stl, vtk, vtp};
+use super::{obj, ply, stl, usd, vtk, vtp};
 
 /// What holds a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +21,7 @@ pub enum MeshFormat {
     Vtk,
     Vtp,
     Stl,
+    Usdc,
 }
 
 impl fmt::Display for MeshFormat {
@@ -31,16 +32,17 @@ impl fmt::Display for MeshFormat {
             Self::Vtk => ".vtk",
             Self::Vtp => ".vtp",
             Self::Stl => ".stl",
+            Self::Usdc => ".usdc",
         })
     }
 }
 
 impl MeshFormat {
     /// All that there are.
-    const ALL: [Self; 5] = [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl];
+    const ALL: [Self; 6] = [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc];
 
     /// The extensions, for messages.
-    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp and .stl";
+    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl and .usdc";
 
     /// By the extension, in upper or lower case.
     #[must_use]
@@ -51,6 +53,7 @@ impl MeshFormat {
             "vtk" => Some(Self::Vtk),
             "vtp" => Some(Self::Vtp),
             "stl" => Some(Self::Stl),
+            "usd" | "usdc" => Some(Self::Usdc),
             _ => None,
         }
     }
@@ -64,13 +67,13 @@ impl MeshFormat {
     /// Whether it has a place for velocities and other values of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
-        matches!(self, Self::Ply | Self::Vtk | Self::Vtp)
+        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc)
     }
 
     /// Whether coordinates can be wider than f32.
     #[must_use]
     pub fn holds_f64(self) -> bool {
-        self != Self::Stl
+        !matches!(self, Self::Stl | Self::Usdc)
     }
 
     /// Whether its writer, given a mesh in pieces, holds the positions of all vertices in memory, 24 bytes each.
@@ -94,6 +97,7 @@ impl MeshFormat {
             // The last triangle's end is three times their number.
             Self::Vtp => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
+            Self::Usdc => [I32, u64::MAX / 3],
         }
     }
 
@@ -141,6 +145,7 @@ impl MeshFormat {
             Self::Vtk => vtk::write_mesh(out, mesh, width),
             Self::Vtp => vtp::write_mesh(out, mesh, width),
             Self::Stl => stl::write_mesh(out, mesh, width),
+            Self::Usdc => usd::write_mesh(out, mesh),
         }
     }
 
@@ -155,6 +160,7 @@ impl MeshFormat {
             Self::Vtk => vtk::read_mesh(bytes),
             Self::Vtp => vtp::read_mesh(bytes),
             Self::Stl => stl::read_mesh(bytes),
+            Self::Usdc => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
         }
     }
 }

@@ -10,6 +10,7 @@ mod read;
 mod write;
 
 pub use read::{has_faces, read_mesh, read_particles};
+pub(super) use write::escaped;
 pub use write::write_mesh;
 
 /// What the array of normals is called.

@@ -188,7 +188,7 @@ impl IndexWidth {
 }
 
 /// As it stands between quotes in XML.
-fn escaped(name: &str) -> String {
+pub(in crate::io) fn escaped(name: &str) -> String {
     let mut escaped = String::new();
     for character in name.chars() {
         match character {

@@ -1,0 +1,176 @@
+//! Writing one frame as a binary layer.
+
+use std::io::{self, Write};
+use std::sync::{Mutex, PoisonError};
+
+use crate::io::encode::{write_pieces, write_triangles, write_vertices};
+use crate::io::output::MeshFormat;
+use crate::mesh::source::{MeshSource, Vertices};
+
+use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
+use super::{PRIM, Property, properties};
+
+/// Triangles whose counts of corners are written at once.
+const COUNTS: u64 = 1 << 16;
+
+/// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute `velocity` of three
+/// components as `velocities`, others as `primvars` under their name with underscores for what it may not hold.
+///
+/// No unit and no axis are known here, but for metres: 1 unit is 1 m.
+///
+/// # Errors
+/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
+///
+/// # Panics
+/// As [`MeshFormat::write`].
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
+    MeshFormat::Usdc.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
+    let properties = properties(mesh.has_normals(), &mesh.attributes());
+    let arrays = arrays(mesh, properties.len());
+    let mut end = HEADER;
+    let mut place = |array: &Array| {
+        let at = end;
+        end += array.bytes();
+        at
+    };
+    let offsets: Vec<u64> = arrays.iter().map(&mut place).collect();
+    let (tail, contents_at) = tail(&properties, &arrays, &offsets, end);
+
+    out.write_all(&header(contents_at))?;
+    let extent = Mutex::new([[f32::MAX; 3], [f32::MIN; 3]]);
+    for array in &arrays {
+        out.write_all(&array.length.to_le_bytes())?;
+        array.write(out, mesh, &extent)?;
+        out.write_all(&[0; 8][..array.padding() as usize])?;
+    }
+    out.write_all(&tail)
+}
+
+/// An array of values, in the order of the properties.
+struct Array {
+    kind: u64,
+    length: u64,
+    /// Of an element.
+    width: u64,
+    values: Values,
+}
+
+enum Values {
+    Points,
+    CornerCounts,
+    Corners,
+    Extent,
+    Normals,
+    /// By its number.
+    Attribute(usize),
+}
+
+fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
+    let (vertices, triangles) = (mesh.vertex_count(), mesh.triangle_count());
+    let vectors = |values| Array { kind: VEC3F, length: vertices, width: 12, values };
+    let integers = |length, values| Array { kind: INT, length, width: 4, values };
+    let mut arrays = vec![
+        vectors(Values::Points),
+        integers(triangles, Values::CornerCounts),
+        integers(3 * triangles, Values::Corners),
+        Array { length: 2, ..vectors(Values::Extent) },
+    ];
+    arrays.extend(mesh.has_normals().then(|| vectors(Values::Normals)));
+    arrays.extend(mesh.attributes().iter().enumerate().map(|(index, attribute)| {
+        let values = Values::Attribute(index);
+        let numbers = vertices * attribute.components as u64;
+        match attribute.components {
+            3 => vectors(values),
+            _ => Array { kind: FLOAT, length: numbers, width: 4, values },
+        }
+    }));
+    assert_eq!(arrays.len(), count, "an array a property");
+    arrays
+}
+
+fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64) -> (Vec<u8>, u64) {
+    let mut tail = Tail::new(at);
+    let children = tail.tokens(&[PRIM]);
+    let prim = tail.token(PRIM);
+    tail.root(&[("defaultPrim", prim), ("metersPerUnit", Value::double(1.0)), ("primChildren", children)]);
+    const SCHEME: &str = "subdivisionScheme";
+    let names: Vec<_> = [SCHEME].into_iter().chain(properties.iter().map(|p| p.name.as_str())).collect();
+    let names = tail.tokens(&names);
+    let mesh = tail.token("Mesh");
+    tail.prim(PRIM, &[("specifier", Value::def()), ("typeName", mesh), ("properties", names)]);
+    let (token, none) = (tail.token("token"), tail.token("none"));
+    tail.property(SCHEME, &[("typeName", token), ("variability", Value::uniform()), ("default", none)]);
+    for ((property, array), &offset) in properties.iter().zip(arrays).zip(offsets) {
+        let value = Value::array(array.kind, offset, array.length);
+        let mut fields = vec![("typeName", tail.token(property.kind)), ("default", value)];
+        fields.push(("timeSamples", tail.sample(value)));
+        if let Some(interpolation) = property.interpolation {
+            fields.push(("interpolation", tail.token(interpolation)));
+        }
+        if let Some(size) = property.element_size {
+            fields.push(("elementSize", Value::int(size as u32)));
+        }
+        tail.property(&property.name, &fields);
+    }
+    tail.finish()
+}
+
+impl Array {
+    /// Of the length, the values, and what makes the next array start at a multiple of 8.
+    fn bytes(&self) -> u64 {
+        8 + self.length * self.width + self.padding()
+    }
+
+    fn padding(&self) -> u64 {
+        (self.length * self.width).wrapping_neg() % 8
+    }
+
+    fn write(
+        &self,
+        out: &mut dyn Write,
+        mesh: &dyn MeshSource,
+        extent: &Mutex<[[f32; 3]; 2]>,
+    ) -> io::Result<()> {
+        let extent = || extent.lock().unwrap_or_else(PoisonError::into_inner);
+        match self.values {
+            Values::Points => write_vertices(out, mesh, |vertices, out| {
+                let mut own = *extent();
+                for point in vertices.positions.iter().map(|point| point.map(|x| x as f32)) {
+                    for (axis, x) in point.into_iter().enumerate() {
+                        own[0][axis] = own[0][axis].min(x);
+                        own[1][axis] = own[1][axis].max(x);
+                    }
+                    out.extend(point.map(f32::to_le_bytes).as_flattened());
+                }
+                let mut all = extent();
+                for axis in 0..3 {
+                    all[0][axis] = all[0][axis].min(own[0][axis]);
+                    all[1][axis] = all[1][axis].max(own[1][axis]);
+                }
+            }),
+            Values::CornerCounts => write_pieces(out, self.length.div_ceil(COUNTS) as usize, |piece, out| {
+                let count = COUNTS.min(self.length - piece as u64 * COUNTS);
+                out.extend(3i32.to_le_bytes().repeat(count as usize));
+                Ok(())
+            }),
+            Values::Corners => write_triangles(out, mesh, |triangles, out| {
+                triangles.as_flattened().iter().for_each(|&corner| out.extend((corner as i32).to_le_bytes()));
+            }),
+            Values::Extent => out.write_all(
+                extent().as_flattened().iter().map(|x| x.to_le_bytes()).collect::<Vec<_>>().as_flattened(),
+            ),
+            Values::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
+            Values::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
+        }
+    }
+}
+
+fn write_floats(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
+) -> io::Result<()> {
+    write_vertices(out, mesh, |vertices, out| {
+        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
+    })
+}

@@ -1,0 +1,66 @@
+//! Universal Scene Description: a mesh as a binary layer, and a stage that plays many as one animated mesh.
+//!
+//! A layer holds one frame on the prim `/fluid`: its values once, as defaults for programs that open it alone, and as
+//! samples at time 0, which is what value clips look for. A stage shifts each layer to its own time, so a layer
+//! depends on nothing but its mesh. Velocities are in units of length per second.
+
+mod crate_file;
+mod layer;
+pub mod stage;
+
+pub use layer::write_mesh;
+
+use crate::particles::AttributeInfo;
+
+/// Name of the prim that is the mesh.
+const PRIM: &str = "fluid";
+
+/// An attribute of the mesh that is given for every frame.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Property {
+    name: String,
+    kind: &'static str,
+    /// `vertex`, where it has to be said.
+    interpolation: Option<&'static str>,
+    /// Numbers of a vertex, where the type does not say.
+    element_size: Option<usize>,
+}
+
+/// All of a mesh with these normals and attributes, in the order that a layer has them.
+fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> {
+    let plain =
+        |name: &str, kind| Property { name: name.into(), kind, interpolation: None, element_size: None };
+    let mut all = vec![
+        plain("points", "point3f[]"),
+        plain("faceVertexCounts", "int[]"),
+        plain("faceVertexIndices", "int[]"),
+        plain("extent", "float3[]"),
+    ];
+    if has_normals {
+        all.push(Property { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
+    }
+    for AttributeInfo { name, components } in attributes {
+        if name == "velocity" && *components == 3 {
+            all.push(plain("velocities", "vector3f[]"));
+            continue;
+        }
+        let mut name = format!("primvars:{}", identifier(name));
+        while all.iter().any(|other| other.name == name) {
+            name.push('_');
+        }
+        let kind = if *components == 3 { "float3[]" } else { "float[]" };
+        let element_size = Some(*components).filter(|components| ![1, 3].contains(components));
+        all.push(Property { name, kind, interpolation: Some("vertex"), element_size });
+    }
+    all
+}
+
+/// A name as USD allows it: letters, digits and underscores, no digit first.
+fn identifier(name: &str) -> String {
+    let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
+    if plain.starts_with(|c: char| c.is_ascii_digit()) || plain.is_empty() {
+        format!("_{plain}")
+    } else {
+        plain
+    }
+}

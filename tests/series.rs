@@ -1,0 +1,197 @@
+//! What tells other programs of a sequence: listings that are whole after each frame, and a stage of layers.
+#![allow(clippy::unwrap_used)]
+
+mod common {
+    pub mod shapes;
+}
+
+use std::fs;
+use std::path::Path;
+
+use common::shapes::{dressed, moved, sphere};
+use meniscus::io::output::{MeshFormat, MeshOutput};
+use meniscus::io::series::{Series, SeriesFacts, SeriesFrame};
+use meniscus::io::usd::stage::UpAxis;
+use meniscus::io::whole::Replace;
+use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
+use meniscus::mesh::Mesh;
+
+const FACTS: SeriesFacts = SeriesFacts { frames_per_second: 25.0, up: UpAxis::Z };
+
+fn frame(folder: &Path, name: &str, time: f64) -> SeriesFrame {
+    SeriesFrame::new(folder.join(name), time, &dressed(sphere(1.0, 1)), Some([[-1.0; 3], [1.0; 3]]))
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn listings_name_every_frame_so_far_with_its_time_and_nothing_else_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut series = Series::new(MeshFormat::Vtp, &folder.path().join("pool"), FACTS);
+    assert_eq!(names(folder.path()), [""; 0]);
+    series.tell(frame(folder.path(), "pool_2 & \"3\".vtp", 0.08)).unwrap();
+    series.tell(frame(folder.path(), "pool_1.vtp", 0.04)).unwrap();
+    series.tell(frame(folder.path(), "pool_1.vtp", 0.05)).unwrap();
+    assert_eq!(names(folder.path()), ["pool.frames.json", "pool.pvd", "pool.vtp.series"]);
+    let text = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(
+        text("pool.pvd"),
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\">\n<Collection>\n\
+         <DataSet timestep=\"0.05\" part=\"0\" file=\"pool_1.vtp\"/>\n\
+         <DataSet timestep=\"0.08\" part=\"0\" file=\"pool_2 &amp; &quot;3&quot;.vtp\"/>\n\
+         </Collection>\n</VTKFile>\n"
+    );
+    let json: serde_json::Value = serde_json::from_str(&text("pool.vtp.series")).unwrap();
+    assert_eq!(json["file-series-version"], "1.0");
+    assert_eq!(
+        (&json["files"][1]["name"], &json["files"][1]["time"]),
+        (&"pool_2 & \"3\".vtp".into(), &0.08.into())
+    );
+    let json: serde_json::Value = serde_json::from_str(&text("pool.frames.json")).unwrap();
+    let first = &json["frames"][0];
+    let mesh = dressed(sphere(1.0, 1));
+    assert_eq!((&first["file"], &first["time"]), (&"pool_1.vtp".into(), &0.05.into()));
+    assert_eq!(first["vertices"], mesh.positions.len());
+    assert_eq!(first["triangles"], mesh.triangles.len());
+    assert_eq!(first["bounds"][1][2], 1.0);
+}
+
+#[test]
+fn a_series_goes_on_with_the_frames_that_are_still_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let stem = folder.path().join("pool");
+    let mut series = Series::new(MeshFormat::Ply, &stem, FACTS);
+    series.resume().unwrap();
+    for (name, time) in [("a.ply", 1.0 / 3.0), ("b.ply", 0.5), ("c.ply", 0.75)] {
+        fs::write(folder.path().join(name), "ply").unwrap();
+        series.tell(frame(folder.path(), name, time)).unwrap();
+    }
+    fs::remove_file(folder.path().join("b.ply")).unwrap();
+    let mut resumed = Series::new(MeshFormat::Ply, &stem, FACTS);
+    resumed.resume().unwrap();
+    let kept: Vec<_> = series.frames().iter().filter(|frame| frame.time != 0.5).cloned().collect();
+    assert_eq!(resumed.frames(), kept);
+
+    fs::write(folder.path().join("pool.frames.json"), "{\n\"frames\": 3}").unwrap();
+    let error = resumed.resume().unwrap_err();
+    assert!(matches!(error.fault, ReadFault::Line { line: 2, .. }), "{error}");
+}
+
+#[test]
+fn a_time_that_is_no_number_and_a_folder_that_is_gone_are_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut series = Series::new(MeshFormat::Vtk, &folder.path().join("pool"), FACTS);
+    let fault = series.tell(frame(folder.path(), "a.vtk", f64::NAN)).unwrap_err().fault;
+    assert!(matches!(fault, WriteFault::Unsupported(_)), "{fault}");
+    assert!(series.frames().is_empty());
+    let mut series = Series::new(MeshFormat::Vtk, &folder.path().join("gone/pool"), FACTS);
+    let fault = series.tell(frame(folder.path(), "a.vtk", 0.0)).unwrap_err().fault;
+    assert!(matches!(fault, WriteFault::Io(_)), "{fault}");
+}
+
+#[test]
+fn a_stage_shows_each_layer_from_its_own_time_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut series = Series::new(MeshFormat::Usdc, &folder.path().join("pool"), FACTS);
+    for (name, time) in [("f1.usdc", 0.04), ("f3.usdc", 0.12), ("f@4.usdc", 0.17)] {
+        series.tell(frame(folder.path(), name, time)).unwrap();
+    }
+    assert_eq!(names(folder.path()), ["pool.frames.json", "pool.manifest.usda", "pool.usda"]);
+    let stage = fs::read_to_string(folder.path().join("pool.usda")).unwrap();
+    for line in [
+        "upAxis = \"Z\"",
+        "timeCodesPerSecond = 25",
+        "startTimeCode = 1\n",
+        "endTimeCode = 4.25\n",
+        "asset[] assetPaths = [@./f1.usdc@, @./f3.usdc@, @@@./f@4.usdc@@@]",
+        "double2[] active = [(1, 0), (3, 1), (4.25, 2)]",
+        "double2[] times = [(1, 0), (3, 2), (3, 0), (4.25, 1.25), (4.25, 0)]",
+        "asset manifestAssetPath = @./pool.manifest.usda@",
+        "uniform token subdivisionScheme = \"none\"",
+        "vector3f[] velocities\n",
+    ] {
+        assert!(stage.contains(line), "{line} is not in {stage}");
+    }
+    let manifest = fs::read_to_string(folder.path().join("pool.manifest.usda")).unwrap();
+    for line in ["point3f[] points\n", "vector3f[] velocities\n", "normal3f[] normals (\n"] {
+        assert!(manifest.contains(line), "{line} is not in {manifest}");
+    }
+}
+
+fn layer(mesh: &Mesh) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    MeshFormat::Usdc.write(&mut bytes, mesh, CoordinateWidth::F32).unwrap();
+    bytes
+}
+
+fn word(bytes: &[u8], at: u64) -> u64 {
+    u64::from_le_bytes(bytes[at as usize..][..8].try_into().unwrap())
+}
+
+#[test]
+fn a_layer_has_its_arrays_as_they_are_and_its_tables_where_it_says() {
+    let mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
+    let bytes = layer(&mesh);
+    assert_eq!(bytes[..16], *b"PXR-USDC\0\x08\0\0\0\0\0\0");
+    let contents = word(&bytes, 16);
+    assert_eq!(word(&bytes, contents), 6);
+    let mut end = None;
+    for (section, name) in (0..).zip(["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]) {
+        let entry = contents + 8 + 32 * section;
+        assert!(bytes[entry as usize..].starts_with(name.as_bytes()));
+        let start = word(&bytes, entry + 16);
+        assert_eq!(end.unwrap_or(start), start, "{name}");
+        end = Some(start + word(&bytes, entry + 24));
+    }
+    assert_eq!(end, Some(contents));
+    assert_eq!(bytes.len() as u64, contents + 8 + 6 * 32);
+
+    let vertices = mesh.positions.len() as u64;
+    assert_eq!(word(&bytes, 88), vertices);
+    let floats = |at: u64, count: usize| -> Vec<f32> {
+        bytes[at as usize..][..4 * count]
+            .chunks(4)
+            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+            .collect()
+    };
+    let points: Vec<f32> = mesh.positions.as_flattened().iter().map(|&x| x as f32).collect();
+    assert_eq!(floats(96, points.len()), points);
+    let after = |at: u64, bytes: u64| at + 8 + bytes.next_multiple_of(8);
+    let triangles = mesh.triangles.len() as u64;
+    let counts = after(88, 12 * vertices);
+    assert_eq!((word(&bytes, counts), word(&bytes, counts + 8)), (triangles, 3 << 32 | 3));
+    let corners = after(counts, 4 * triangles);
+    let [a, b, _] = mesh.triangles[0];
+    assert_eq!(
+        (word(&bytes, corners), word(&bytes, corners + 8)),
+        (3 * triangles, u64::from(b) << 32 | u64::from(a))
+    );
+    let extent = floats(after(corners, 12 * triangles) + 8, 6);
+    let fold = |axis: usize, pick: fn(f32, f32) -> f32| {
+        points[axis..].iter().step_by(3).copied().reduce(pick).unwrap()
+    };
+    for axis in 0..3 {
+        assert_eq!((extent[axis], extent[axis + 3]), (fold(axis, f32::min), fold(axis, f32::max)));
+    }
+}
+
+#[test]
+fn a_layer_is_the_same_on_any_number_of_threads_and_appears_under_either_extension() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = dressed(sphere(1.0, 5));
+    let on = |threads| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| layer(&mesh))
+    };
+    let bytes = on(1);
+    assert_eq!(bytes, on(3));
+    for name in ["a.usdc", "a.usd"] {
+        let path = folder.path().join(name);
+        MeshOutput::prepare(&path, Replace::Refuse).unwrap().write(&mesh, CoordinateWidth::F32).unwrap();
+        assert_eq!(fs::read(path).unwrap(), bytes);
+    }
+}
