@@ -95,7 +95,8 @@ impl Error {
                     FrameError::NoParticles(_)
                     | FrameError::Bin(_)
                     | FrameError::MeanCount(_)
-                    | FrameError::NoSurface { .. },
+                    | FrameError::NoSurface { .. }
+                    | FrameError::NothingLeft { .. },
                 ..
             }
             | Self::NoSpacing { .. }

@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_step_that_does_not_divide_the_cell_and_disorder_leave_the_origin_alone() {
-        assert_eq!(sound_origin(&lattice(0.037, [0.0; 3])[..], DVec3::ZERO, 0.05), None);
+        assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3])[..], DVec3::ZERO, 0.05), None);
         let mut state = 1u64;
         let mut unit = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

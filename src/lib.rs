@@ -60,6 +60,7 @@ pub mod recipe;
 pub mod resident;
 pub mod scratch;
 pub mod sequence;
+pub mod simplify;
 pub mod spacing;
 pub mod stage;
 pub mod stitch;

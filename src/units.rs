@@ -19,6 +19,9 @@ pub enum UnitError {
     /// The mean number of particles in a full cell.
     #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
     MeanCount(f64),
+    /// How far a simplified surface may lie from the one that it replaces.
+    #[error("--simplify must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
+    Tolerance(f64),
     /// A length that must be positive.
     #[error("{what} must be a positive length; {value} is not")]
     Length {
@@ -108,6 +111,27 @@ impl Sigma {
     #[must_use]
     pub fn half(self) -> Self {
         Self(self.0 / 2.0)
+    }
+}
+
+/// How far a simplified surface may lie from the one that it replaces, in cells, either way.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Tolerance(f64);
+
+impl Tolerance {
+    /// Chunks are simplified one by one, and must be much wider.
+    pub const MAX: f64 = 4.0;
+
+    /// # Errors
+    /// [`UnitError::Tolerance`] unless 0 < `cells` <= [`Self::MAX`].
+    pub fn new(cells: f64) -> Result<Self, UnitError> {
+        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Tolerance(cells)) }
+    }
+
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> f64 {
+        self.0
     }
 }
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 27] = [
+const ROOMS: [&str; 28] = [
     "units",
     "particles",
     "grid",
@@ -26,6 +26,7 @@ const ROOMS: [&str; 27] = [
     "backend",
     "plateau",
     "stitch",
+    "simplify",
     "programs",
     "resident",
     "estimate",

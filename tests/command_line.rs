@@ -544,3 +544,41 @@ fn devices_lists_what_the_loader_knows() {
     assert!(String::from_utf8_lossy(&run.stdout).contains(name));
     assert_eq!(on_vulkan(folder.path(), &["devices"], &NO_DRIVER).status.code(), Some(5));
 }
+
+#[test]
+fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
+    let folder = folder_with_ball();
+    let ball = ["ball.xyz", "--spacing", "0.5", "-o"];
+    for (arguments, says) in [
+        (&["a.ply", "--simplify", "0"][..], "--simplify"),
+        (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
+        (&["a.ply", "--simplify", "nan"], "--simplify"),
+        (&["a.ply", "--drop-smaller", "-1"], "--drop-smaller"),
+        (&["a.ply", "--compress"], "--compress goes with .glb"),
+        (&["a.obj", "--up", "z"], "--up goes with .glb"),
+    ] {
+        assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
+    }
+    let all = [&ball[..], &["a.ply", "--drop-smaller", "1e9"]].concat();
+    assert_refused(folder.path(), &all, 3, &["all of its 1 components are below --drop-smaller"]);
+}
+
+#[test]
+fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
+    let folder = folder_with_ball();
+    let run = |options: &[&str]| {
+        let arguments = [&["reconstruct", "ball.xyz", "--spacing", "0.5", "--overwrite"], options].concat();
+        let output = meniscus(folder.path(), &arguments);
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    run(&["-o", "whole.ply"]);
+    let said = run(&["-o", "less.ply", "--simplify", "0.25", "--drop-smaller", "10"]);
+    assert!(said.contains("simplified within 0.25 cells"), "{said}");
+    assert!(said.contains("0 components of less than 10 cells left out"), "{said}");
+    let [whole, less] = ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
+    assert!(less.triangles.len() * 2 < whole.triangles.len());
+    assert!(check(&less).is_closed_oriented_manifold());
+    run(&["-o", "less.glb", "--simplify", "0.25", "--normals", "--compress"]);
+    assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
+}

@@ -215,6 +215,17 @@ fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
 }
 
 #[test]
+fn bars_are_drawn_where_they_are_asked_for_and_lines_elsewhere() {
+    let folder = falling(1..=3);
+    let lines = run(folder.path(), &ALL, 0);
+    assert_eq!(lines.matches("vertices").count(), 3, "{lines}");
+    assert!(!lines.contains('\x1b'), "{lines}");
+    let bars = run(folder.path(), &with(&["--overwrite", "--progress", "always"]), 0);
+    assert!(bars.contains('\x1b') && bars.contains("of 3 frames") && bars.contains(" left"), "{bars}");
+    assert_eq!(run(folder.path(), &with(&["--overwrite", "--progress", "always", "--quiet"]), 0), "");
+}
+
+#[test]
 fn what_cannot_be_a_sequence_is_refused_before_any_work() {
     let folder = falling(1..=3);
     fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("in/g_1.xyz")).unwrap();

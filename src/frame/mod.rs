@@ -22,11 +22,13 @@ use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
+use crate::mesh::source::MeshSource;
 use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
 use crate::scratch::free_bytes;
+use crate::simplify::{Reduction, Simplified, simplify};
 use crate::stage::attribute::vertex_values;
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
@@ -75,6 +77,12 @@ pub enum FrameError {
         needed: u64,
         /// Bytes that are there.
         free: u64,
+    },
+    /// Every component is smaller than what was to be kept.
+    #[error("the surface is empty: all of its {dropped} components are below --drop-smaller")]
+    NothingLeft {
+        /// How many there were.
+        dropped: u64,
     },
     /// What exceeds the memory budget could not be put into scratch files.
     #[error("scratch files in {}: {fault}", folder.display())]
@@ -434,6 +442,25 @@ impl Frame {
             return Err(FrameError::NoSurface { iso });
         }
         Ok(Stitched::new(spool, self.facts.grid, self.facts.domain, iso, attributes))
+    }
+
+    /// The surface with what a reduction leaves of it.
+    ///
+    /// # Errors
+    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+    pub fn simplify(
+        &self,
+        surface: Stitched,
+        reduction: &Reduction,
+        laps: &mut Laps,
+    ) -> Result<Simplified, FrameError> {
+        let simplified = simplify(surface, reduction, self.surface_share, &self.resources.scratch)
+            .map_err(self.resources.scratch_error())?;
+        laps.lap("simplify");
+        if simplified.triangle_count() == 0 {
+            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
+        }
+        Ok(simplified)
     }
 
     /// Meshes all blocks in Morton order into `spool`.

@@ -6,6 +6,7 @@ pub mod bytes;
 pub mod columns;
 pub mod cursor;
 pub mod encode;
+pub mod glb;
 pub mod input;
 pub mod mnf;
 pub mod names;

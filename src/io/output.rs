@@ -10,7 +10,7 @@ use crate::mesh::source::MeshSource;
 use super::bytes::open_bytes;
 use super::whole::{Replace, WholeFile};
 use super::{CoordinateWidth, ReadError, ReadFault, WriteError, WriteFault};
-use super::{obj, ply, stl, usd, vtk, vtp};
+use super::{glb, obj, ply, stl, usd, vtk, vtp};
 
 /// What holds a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +22,7 @@ pub enum MeshFormat {
     Vtp,
     Stl,
     Usdc,
+    Glb(glb::Layout),
 }
 
 impl fmt::Display for MeshFormat {
@@ -33,16 +34,18 @@ impl fmt::Display for MeshFormat {
             Self::Vtp => ".vtp",
             Self::Stl => ".stl",
             Self::Usdc => ".usdc",
+            Self::Glb(_) => ".glb",
         })
     }
 }
 
 impl MeshFormat {
     /// All that there are.
-    const ALL: [Self; 6] = [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc];
+    const ALL: [Self; 7] =
+        [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc, Self::Glb(glb::Layout::PLAIN)];
 
     /// The extensions, for messages.
-    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl and .usdc";
+    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl, .usdc and .glb";
 
     /// By the extension, in upper or lower case.
     #[must_use]
@@ -54,6 +57,7 @@ impl MeshFormat {
             "vtp" => Some(Self::Vtp),
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc),
+            "glb" => Some(Self::Glb(glb::Layout::PLAIN)),
             _ => None,
         }
     }
@@ -67,7 +71,7 @@ impl MeshFormat {
     /// Whether it has a place for velocities and other values of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
-        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc)
+        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc | Self::Glb(_))
     }
 
     /// Whether coordinates can be wider than f32.
@@ -76,11 +80,13 @@ impl MeshFormat {
         !matches!(self, Self::Stl | Self::Usdc)
     }
 
-    /// Whether its writer, given a mesh in pieces, holds the positions of all vertices in memory, 24 bytes each.
-    /// All others hold a few pieces a thread.
+    /// Whether its writer, given a mesh in pieces, holds much of it in memory: the positions of all vertices, 24 bytes
+    /// each, or everything that is to be compressed. A plain .glb takes 4 bytes a vertex, all others a few pieces a
+    /// thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
-        self == Self::Stl
+        let compressed = |layout: glb::Layout| layout.compression == glb::Compression::Meshopt;
+        self == Self::Stl || matches!(self, Self::Glb(layout) if compressed(layout))
     }
 
     /// The most vertices and triangles that it can number.
@@ -98,6 +104,8 @@ impl MeshFormat {
             Self::Vtp => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Usdc => [I32, u64::MAX / 3],
+            // 4 GiB, of positions at 12 bytes a vertex and indices at 12 a triangle.
+            Self::Glb(_) => [U32 / 12; 2],
         }
     }
 
@@ -146,6 +154,7 @@ impl MeshFormat {
             Self::Vtp => vtp::write_mesh(out, mesh, width),
             Self::Stl => stl::write_mesh(out, mesh, width),
             Self::Usdc => usd::write_mesh(out, mesh),
+            Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
         }
     }
 
@@ -161,6 +170,9 @@ impl MeshFormat {
             Self::Vtp => vtp::read_mesh(bytes),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
+            Self::Glb(_) => {
+                Err(ReadFault::Unsupported("only written, not read; check the same mesh as .ply".into()))
+            }
         }
     }
 }
@@ -203,6 +215,16 @@ impl MeshOutput {
     #[must_use]
     pub fn format(&self) -> MeshFormat {
         self.format
+    }
+
+    /// The same file, laid out otherwise if it is a .glb.
+    #[must_use]
+    pub fn with_layout(self, layout: glb::Layout) -> Self {
+        let format = match self.format {
+            MeshFormat::Glb(_) => MeshFormat::Glb(layout),
+            other => other,
+        };
+        Self { format, ..self }
     }
 
     /// The file that is written before it gets its name: what an interrupt leaves behind.

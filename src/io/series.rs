@@ -113,7 +113,7 @@ impl Series {
             MeshFormat::Vtp => &["frames.json", "pvd", "vtp.series"],
             MeshFormat::Vtk => &["frames.json", "vtk.series"],
             MeshFormat::Ply => &["frames.json", "ply.series"],
-            MeshFormat::Obj => &["frames.json"],
+            MeshFormat::Obj | MeshFormat::Glb(_) => &["frames.json"],
             MeshFormat::Stl => &["frames.json", "stl.series"],
             MeshFormat::Usdc => &["frames.json", "manifest.usda", "usda"],
         };

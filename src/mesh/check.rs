@@ -180,7 +180,7 @@ pub fn topology(mesh: &Mesh) -> Topology {
             triangles.degenerate_triangles.note(number);
         }
     }
-    let stars = Stars::new(mesh);
+    let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
     // No triangle names a vertex beyond u32, so one there is unreferenced, and `as` shortens no other number.
     let chunks: Vec<Topology> = (0..vertices.div_ceil(CHUNK))
         .into_par_iter()

@@ -160,7 +160,13 @@ impl Surface {
             Aabb::new(a.min(b).min(c), a.max(b).max(c))
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
-        Ok(Self { stars: Stars::new(mesh), positions, triangles, tree, area_up_to })
+        Ok(Self {
+            stars: Stars::new(mesh.positions.len(), &mesh.triangles),
+            positions,
+            triangles,
+            tree,
+            area_up_to,
+        })
     }
 
     fn corners(&self, triangle: usize) -> [DVec3; 3] {

@@ -4,6 +4,7 @@ mod block;
 pub mod check;
 pub mod compare;
 pub mod measure;
+pub mod ordered;
 pub mod source;
 pub mod spool;
 pub mod stars;

@@ -143,6 +143,12 @@ impl Spool {
         self.index[i].first_vertex
     }
 
+    /// The number of the block that has a vertex of the whole mesh.
+    #[must_use]
+    pub fn piece_of(&self, vertex: u64) -> usize {
+        self.index.partition_point(|entry| entry.first_vertex <= vertex) - 1
+    }
+
     /// How many vertices and triangles block number `i` has.
     #[must_use]
     pub fn counts(&self, i: usize) -> [usize; 2] {

@@ -1,7 +1,5 @@
 //! The star of a vertex: the triangles around it, for every vertex of a mesh at once.
 
-use super::Mesh;
-
 /// Whether a triangle names three different vertices that exist.
 #[must_use]
 pub fn is_sound([a, b, c]: [u32; 3], vertices: usize) -> bool {
@@ -19,11 +17,10 @@ pub struct Stars {
 }
 
 impl Stars {
-    /// Gathers the stars of all vertices.
+    /// Gathers the stars of so many vertices.
     #[must_use]
-    pub fn new(mesh: &Mesh) -> Self {
-        let vertices = mesh.positions.len();
-        let sound = || mesh.triangles.iter().filter(|&&t| is_sound(t, vertices));
+    pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+        let sound = || triangles.iter().filter(|&&t| is_sound(t, vertices));
         let mut ends = vec![0; vertices];
         for &vertex in sound().flatten() {
             ends[vertex as usize] += 1;

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::io::bi4::is_later_piece;
 use crate::io::input::is_known;
 
 use super::SequenceError;
@@ -152,13 +153,14 @@ impl Inputs {
             }
             Self::Folder(folder) => {
                 // A folder holds other things too: what has no number is no frame.
-                let known = files_in(folder)?.into_iter().filter(|path| is_known(path));
+                let known =
+                    files_in(folder)?.into_iter().filter(|path| is_known(path) && !is_later_piece(path));
                 known.filter_map(by_last_digits).collect()
             }
             Self::Glob(pattern) => {
                 let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));
                 let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
-                numbered(paths.filter(|path| path.is_file()).collect())?
+                numbered(paths.filter(|path| path.is_file() && !is_later_piece(path)).collect())?
             }
             Self::Files(files) => numbered(files.clone())?,
         };

@@ -233,7 +233,7 @@ mod tests {
         };
         store.keep(&record).unwrap();
         let current = |fingerprint| store.current(1, &input, &output, fingerprint);
-        assert_eq!(current(5), Some(record.clone()));
+        assert_eq!(current(5), Some(record));
         assert_eq!(current(6), None, "other settings");
         assert_eq!(store.current(2, &input, &output, 5), None, "another frame");
         assert_eq!(store.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");

@@ -84,7 +84,7 @@ impl Stitched {
         split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
             .into_par_iter()
             .enumerate()
-            .try_for_each(|(i, to)| self.emit(i, |n, t| to[n] = t.map(|v| v as u32)))?;
+            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
         Ok(Mesh {
             positions: vertices.iter().flat_map(|v| v.positions.iter().copied()).collect(),
             triangles,
@@ -102,6 +102,66 @@ impl Stitched {
                 })
                 .collect(),
         })
+    }
+
+    /// The grid that the surface was made on.
+    #[must_use]
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Bytes of all block surfaces.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.spool.bytes()
+    }
+
+    /// The block of each piece, in Morton order.
+    pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
+        self.spool.blocks()
+    }
+
+    /// The block of a piece.
+    #[must_use]
+    pub fn block(&self, piece: usize) -> IVec3 {
+        self.spool.block(piece)
+    }
+
+    /// The number of the first vertex of a piece.
+    #[must_use]
+    pub fn first_vertex(&self, piece: usize) -> u64 {
+        self.spool.first_vertex(piece)
+    }
+
+    /// The piece of a vertex.
+    #[must_use]
+    pub fn piece_of(&self, vertex: u64) -> usize {
+        self.spool.piece_of(vertex)
+    }
+
+    /// How many vertices a piece has.
+    #[must_use]
+    pub fn piece_vertices(&self, piece: usize) -> usize {
+        self.spool.counts(piece)[0]
+    }
+
+    /// For each vertex of a piece the lower cell of its edge, and its position in cells.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn places(&self, piece: usize) -> io::Result<Vec<(IVec3, DVec3)>> {
+        let block = self.spool.get(piece)?;
+        let positions = self.positions(&block);
+        let in_cells = positions.iter().map(|&world| self.grid.cells_from_world(world).into());
+        Ok(block.edges().map(|(cell, _)| cell).zip(in_cells).collect())
+    }
+
+    /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it lies in.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn cell_triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
+        self.emit(piece, |_, cell, triangle| put(cell, triangle))
     }
 
     /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
@@ -124,9 +184,9 @@ impl Stitched {
         block.edges().zip(&block.ends).map(place).collect()
     }
 
-    /// Calls `put` with the rank and the vertices of each triangle of block number `i`: they refer to the
-    /// block's own vertices and to those of its neighbours further up along the axes.
-    fn emit(&self, i: usize, mut put: impl FnMut(usize, [u64; 3])) -> io::Result<()> {
+    /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
+    /// the block's own vertices and to those of its neighbours further up along the axes.
+    fn emit(&self, i: usize, mut put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
         let block = self.spool.block(i);
         let numberings = self.numberings(block)?;
         let mut rank = 0;
@@ -141,7 +201,7 @@ impl Stitched {
                         let bit = in_tile.x + TILE * (in_tile.y + TILE * in_tile.z);
                         numberings[numbering_index(at / TILE)].vertex(edge.axis.into(), bit as u32)
                     });
-                    put(rank, vertices);
+                    put(rank, block * BLOCK + cell, vertices);
                     rank += 1;
                 }
             }
@@ -203,7 +263,7 @@ impl MeshSource for Stitched {
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         let mut triangles = Vec::with_capacity(self.spool.counts(piece)[1]);
-        self.emit(piece, |_, triangle| triangles.push(triangle))?;
+        self.emit(piece, |_, _, triangle| triangles.push(triangle))?;
         Ok(triangles)
     }
 }

@@ -23,10 +23,11 @@ pub struct Division {
 }
 
 impl Division {
-    /// For so many frames. One frame more than there are threads is under way, so that no thread waits for a disk.
+    /// For so many frames. Of two frames for each thread one may wait for the disk, and one more makes up for uneven
+    /// ones.
     pub fn of(frames: usize, threads: usize, budget: MemoryBudget) -> Self {
         let affordable = usize::try_from(budget.0 / LEAST).unwrap_or(usize::MAX);
-        let lanes = frames.min(threads + 1).min(affordable).max(1);
+        let lanes = frames.min(2 * threads + 1).min(affordable).max(1);
         if lanes == 1 {
             return Self { lanes, threads, opening: budget, share: budget, alone: budget };
         }

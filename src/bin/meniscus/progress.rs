@@ -1,10 +1,10 @@
 //! How far a sequence is: bars on a terminal, a line for each frame elsewhere.
 
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use clap::ValueEnum;
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
 
 use crate::run::Notes;
 
@@ -28,14 +28,19 @@ impl Progress {
     /// for frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
-            ProgressMode::Auto => std::io::stderr().is_terminal(),
+            ProgressMode::Auto => io::stderr().is_terminal(),
             ProgressMode::Always => true,
             ProgressMode::Never => false,
         };
         if !wanted || notes.is_quiet() {
             return (Self { bars: None }, notes);
         }
-        let all = MultiProgress::new();
+        let all = match mode {
+            ProgressMode::Always if !io::stderr().is_terminal() => {
+                MultiProgress::with_draw_target(ProgressDrawTarget::term_like_with_hz(Box::new(Pretended), 2))
+            }
+            _ => MultiProgress::new(),
+        };
         let style = |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
         let frames = all.add(ProgressBar::new(bytes));
         frames.set_style(style("[{bar:30}] {msg}, {elapsed} gone, about {eta} left"));
@@ -81,5 +86,53 @@ impl Progress {
             lanes.iter().for_each(ProgressBar::finish_and_clear);
             bar.finish_and_clear();
         }
+    }
+}
+
+/// Standard error as if it were a terminal, for whoever passes it on to one.
+#[derive(Debug)]
+struct Pretended;
+
+impl Pretended {
+    fn escape(n: usize, letter: char) -> io::Result<()> {
+        if n > 0 { write!(io::stderr(), "\x1b[{n}{letter}") } else { Ok(()) }
+    }
+}
+
+impl TermLike for Pretended {
+    fn width(&self) -> u16 {
+        80
+    }
+
+    fn move_cursor_up(&self, n: usize) -> io::Result<()> {
+        Self::escape(n, 'A')
+    }
+
+    fn move_cursor_down(&self, n: usize) -> io::Result<()> {
+        Self::escape(n, 'B')
+    }
+
+    fn move_cursor_right(&self, n: usize) -> io::Result<()> {
+        Self::escape(n, 'C')
+    }
+
+    fn move_cursor_left(&self, n: usize) -> io::Result<()> {
+        Self::escape(n, 'D')
+    }
+
+    fn write_line(&self, line: &str) -> io::Result<()> {
+        writeln!(io::stderr(), "{line}")
+    }
+
+    fn write_str(&self, text: &str) -> io::Result<()> {
+        write!(io::stderr(), "{text}")
+    }
+
+    fn clear_line(&self) -> io::Result<()> {
+        write!(io::stderr(), "\r\x1b[2K")
+    }
+
+    fn flush(&self) -> io::Result<()> {
+        io::stderr().flush()
     }
 }

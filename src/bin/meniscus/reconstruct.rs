@@ -5,9 +5,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use meniscus::error::Error;
+use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
 use meniscus::frame::{self, Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
+use meniscus::io::glb::{Compression, Layout, UpAxis};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::{MeshFormat, MeshOutput};
@@ -21,9 +23,10 @@ use meniscus::plateau::Plateau;
 use meniscus::sequence::inputs::Inputs;
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::Settings;
+use meniscus::simplify::{BYTES_A_THREAD, Reduction, Simplified};
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
-use meniscus::units::{FULL, Isovalue, MeanCount, Sigma};
+use meniscus::units::{FULL, Isovalue, MeanCount, Sigma, Tolerance};
 use serde_json::json;
 
 use crate::Verdict;
@@ -38,7 +41,7 @@ pub struct Options {
     /// frames of a simulation: files, a folder, a glob, or a name with {} for the number.
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
-    /// The mesh: .ply, .obj, .vtk, .vtp or .stl. Of a simulation: a name with {} or {:04} for the number, or a folder.
+    /// The mesh: .ply, .obj, .vtk, .vtp, .stl, .usdc or .glb. Of a simulation: a name with {} or {:04} for the number, or a folder.
     #[arg(short, long)]
     pub output: PathBuf,
     #[command(flatten)]
@@ -54,6 +57,18 @@ pub struct Options {
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
     detail: bool,
+    /// Use fewer triangles, as long as no part of the surface moves farther than this.
+    #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
+    simplify: Option<f64>,
+    /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
+    #[arg(long, value_name = "CELLS3", allow_negative_numbers = true)]
+    drop_smaller: Option<f64>,
+    /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
+    #[arg(long)]
+    compress: bool,
+    /// The axis that points up, for .glb files [default: z for .bi4 particles, else y].
+    #[arg(long, value_enum)]
+    up: Option<Up>,
     /// Vertex normals, from the field's gradient.
     #[arg(long)]
     normals: bool,
@@ -68,6 +83,12 @@ pub struct Options {
     pub stats: Option<PathBuf>,
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Up {
+    Y,
+    Z,
 }
 
 #[derive(Clone, Copy)]
@@ -135,11 +156,62 @@ impl Options {
         Ok(())
     }
 
+    /// Refuses what so far is done for one frame at a time.
+    pub fn refuse_for_sequence(&self) -> Result<(), Error> {
+        let given = [
+            ("--simplify", self.simplify.is_some()),
+            ("--drop-smaller", self.drop_smaller.is_some()),
+            ("--compress", self.compress),
+            ("--up", self.up.is_some()),
+        ];
+        match given.into_iter().find(|(_, given)| *given) {
+            None => Ok(()),
+            Some((name, _)) => Err(Error::Request(format!("{name} works on one frame at a time so far"))),
+        }
+    }
+
+    /// What is to be left out of the surface.
+    fn reduction(&self) -> Result<Reduction, Error> {
+        if let Some(volume) = self.drop_smaller.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
+            return Err(Error::Request(format!("--drop-smaller must be a positive volume; {volume} is not")));
+        }
+        Ok(Reduction {
+            tolerance: self.simplify.map(Tolerance::new).transpose()?,
+            least_volume_cells: self.drop_smaller,
+        })
+    }
+
+    /// Chunks are simplified whole, and every thread has its own.
+    fn validate_memory(&self, reduction: &Reduction, resources: &Resources) -> Result<(), Error> {
+        let least = SMALLEST_BUDGET.0 + BYTES_A_THREAD * rayon::current_num_threads() as u64;
+        if reduction.tolerance.is_some() && resources.budget.0 < least {
+            let (least, threads) = (ByteSize(least), rayon::current_num_threads());
+            return Err(Error::Request(format!(
+                "--simplify with {threads} threads needs --memory of {least}; fewer --threads need less"
+            )));
+        }
+        Ok(())
+    }
+
+    /// How a .glb file is laid out. DualSPHysics lets z point up; other simulators mostly y.
+    fn layout(&self, input: &Path) -> Layout {
+        let is_bi4 = input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("bi4"));
+        let up = match self.up.unwrap_or(if is_bi4 { Up::Z } else { Up::Y }) {
+            Up::Y => UpAxis::Y,
+            Up::Z => UpAxis::Z,
+        };
+        Layout { up, compression: if self.compress { Compression::Meshopt } else { Compression::None } }
+    }
+
     /// Refuses what is asked for and the format cannot hold.
     pub fn validate_format(&self, format: MeshFormat) -> Result<(), Error> {
         let refuse = |what: &str| {
             Err(Error::Request(format!("{}: {format} cannot hold {what}", self.output.display())))
         };
+        if !matches!(format, MeshFormat::Glb(_)) && (self.compress || self.up.is_some()) {
+            let option = if self.compress { "--compress" } else { "--up" };
+            return Err(Error::Request(format!("{}: {option} goes with .glb", self.output.display())));
+        }
         if self.normals && !format.holds_normals() {
             return refuse("vertex normals");
         }
@@ -177,6 +249,25 @@ impl Options {
             }
         }
         Ok(carried)
+    }
+
+    /// What simplifying and writing take beyond the surface, in words.
+    fn further_needs(&self, format: MeshFormat, estimate: &Estimate) -> String {
+        let mut needs = String::new();
+        if self.simplify.is_some() {
+            let threads = BYTES_A_THREAD * rayon::current_num_threads() as u64;
+            // Two passes hold the triangles that are left as three numbers of 64 bits.
+            needs += &format!(
+                "\nsimplifying takes up to {} more, and {} of memory or scratch",
+                ByteSize(threads),
+                ByteSize(3 * estimate.surface)
+            );
+        }
+        if format.holds_whole_mesh() {
+            let bytes = ByteSize(3 * estimate.surface);
+            needs += &format!("\n{format} is written from memory: up to {bytes} more");
+        }
+        needs
     }
 
     /// The frame, from particles or as it was packed; `None` where only an estimate was asked for.
@@ -221,14 +312,7 @@ impl Options {
                 ByteSize(estimate.in_core()),
                 ByteSize(file.particles.scratch_bytes() + estimate.scratch(plan)),
                 sampling.resources.scratch.display(),
-                if format.holds_whole_mesh() {
-                    format!(
-                        "\n{format} numbers no vertices: writing it takes up to {} more",
-                        ByteSize(3 * estimate.surface)
-                    )
-                } else {
-                    String::new()
-                },
+                self.further_needs(format, &estimate),
             ))?;
             return Ok(None);
         }
@@ -259,17 +343,20 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     options.sequence.refuse_for_one_frame()?;
     let request = options.sampling.validate()?;
     let surfacing = options.surfacing()?;
+    let reduction = options.reduction()?;
     if is_frame(input) {
         options.validate_frame_input(input)?;
     }
     let resources = options.run.resources(&options.output)?;
+    options.validate_memory(&reduction, &resources)?;
     refuse_same_file(input, &options.output)?;
     if let Some(stats) = &options.stats {
         refuse_same_file(input, stats)?;
         refuse_same_file(&options.output, stats)?;
     }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-    let prepare = || MeshOutput::prepare(&options.output, replace);
+    let layout = options.layout(input);
+    let prepare = || MeshOutput::prepare(&options.output, replace).map(|output| output.with_layout(layout));
     let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
     let format = output.format();
     options.validate_format(format)?;
@@ -285,7 +372,14 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     report_isovalue(iso, plateau, surfacing.iso, &notes);
 
     let width = coordinate_width(&mesh, frame.facts().grid.cell_size(), format, &notes)?;
-    let bytes = output.write(&mesh, width)?;
+    let mesh: Box<dyn MeshSource> = if reduction.is_none() {
+        Box::new(mesh)
+    } else {
+        let simplified = frame.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
+        report_simplified(&simplified, &reduction, &notes);
+        Box::new(simplified)
+    };
+    let bytes = output.write(&*mesh, width)?;
     drop(unfinished);
     laps.lap("write");
     notes.say(format!(
@@ -300,7 +394,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
     if options.stats.is_some() {
-        let record = options.record([input, &options.output], &frame, iso, &mesh, bytes, &laps);
+        let record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }
     Ok(Verdict::Good)
@@ -337,6 +431,8 @@ impl Options {
             "sigma": self.sigma,
             "isovalue": iso.value(),
             "detail": self.detail,
+            "simplify": self.simplify,
+            "drop_smaller": self.drop_smaller,
             "vertices": mesh.vertex_count(),
             "triangles": mesh.triangle_count(),
             "output_bytes": bytes,
@@ -365,6 +461,21 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
             Err(Error::Request(format!("{}: is given for two purposes", other.display())))
         }
         _ => Ok(()),
+    }
+}
+
+fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: &Notes) {
+    if let Some(volume) = reduction.least_volume_cells {
+        notes.say(format!(
+            "{} components of less than {volume} cells left out",
+            simplified.components_dropped()
+        ));
+    }
+    if let Some(tolerance) = reduction.tolerance {
+        let (left, whole) = (simplified.triangle_count(), simplified.whole().triangle_count());
+        let share = 100.0 * left as f64 / whole as f64;
+        notes
+            .say(format!("simplified within {} cells: {share:.1} % of {whole} triangles", tolerance.cells()));
     }
 }
 

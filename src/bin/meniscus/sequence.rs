@@ -76,7 +76,7 @@ pub struct SequenceOptions {
     /// Frames a second, for times where the files have none.
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
-    /// Measure what all frames have in common, write the state file, print the frames' numbers, and stop.
+    /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"])]
     plan: bool,
     /// Bars on a terminal, or a line for each frame.
@@ -229,8 +229,8 @@ impl Setup<'_> {
             }
         };
         if options.sequence.plan {
-            let numbers: Vec<u64> = wanted.iter().map(|frame| frame.number).collect();
-            crate::print_json(&json!({ "state": store.state_path(), "frames": numbers }))?;
+            let numbers: Vec<String> = wanted.iter().map(|frame| frame.number.to_string()).collect();
+            crate::print(&numbers.join("\n"))?;
             return Ok(Verdict::Good);
         }
         let series: Vec<Box<dyn Series>> = vec![Box::new(Manifest::beside(&sequence, options.sequence.fps))];
@@ -243,6 +243,7 @@ impl Setup<'_> {
         let unknown = || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
         self.options.validate_format(format)?;
+        self.options.refuse_for_sequence()?;
         Ok(format)
     }
 
@@ -575,8 +576,9 @@ impl<'a> Conversion<'a> {
         let size = |frame: &FrameFile| frame.path.metadata().map_or(0, |m| m.len());
         let mut watch = options.watch.map(|idle| Watch::new(idle, self.setup.options.sequence.selection()));
         let bytes = if watch.is_some() { 0 } else { todo.iter().map(size).sum() };
-        let (progress, notes) =
-            Progress::start(options.progress, bytes, self.division.lanes, self.setup.notes.clone());
+        let idle = todo.is_empty() && watch.is_none();
+        let mode = if idle { ProgressMode::Never } else { options.progress };
+        let (progress, notes) = Progress::start(mode, bytes, self.division.lanes, self.setup.notes.clone());
         tally.total = if watch.is_some() { 0 } else { todo.len() };
 
         let (to_lanes, jobs) = mpsc::channel::<FrameFile>();

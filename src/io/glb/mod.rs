@@ -1,0 +1,59 @@
+//! glTF 2.0 in one binary file: a scene of one node with one mesh of one primitive.
+//!
+//! Positions, NORMAL, `_VELOCITY` and further attributes, and u32 indices, each in a buffer view of its own, in an order
+//! that suits vertex caches. glTF's y axis points up; where the particles' z axis does, the node turns the mesh.
+//!
+//! Compressed, everything is quantized (KHR_mesh_quantization) and encoded (EXT_meshopt_compression, with version 0 of
+//! the vertex codec, as it demands):
+//!
+//! | what | as | off by at most |
+//! |---|---|---|
+//! | positions | u16 on a grid whose step is a power of two, the least that spans the mesh | half a step along each axis |
+//! | normals | 8-bit octahedral | about a degree |
+//! | other values | 15-bit mantissas, an exponent a vertex | 2^-14 of a vertex's greatest component |
+//! | triangles | as they are | |
+//!
+//! The grid is anchored at the origin, so that what stands still does not flicker from frame to frame.
+
+mod write;
+
+pub use write::write_mesh;
+
+/// How a file is laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Layout {
+    /// Which of the particles' axes points up.
+    pub up: UpAxis,
+    /// Whether it is compressed.
+    pub compression: Compression,
+}
+
+impl Layout {
+    /// As most programs expect it.
+    pub const PLAIN: Self = Self { up: UpAxis::Y, compression: Compression::None };
+}
+
+/// The axis that points up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum UpAxis {
+    Y,
+    Z,
+}
+
+/// How numbers are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Compression {
+    /// As f32 and u32.
+    None,
+    /// Quantized and encoded by meshoptimizer's codecs.
+    Meshopt,
+}
+
+/// The step of the grid of compressed positions: the least power of two of which 2^16 - 2 span `extent`.
+#[must_use]
+pub fn grid_step(extent: f64) -> f64 {
+    // One step may be lost at either end, where the mesh's box is not on the grid.
+    let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
+    2f64.powi(least.log2().ceil() as i32)
+}

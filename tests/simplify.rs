@@ -1,0 +1,168 @@
+//! Simplified surfaces: manifold, near, and the same whatever the machine; drops stay unless they are left out.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::collections::HashMap;
+
+use common::{fill, sampling, splashes, surfacing};
+use glam::DVec3;
+use meniscus::frame::{Frame, Normals, Sampling, Surfacing};
+use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
+use meniscus::mesh::check::check;
+use meniscus::mesh::compare::compare;
+use meniscus::mesh::measure::measure;
+use meniscus::mesh::source::MeshSource;
+use meniscus::simplify::{Reduction, simplify};
+use meniscus::stage::indicator::Indicator;
+use meniscus::stitch::Stitched;
+use meniscus::units::Tolerance;
+
+fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
+    let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
+    let frame = Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
+    frame.surface(&surfacing, &mut Laps::default()).unwrap().mesh
+}
+
+fn within(cells: f64) -> Reduction {
+    Reduction { tolerance: Some(Tolerance::new(cells).unwrap()), least_volume_cells: None }
+}
+
+fn without(volume: f64) -> Reduction {
+    Reduction { tolerance: None, least_volume_cells: Some(volume) }
+}
+
+fn collected(source: &dyn MeshSource) -> Mesh {
+    let mut mesh = Mesh { normals: source.has_normals().then(Vec::new), ..Mesh::default() };
+    for piece in 0..source.pieces() {
+        let vertices = source.vertices(piece).unwrap();
+        mesh.positions.extend_from_slice(&vertices.positions);
+        mesh.normals.as_mut().unwrap().extend_from_slice(&vertices.normals);
+        let triangles = source.triangles(piece).unwrap();
+        mesh.triangles.extend(triangles.into_iter().map(|t| t.map(|v| u32::try_from(v).unwrap())));
+    }
+    assert_eq!(mesh.positions.len() as u64, source.vertex_count());
+    assert_eq!(mesh.triangles.len() as u64, source.triangle_count());
+    mesh
+}
+
+fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction) -> (Mesh, u64) {
+    let result = simplify(surface(particles, sampling), reduction, u64::MAX, &std::env::temp_dir()).unwrap();
+    (collected(&result), result.components_dropped())
+}
+
+#[test]
+fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle() {
+    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+        for seed in [1, 2] {
+            let (particles, sampling) = (splashes(seed), Sampling { indicator, ..sampling() });
+            let whole = surface(&particles, &sampling).to_mesh().unwrap();
+            for cells in [0.05, 0.1, 0.25, 0.5, 2.0] {
+                let (mesh, _) = simplified(&particles, &sampling, &within(cells));
+                let what = format!("{indicator:?}, splashes {seed}, {cells} cells");
+                let report = check(&mesh);
+                assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
+                assert_eq!(report.topology.unreferenced_vertices.count, 0, "{what}");
+                let distance = compare(&whole, &mesh).unwrap().hausdorff;
+                assert!(distance <= cells, "{what}: {distance}");
+                assert!(mesh.triangles.len() < whole.triangles.len(), "{what}");
+                let shape = |mesh: &Mesh| {
+                    let measures = measure(mesh);
+                    (measures.components, measures.genus)
+                };
+                assert_eq!(shape(&mesh), shape(&whole), "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn vertices_that_are_left_keep_their_positions_and_normals() {
+    let particles = splashes(3);
+    let whole = surface(&particles, &sampling()).to_mesh().unwrap();
+    let bits = |p: &[f64; 3]| p.map(f64::to_bits);
+    let normals = whole.normals.as_ref().unwrap();
+    let known: HashMap<_, _> = whole.positions.iter().map(bits).zip(normals).collect();
+    let (mesh, _) = simplified(&particles, &sampling(), &within(0.25));
+    for (position, normal) in mesh.positions.iter().zip(mesh.normals.as_ref().unwrap()) {
+        assert_eq!(known.get(&bits(position)), Some(&normal));
+    }
+}
+
+#[test]
+fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
+    let particles = splashes(4);
+    let reduction = Reduction { least_volume_cells: Some(5.0), ..within(0.1) };
+    let run = |threads: usize, bytes: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let scratch = std::env::temp_dir();
+        pool.install(|| {
+            collected(&simplify(surface(&particles, &sampling()), &reduction, bytes, &scratch).unwrap())
+        })
+    };
+    let first = run(1, u64::MAX);
+    for (threads, bytes) in [(1, 0), (2, u64::MAX), (3, 0)] {
+        assert_eq!(run(threads, bytes), first, "{threads} threads, {bytes} bytes in memory");
+    }
+}
+
+/// A slab that many chunks share.
+fn pool() -> Vec<[f64; 3]> {
+    fill(70.0, 1.0, 0.0, 1, |p| p.y.abs() < 8.0 && p.x.abs() < 69.0 && p.z.abs() < 69.0)
+}
+
+#[test]
+fn a_flat_pool_is_simplified_across_the_seams_of_both_passes() {
+    let (mesh, _) = simplified(&pool(), &sampling(), &within(0.1));
+    // The seams of one pass alone keep a vertex for every cell that they run through, above and below: 2384.
+    let flat = |p: &&[f64; 3]| p[0].abs() < 66.0 && p[2].abs() < 66.0;
+    let count = mesh.positions.iter().filter(flat).count();
+    assert!(count < 1000, "{count} vertices on flat ground");
+}
+
+#[test]
+fn the_smallest_drop_outlives_the_largest_distance() {
+    let mut particles = fill(12.0, 1.0, 0.0, 1, |p| p.length() < 10.0);
+    // A few particles each, in the middle of a block, on its corner, and across two chunks.
+    let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.8);
+    for centre in [[20.5, 0.5, 0.5], [32.0, 32.0, 32.0], [32.0, 64.0, 0.5]] {
+        particles.extend(drop.iter().map(|&p| (DVec3::from(p) + DVec3::from(centre)).to_array()));
+    }
+    let whole = measure(&surface(&particles, &sampling()).to_mesh().unwrap());
+    assert_eq!(whole.components, 4);
+    let (mesh, dropped) = simplified(&particles, &sampling(), &within(Tolerance::MAX));
+    let measures = measure(&mesh);
+    assert_eq!((measures.components, dropped), (4, 0));
+    assert!(check(&mesh).is_closed_oriented_manifold());
+}
+
+#[test]
+fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
+    // Balls around a corner of eight blocks, in the middle of a block, and far away, of some 113, 33 and 905 cells.
+    let balls = [(DVec3::ZERO, 3.0), (DVec3::splat(16.0), 2.0), (DVec3::new(3e5, -4e5, 0.0), 6.0)];
+    let particles: Vec<[f64; 3]> = balls
+        .iter()
+        .flat_map(|&(centre, radius)| {
+            let ball = fill(8.0, 2.0, 0.0, 1, |p| p.length() < radius);
+            ball.into_iter().map(move |p| (DVec3::from(p) + centre).to_array())
+        })
+        .collect();
+    let whole = surface(&particles, &sampling()).to_mesh().unwrap();
+    for (volume, left) in [(1.0, 3), (60.0, 2), (300.0, 1), (2000.0, 0)] {
+        for reduction in [without(volume), Reduction { least_volume_cells: Some(volume), ..within(0.1) }] {
+            let (mesh, dropped) = simplified(&particles, &sampling(), &reduction);
+            let report = check(&mesh);
+            assert!(report.is_closed_oriented_manifold(), "{reduction:?}: {report}");
+            assert_eq!((measure(&mesh).components, dropped), (left, 3 - left as u64), "{reduction:?}");
+            if left == 3 && reduction.tolerance.is_none() {
+                assert_eq!(mesh.triangles.len(), whole.triangles.len());
+                assert_eq!(measure(&mesh).volume.map(f32_of), measure(&whole).volume.map(f32_of));
+            }
+        }
+    }
+}
+
+fn f32_of(value: f64) -> f32 {
+    value as f32
+}
