@@ -120,7 +120,7 @@ impl Instance {
         let raw = unsafe { entry.create_instance(&info, None) }
             .map_err(|e| VulkanError::NoLoader(format!("no instance can be made: {e}")))?;
         // From here on what is made is dropped with `instance` if a later step fails.
-        let mut instance = Self { entry: entry, raw, messenger: None, log };
+        let mut instance = Self { entry, raw, messenger: None, log };
         if validation {
             let debug = ext::debug_utils::Instance::new(&instance.entry, &instance.raw);
             // SAFETY: the log that the messenger writes to lives as long as this instance.
