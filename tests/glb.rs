@@ -9,7 +9,8 @@ use std::io;
 
 use common::shapes::{dressed, moved, sphere};
 use meniscus::io::CoordinateWidth;
-use meniscus::io::glb::{Compression, Layout, UpAxis, grid_step};
+use meniscus::io::UpAxis;
+use meniscus::io::glb::{Compression, Layout, grid_step};
 use meniscus::io::output::MeshFormat;
 use meniscus::mesh::Mesh;
 use meniscus::mesh::source::{MeshSource, Vertices};

@@ -9,9 +9,9 @@ use std::fs;
 use std::path::Path;
 
 use common::shapes::{dressed, moved, sphere};
+use meniscus::io::UpAxis;
 use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::series::{Series, SeriesFacts, SeriesFrame};
-use meniscus::io::usd::stage::UpAxis;
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
 use meniscus::mesh::Mesh;

@@ -55,6 +55,14 @@ pub enum CoordinateWidth {
     F64,
 }
 
+/// Which of the particles' axes points up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum UpAxis {
+    Y,
+    Z,
+}
+
 /// A file that could not be read.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]

@@ -18,10 +18,10 @@ use crate::mesh::source::MeshSource;
 use crate::particles::AttributeInfo;
 
 use super::output::MeshFormat;
-use super::usd::stage::{Manifest, UpAxis, stage};
+use super::usd::stage::{Manifest, stage};
 use super::vtp::escaped;
 use super::whole::{Replace, WholeFile};
-use super::{ReadError, ReadFault, WriteError, WriteFault};
+use super::{ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 
 /// Time codes closer to a whole one than this are that.
 const WHOLE: f64 = 1e-6;

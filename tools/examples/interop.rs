@@ -5,9 +5,9 @@ use std::path::Path;
 use std::process::Command;
 
 use meniscus::io::CoordinateWidth;
+use meniscus::io::UpAxis;
 use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::io::series::{Series, SeriesFacts, SeriesFrame};
-use meniscus::io::usd::stage::UpAxis;
 use meniscus::io::whole::Replace;
 
 fn main() -> Result<(), Box<dyn Error>> {

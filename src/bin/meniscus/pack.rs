@@ -15,7 +15,7 @@ use crate::Verdict;
 use crate::interrupt;
 use crate::reconstruct::{is_frame, refuse_same_file};
 use crate::run::{RunOptions, unpacking};
-use crate::sampling::{SamplingOptions, report_frame};
+use crate::sampling::{SamplingOptions, report_frame, report_warnings};
 
 #[derive(Args)]
 pub struct Options {
@@ -51,7 +51,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     laps.lap("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
-    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+    report_warnings(&frame, &notes);
     report_frame(&frame, &notes);
     let bytes = output.write(|out| frame.pack(out))?;
     drop(unfinished);

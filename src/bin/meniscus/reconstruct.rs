@@ -9,7 +9,8 @@ use clap::{Args, ValueEnum};
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
 use meniscus::frame::{self, Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
-use meniscus::io::glb::{Compression, Layout, UpAxis};
+use meniscus::io::UpAxis;
+use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::{MeshFormat, MeshOutput};
@@ -32,7 +33,7 @@ use serde_json::json;
 use crate::Verdict;
 use crate::interrupt;
 use crate::run::{Notes, RunOptions, unpacking};
-use crate::sampling::{SamplingOptions, SamplingRequest, report_frame};
+use crate::sampling::{SamplingOptions, SamplingRequest, report_frame, report_warnings};
 use crate::sequence::{self, SequenceOptions};
 
 #[derive(Args)]
@@ -368,7 +369,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     report_frame(&frame, &notes);
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
     let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
-    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+    report_warnings(&frame, &notes);
     report_isovalue(iso, plateau, surfacing.iso, &notes);
 
     let width = coordinate_width(&mesh, frame.facts().grid.cell_size(), format, &notes)?;

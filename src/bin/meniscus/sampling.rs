@@ -239,6 +239,11 @@ impl SamplingRequest {
     }
 }
 
+/// Says what went wrong with the backend and was made good.
+pub fn report_warnings(frame: &Frame, notes: &Notes) {
+    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+}
+
 /// Says what became of the particles, and warns of a lattice on the corners of cells.
 pub fn report_frame(frame: &Frame, notes: &Notes) {
     let Census { not_finite, too_far, outside, .. } = frame.facts().census;

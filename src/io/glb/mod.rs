@@ -19,6 +19,8 @@ mod write;
 
 pub use write::write_mesh;
 
+use super::UpAxis;
+
 /// How a file is laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
@@ -31,14 +33,6 @@ pub struct Layout {
 impl Layout {
     /// As most programs expect it.
     pub const PLAIN: Self = Self { up: UpAxis::Y, compression: Compression::None };
-}
-
-/// The axis that points up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum UpAxis {
-    Y,
-    Z,
 }
 
 /// How numbers are stored.

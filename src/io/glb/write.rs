@@ -8,13 +8,14 @@ use meshopt::{
 use serde_json::{Value, json};
 
 use crate::io::CoordinateWidth;
+use crate::io::UpAxis;
 use crate::io::encode::{in_order, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
 use crate::mesh::ordered::Ordered;
 use crate::mesh::source::{MeshSource, Vertices};
 use crate::particles::AttributeInfo;
 
-use super::{Compression, Layout, UpAxis, grid_step};
+use super::{Compression, Layout, grid_step};
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;

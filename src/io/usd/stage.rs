@@ -2,17 +2,10 @@
 
 use std::fmt::Write;
 
+use crate::io::UpAxis;
 use crate::particles::AttributeInfo;
 
 use super::{PRIM, properties};
-
-/// Which axis points up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum UpAxis {
-    Y,
-    Z,
-}
 
 /// The stage's text: `clips` are layers, each with the time code that it starts at, in order; a layer is shown from
 /// its time to the next one's.
