@@ -9,17 +9,33 @@ use std::fs;
 use std::path::Path;
 
 use common::shapes::{dressed, moved, sphere};
-use meniscus::io::UpAxis;
+use meniscus::io::glb::Layout;
 use meniscus::io::output::{MeshFormat, MeshOutput};
-use meniscus::io::series::{Series, SeriesFacts, SeriesFrame};
+use meniscus::io::series::{Series, SeriesFrame};
 use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
+use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
 use meniscus::mesh::Mesh;
+use meniscus::mesh::source::MeshSource;
+use serde_json::Value;
 
-const FACTS: SeriesFacts = SeriesFacts { frames_per_second: 25.0, up: UpAxis::Z };
+fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {
+    Series { format, sequence: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
+}
 
-fn frame(folder: &Path, name: &str, time: f64) -> SeriesFrame {
-    SeriesFrame::new(folder.join(name), time, &dressed(sphere(1.0, 1)), Some([[-1.0; 3], [1.0; 3]]))
+fn frame(frame: u64, file: &str, time: Option<f64>) -> SeriesFrame {
+    let mesh = dressed(sphere(1.0, 1));
+    SeriesFrame {
+        frame,
+        time,
+        file: file.into(),
+        bytes: 9,
+        particles: 7,
+        vertices: mesh.vertex_count(),
+        triangles: mesh.triangle_count(),
+        bounds: Some([[-1.0; 3], [1.0; 3]]),
+        normals: mesh.has_normals(),
+        attributes: MeshSource::attributes(&mesh),
+    }
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -30,14 +46,13 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn listings_name_every_frame_so_far_with_its_time_and_nothing_else_is_left() {
+fn listings_name_every_frame_with_its_time_and_nothing_else_is_left() {
     let folder = tempfile::tempdir().unwrap();
-    let mut series = Series::new(MeshFormat::Vtp, &folder.path().join("pool"), FACTS);
-    assert_eq!(names(folder.path()), [""; 0]);
-    series.tell(frame(folder.path(), "pool_2 & \"3\".vtp", 0.08)).unwrap();
-    series.tell(frame(folder.path(), "pool_1.vtp", 0.04)).unwrap();
-    series.tell(frame(folder.path(), "pool_1.vtp", 0.05)).unwrap();
-    assert_eq!(names(folder.path()), ["pool.frames.json", "pool.pvd", "pool.vtp.series"]);
+    let series = series(folder.path(), MeshFormat::Vtp, None);
+    let frames = [frame(1, "pool_1.vtp", Some(0.05)), frame(2, "pool_2 & \"3\".vtp", Some(0.08))];
+    series.write(&frames[1..]).unwrap();
+    series.write(&frames).unwrap();
+    assert_eq!(names(folder.path()), ["pool.pvd", "pool.vtp.json", "pool.vtp.series"]);
     let text = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
     assert_eq!(
         text("pool.pvd"),
@@ -46,62 +61,64 @@ fn listings_name_every_frame_so_far_with_its_time_and_nothing_else_is_left() {
          <DataSet timestep=\"0.08\" part=\"0\" file=\"pool_2 &amp; &quot;3&quot;.vtp\"/>\n\
          </Collection>\n</VTKFile>\n"
     );
-    let json: serde_json::Value = serde_json::from_str(&text("pool.vtp.series")).unwrap();
+    let json: Value = serde_json::from_str(&text("pool.vtp.series")).unwrap();
     assert_eq!(json["file-series-version"], "1.0");
     assert_eq!(
         (&json["files"][1]["name"], &json["files"][1]["time"]),
         (&"pool_2 & \"3\".vtp".into(), &0.08.into())
     );
-    let json: serde_json::Value = serde_json::from_str(&text("pool.frames.json")).unwrap();
-    let first = &json["frames"][0];
-    let mesh = dressed(sphere(1.0, 1));
-    assert_eq!((&first["file"], &first["time"]), (&"pool_1.vtp".into(), &0.05.into()));
-    assert_eq!(first["vertices"], mesh.positions.len());
-    assert_eq!(first["triangles"], mesh.triangles.len());
-    assert_eq!(first["bounds"][1][2], 1.0);
+    let json: Value = serde_json::from_str(&text("pool.vtp.json")).unwrap();
+    assert_eq!((&json["up"], &json["fps"]), (&"Z".into(), &Value::Null));
+    let listed: Vec<SeriesFrame> = serde_json::from_value(json["frames"].clone()).unwrap();
+    assert_eq!(listed, frames);
 }
 
 #[test]
-fn a_series_goes_on_with_the_frames_that_are_still_there() {
+fn times_are_the_files_where_they_grow_else_numbers_by_the_rate_else_numbers() {
     let folder = tempfile::tempdir().unwrap();
-    let stem = folder.path().join("pool");
-    let mut series = Series::new(MeshFormat::Ply, &stem, FACTS);
-    series.resume().unwrap();
-    for (name, time) in [("a.ply", 1.0 / 3.0), ("b.ply", 0.5), ("c.ply", 0.75)] {
-        fs::write(folder.path().join(name), "ply").unwrap();
-        series.tell(frame(folder.path(), name, time)).unwrap();
+    let listed = |fps: Option<f64>, times: [Option<f64>; 2]| -> [f64; 2] {
+        let series = series(folder.path(), MeshFormat::Obj, fps);
+        series.write(&[frame(3, "a.obj", times[0]), frame(5, "b.obj", times[1])]).unwrap();
+        let json: Value = serde_json::from_slice(&fs::read(&series.files()[0]).unwrap()).unwrap();
+        [0, 1].map(|i| json["frames"][i]["time"].as_f64().unwrap())
+    };
+    assert_eq!(listed(Some(25.0), [Some(0.1), Some(0.3)]), [0.1, 0.3]);
+    for untold in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]] {
+        assert_eq!(listed(Some(25.0), untold), [3.0 / 25.0, 5.0 / 25.0], "{untold:?}");
+        assert_eq!(listed(None, untold), [3.0, 5.0], "{untold:?}");
     }
-    fs::remove_file(folder.path().join("b.ply")).unwrap();
-    let mut resumed = Series::new(MeshFormat::Ply, &stem, FACTS);
-    resumed.resume().unwrap();
-    let kept: Vec<_> = series.frames().iter().filter(|frame| frame.time != 0.5).cloned().collect();
-    assert_eq!(resumed.frames(), kept);
-
-    fs::write(folder.path().join("pool.frames.json"), "{\n\"frames\": 3}").unwrap();
-    let error = resumed.resume().unwrap_err();
-    assert!(matches!(error.fault, ReadFault::Line { line: 2, .. }), "{error}");
 }
 
 #[test]
-fn a_time_that_is_no_number_and_a_folder_that_is_gone_are_errors() {
+fn each_format_has_the_listings_of_its_programs() {
     let folder = tempfile::tempdir().unwrap();
-    let mut series = Series::new(MeshFormat::Vtk, &folder.path().join("pool"), FACTS);
-    let fault = series.tell(frame(folder.path(), "a.vtk", f64::NAN)).unwrap_err().fault;
-    assert!(matches!(fault, WriteFault::Unsupported(_)), "{fault}");
-    assert!(series.frames().is_empty());
-    let mut series = Series::new(MeshFormat::Vtk, &folder.path().join("gone/pool"), FACTS);
-    let fault = series.tell(frame(folder.path(), "a.vtk", 0.0)).unwrap_err().fault;
-    assert!(matches!(fault, WriteFault::Io(_)), "{fault}");
+    for (format, expected) in [
+        (MeshFormat::Ply, &["pool.ply.json", "pool.ply.series"][..]),
+        (MeshFormat::Vtk, &["pool.vtk.json", "pool.vtk.series"]),
+        (MeshFormat::Stl, &["pool.stl.json", "pool.stl.series"]),
+        (MeshFormat::Obj, &["pool.obj.json"]),
+        (MeshFormat::Glb(Layout::PLAIN), &["pool.glb.json"]),
+        (MeshFormat::Usdc(UpAxis::Y), &["pool.usdc.json", "pool.manifest.usda", "pool.usda"]),
+    ] {
+        let files = series(folder.path(), format, None).files();
+        assert_eq!(files, expected.iter().map(|name| folder.path().join(name)).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_folder_that_is_gone_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = series(&folder.path().join("gone"), MeshFormat::Vtk, None).write(&[]).unwrap_err();
+    assert!(matches!(error.fault, WriteFault::Io(_)), "{error}");
 }
 
 #[test]
 fn a_stage_shows_each_layer_from_its_own_time_on() {
     let folder = tempfile::tempdir().unwrap();
-    let mut series = Series::new(MeshFormat::Usdc, &folder.path().join("pool"), FACTS);
-    for (name, time) in [("f1.usdc", 0.04), ("f3.usdc", 0.12), ("f@4.usdc", 0.17)] {
-        series.tell(frame(folder.path(), name, time)).unwrap();
-    }
-    assert_eq!(names(folder.path()), ["pool.frames.json", "pool.manifest.usda", "pool.usda"]);
+    let series = series(folder.path(), MeshFormat::Usdc(UpAxis::Z), Some(25.0));
+    let frames = [(1, "f1.usdc", 0.04), (3, "f3.usdc", 0.12), (4, "f@4.usdc", 0.17)];
+    series.write(&frames.map(|(number, name, time)| frame(number, name, Some(time)))).unwrap();
+    assert_eq!(names(folder.path()), ["pool.manifest.usda", "pool.usda", "pool.usdc.json"]);
     let stage = fs::read_to_string(folder.path().join("pool.usda")).unwrap();
     for line in [
         "upAxis = \"Z\"",
@@ -124,8 +141,12 @@ fn a_stage_shows_each_layer_from_its_own_time_on() {
 }
 
 fn layer(mesh: &Mesh) -> Vec<u8> {
+    layer_with(mesh, UpAxis::Y)
+}
+
+fn layer_with(mesh: &Mesh, up: UpAxis) -> Vec<u8> {
     let mut bytes = Vec::new();
-    MeshFormat::Usdc.write(&mut bytes, mesh, CoordinateWidth::F32).unwrap();
+    MeshFormat::Usdc(up).write(&mut bytes, mesh, CoordinateWidth::F32).unwrap();
     bytes
 }
 

@@ -20,6 +20,7 @@ pub mod scene;
 pub mod series;
 pub mod stl;
 mod text;
+pub mod up;
 pub mod usd;
 mod vertices;
 pub mod vtk;
@@ -32,6 +33,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use columns::ColumnStore;
+pub use up::UpAxis;
 
 /// A particle file, its header understood and its counts checked against its size.
 #[derive(Debug)]
@@ -53,14 +55,6 @@ pub enum CoordinateWidth {
     F32,
     /// For surfaces so far from the origin that f32 would crumple them.
     F64,
-}
-
-/// Which of the particles' axes points up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum UpAxis {
-    Y,
-    Z,
 }
 
 /// A file that could not be read.

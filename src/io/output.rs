@@ -9,7 +9,7 @@ use crate::mesh::source::MeshSource;
 
 use super::bytes::open_bytes;
 use super::whole::{Replace, WholeFile};
-use super::{CoordinateWidth, ReadError, ReadFault, WriteError, WriteFault};
+use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 use super::{glb, obj, ply, stl, usd, vtk, vtp};
 
 /// What holds a mesh.
@@ -21,7 +21,7 @@ pub enum MeshFormat {
     Vtk,
     Vtp,
     Stl,
-    Usdc,
+    Usdc(UpAxis),
     Glb(glb::Layout),
 }
 
@@ -33,7 +33,7 @@ impl fmt::Display for MeshFormat {
             Self::Vtk => ".vtk",
             Self::Vtp => ".vtp",
             Self::Stl => ".stl",
-            Self::Usdc => ".usdc",
+            Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
         })
     }
@@ -42,7 +42,7 @@ impl fmt::Display for MeshFormat {
 impl MeshFormat {
     /// All that there are.
     const ALL: [Self; 7] =
-        [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc, Self::Glb(glb::Layout::PLAIN)];
+        [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc(UpAxis::Y), Self::Glb(glb::Layout::PLAIN)];
 
     /// The extensions, for messages.
     pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl, .usdc and .glb";
@@ -56,9 +56,19 @@ impl MeshFormat {
             "vtk" => Some(Self::Vtk),
             "vtp" => Some(Self::Vtp),
             "stl" => Some(Self::Stl),
-            "usd" | "usdc" => Some(Self::Usdc),
+            "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::Layout::PLAIN)),
             _ => None,
+        }
+    }
+
+    /// The same format, laid out otherwise if it is .glb; .usdc takes the axis that points up.
+    #[must_use]
+    pub fn with_layout(self, layout: glb::Layout) -> Self {
+        match self {
+            Self::Glb(_) => Self::Glb(layout),
+            Self::Usdc(_) => Self::Usdc(layout.up),
+            other => other,
         }
     }
 
@@ -71,13 +81,13 @@ impl MeshFormat {
     /// Whether it has a place for velocities and other values of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
-        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc | Self::Glb(_))
+        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc(_) | Self::Glb(_))
     }
 
     /// Whether coordinates can be wider than f32.
     #[must_use]
     pub fn holds_f64(self) -> bool {
-        !matches!(self, Self::Stl | Self::Usdc)
+        !matches!(self, Self::Stl | Self::Usdc(_))
     }
 
     /// Whether its writer, given a mesh in pieces, holds much of it in memory: the positions of all vertices, 24 bytes
@@ -103,7 +113,7 @@ impl MeshFormat {
             // The last triangle's end is three times their number.
             Self::Vtp => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
-            Self::Usdc => [I32, u64::MAX / 3],
+            Self::Usdc(_) => [I32, u64::MAX / 3],
             // 4 GiB, of positions at 12 bytes a vertex and indices at 12 a triangle.
             Self::Glb(_) => [U32 / 12; 2],
         }
@@ -153,7 +163,7 @@ impl MeshFormat {
             Self::Vtk => vtk::write_mesh(out, mesh, width),
             Self::Vtp => vtp::write_mesh(out, mesh, width),
             Self::Stl => stl::write_mesh(out, mesh, width),
-            Self::Usdc => usd::write_mesh(out, mesh),
+            Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
         }
     }
@@ -169,7 +179,7 @@ impl MeshFormat {
             Self::Vtk => vtk::read_mesh(bytes),
             Self::Vtp => vtp::read_mesh(bytes),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
+            Self::Usdc(_) => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
             Self::Glb(_) => {
                 Err(ReadFault::Unsupported("only written, not read; check the same mesh as .ply".into()))
             }
@@ -217,14 +227,10 @@ impl MeshOutput {
         self.format
     }
 
-    /// The same file, laid out otherwise if it is a .glb.
+    /// The same file, its format as [`MeshFormat::with_layout`].
     #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
-        let format = match self.format {
-            MeshFormat::Glb(_) => MeshFormat::Glb(layout),
-            other => other,
-        };
-        Self { format, ..self }
+        Self { format: self.format.with_layout(layout), ..self }
     }
 
     /// The file that is written before it gets its name: what an interrupt leaves behind.

@@ -1,257 +1,192 @@
-//! Files that tell other programs of a sequence's frames: rewritten, whole or not at all, after each frame, so that
-//! an unfinished sequence can be looked at and a killed one goes on.
+//! Files that tell other programs of a sequence's frames: rewritten, each whole or not at all, as frames are done, so
+//! that an unfinished sequence can be looked at. Of the frames `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files beside them |
 //! |---|---|
-//! | all | `STEM.frames.json`: each frame's file, time, counts and box |
-//! | .vtp | `STEM.pvd` and `STEM.vtp.series` for ParaView |
-//! | .vtk, .ply, .stl | `STEM.vtk.series` and the like for ParaView |
-//! | .usdc | `STEM.usda`, a stage of value clips, and `STEM.manifest.usda`, what the clips hold |
+//! | all | `pool.vtp.json`: each frame's file, time, counts and box |
+//! | .vtp | `pool.pvd` and `pool.vtp.series` for ParaView |
+//! | .vtk, .ply, .stl | `pool.vtk.series` and the like for ParaView |
+//! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
+//!
+//! Times are the inputs' own, in seconds, where every one has a later one than the frame before; else the frames'
+//! numbers over the frames a second, where those are given; else the numbers alone.
 
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
-use crate::mesh::source::MeshSource;
+use crate::mesh::bounds::Bounds;
 use crate::particles::AttributeInfo;
 
 use super::output::MeshFormat;
 use super::usd::stage::{Manifest, stage};
 use super::vtp::escaped;
-use super::whole::{Replace, WholeFile};
-use super::{ReadError, ReadFault, UpAxis, WriteError, WriteFault};
+use super::whole::replace_small;
+use super::{UpAxis, WriteError};
 
+/// USD's time codes in a second, where nobody says how many frames there are: its own default.
+const CODES_A_SECOND: f64 = 24.0;
 /// Time codes closer to a whole one than this are that.
 const WHOLE: f64 = 1e-6;
 
 /// A frame whose mesh is written.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrame {
-    /// The mesh's file.
-    pub file: PathBuf,
-    /// In seconds.
-    pub time: f64,
+    /// Its number.
+    pub frame: u64,
+    /// In seconds, where the input says it.
+    pub time: Option<f64>,
+    /// Name of the mesh's file, in the folder of the listings.
+    pub file: String,
+    /// Size of that file.
+    pub bytes: u64,
+    /// Particles that were used.
+    pub particles: u64,
     /// Of the mesh.
     pub vertices: u64,
     /// Of the mesh.
     pub triangles: u64,
-    /// The mesh's box, where it is known.
-    pub bounds: Option<[[f64; 3]; 2]>,
-    normals: bool,
-    attributes: Vec<Attribute>,
+    /// The mesh's box, as programs will show it; an empty mesh has none.
+    pub bounds: Option<Bounds>,
+    /// Whether vertices have normals.
+    pub normals: bool,
+    /// What else they have.
+    pub attributes: Vec<AttributeInfo>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Attribute {
-    name: String,
-    components: usize,
-}
-
-impl SeriesFrame {
-    /// Of `mesh`, which was written to `file`.
-    #[must_use]
-    pub fn new(file: PathBuf, time: f64, mesh: &dyn MeshSource, bounds: Option<[[f64; 3]; 2]>) -> Self {
-        let attribute = |AttributeInfo { name, components }| Attribute { name, components };
-        Self {
-            file,
-            time,
-            vertices: mesh.vertex_count(),
-            triangles: mesh.triangle_count(),
-            bounds,
-            normals: mesh.has_normals(),
-            attributes: mesh.attributes().into_iter().map(attribute).collect(),
-        }
-    }
-}
-
-/// What holds for all frames.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SeriesFacts {
-    /// USD's time codes in a second.
-    pub frames_per_second: f64,
-    /// Of the positions as they are written.
+/// The files that list a sequence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// Of the meshes, with the axis that points up where that is written.
+    pub format: MeshFormat,
+    /// What the frames are called, without any number: `mesh/pool.vtp`.
+    pub sequence: PathBuf,
+    /// Frames a second, where it is known.
+    pub fps: Option<f64>,
+    /// Of the meshes, as programs will show them.
     pub up: UpAxis,
 }
 
-/// The frames of a sequence so far, and the files that list them.
-#[derive(Debug)]
-pub struct Series {
-    format: MeshFormat,
-    /// What the files' names start with, folder included.
-    stem: PathBuf,
-    facts: SeriesFacts,
-    /// By time.
-    frames: Vec<SeriesFrame>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Listing {
-    frames_per_second: f64,
-    up: String,
-    frames: Vec<SeriesFrame>,
+/// When a frame is shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Moment {
+    /// In seconds, or the number where nothing tells.
+    time: f64,
+    /// USD's.
+    code: f64,
 }
 
 impl Series {
-    /// None so far. Nothing is written before the first frame.
-    #[must_use]
-    pub fn new(format: MeshFormat, stem: &Path, facts: SeriesFacts) -> Self {
-        Self { format, stem: stem.to_owned(), facts, frames: Vec::new() }
-    }
-
-    /// The frames so far, by time.
-    #[must_use]
-    pub fn frames(&self) -> &[SeriesFrame] {
-        &self.frames
-    }
-
-    /// The files that [`tell`](Self::tell) writes; the first lists all that is known.
+    /// The files that [`write`](Self::write) writes; the first tells all that is known.
     #[must_use]
     pub fn files(&self) -> Vec<PathBuf> {
-        let endings: &[&str] = match self.format {
-            MeshFormat::Vtp => &["frames.json", "pvd", "vtp.series"],
-            MeshFormat::Vtk => &["frames.json", "vtk.series"],
-            MeshFormat::Ply => &["frames.json", "ply.series"],
-            MeshFormat::Obj | MeshFormat::Glb(_) => &["frames.json"],
-            MeshFormat::Stl => &["frames.json", "stl.series"],
-            MeshFormat::Usdc => &["frames.json", "manifest.usda", "usda"],
-        };
-        endings.iter().map(|ending| self.file(ending)).collect()
+        let list = self.appended(".json");
+        match self.format {
+            MeshFormat::Vtp => vec![list, self.sequence.with_extension("pvd"), self.appended(".series")],
+            MeshFormat::Vtk | MeshFormat::Ply | MeshFormat::Stl => vec![list, self.appended(".series")],
+            MeshFormat::Obj | MeshFormat::Glb(_) => vec![list],
+            // What the stage names is there before it.
+            MeshFormat::Usdc(_) => vec![list, self.clips(), self.sequence.with_extension("usda")],
+        }
     }
 
-    fn file(&self, ending: &str) -> PathBuf {
-        let mut name = self.stem.clone().into_os_string();
-        name.push(".");
+    fn appended(&self, ending: &str) -> PathBuf {
+        let mut name = self.sequence.clone().into_os_string();
         name.push(ending);
         name.into()
     }
 
-    /// Takes up the frames that an earlier run told of, as far as their files are still there.
-    ///
-    /// # Errors
-    /// Where the listing cannot be read, or is none.
-    pub fn resume(&mut self) -> Result<(), ReadError> {
-        let path = self.file("frames.json");
-        let fail = |fault| ReadError::new(&path, fault);
-        let bytes = match fs::read(&path) {
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(()),
-            bytes => bytes.map_err(|fault| fail(fault.into()))?,
-        };
-        let listing: Listing = serde_json::from_slice(&bytes).map_err(|fault| {
-            let line = fault.line() as u64;
-            fail(ReadFault::Line { line, what: format!("no listing of frames: {fault}") })
-        })?;
-        let folder = self.folder().to_owned();
-        for mut frame in listing.frames {
-            frame.file = folder.join(frame.file);
-            if frame.file.exists() {
-                self.insert(frame);
-            }
-        }
-        Ok(())
+    /// What USD's clips hold.
+    fn clips(&self) -> PathBuf {
+        self.sequence.with_extension("manifest.usda")
     }
 
-    /// Adds a frame, in place of one with the same file, and rewrites every file. Frames may come in any order.
+    /// Lists `frames`, which are in order of their numbers, in place of those listed before.
     ///
     /// # Errors
-    /// What [`WholeFile`] refuses, and [`WriteFault::Unsupported`] for a time that is no number or a file's name that
-    /// is no text; the frame is kept then, and written with the next.
-    pub fn tell(&mut self, frame: SeriesFrame) -> Result<(), WriteError> {
-        if !frame.time.is_finite() {
-            let fault = WriteFault::Unsupported(format!("a frame at the time {}", frame.time));
-            return Err(WriteError::new(&frame.file, fault));
-        }
-        self.insert(frame);
-        let names = self.names()?;
+    /// Where the system refuses.
+    pub fn write(&self, frames: &[SeriesFrame]) -> Result<(), WriteError> {
+        let moments = self.moments(frames);
+        let shown: Vec<(&SeriesFrame, Moment)> = frames.iter().zip(moments).collect();
         for path in self.files() {
-            let text = self.text(&path, &names);
-            WholeFile::prepare(&path, Replace::Allow)?.write(|out| out.write_all(text.as_bytes()))?;
+            let text = self.text(&path, &shown);
+            replace_small(&path, text.as_bytes()).map_err(|fault| WriteError::new(&path, fault))?;
         }
         Ok(())
     }
 
-    fn insert(&mut self, frame: SeriesFrame) {
-        self.frames.retain(|other| other.file != frame.file);
-        let before = |other: &SeriesFrame| (other.time, &other.file) < (frame.time, &frame.file);
-        self.frames.insert(self.frames.partition_point(before), frame);
+    fn moments(&self, frames: &[SeriesFrame]) -> Vec<Moment> {
+        let times: Option<Vec<f64>> = frames.iter().map(|frame| frame.time).collect();
+        if let Some(times) = times.filter(|times| times.is_sorted_by(|a, b| a < b)) {
+            let rate = self.codes_a_second();
+            let code = |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
+            return times.iter().map(|&time| Moment { time, code: code(time * rate) }).collect();
+        }
+        let numbers = frames.iter().map(|frame| frame.frame as f64);
+        numbers.map(|number| Moment { time: number / self.fps.unwrap_or(1.0), code: number }).collect()
     }
 
-    fn folder(&self) -> &Path {
-        self.stem.parent().unwrap_or(Path::new(""))
+    fn codes_a_second(&self) -> f64 {
+        self.fps.unwrap_or(CODES_A_SECOND)
     }
 
-    /// The frames' files as the listings name them: relative to their folder, with slashes.
-    fn names(&self) -> Result<Vec<String>, WriteError> {
-        let name = |frame: &SeriesFrame| {
-            let file = frame.file.strip_prefix(self.folder()).unwrap_or(&frame.file);
-            let text = file.to_str().map(|text| text.replace(std::path::MAIN_SEPARATOR, "/"));
-            let fault = || WriteFault::Unsupported("a name that is no text cannot be listed".to_owned());
-            text.ok_or_else(|| WriteError::new(&frame.file, fault()))
-        };
-        self.frames.iter().map(name).collect()
-    }
-
-    fn text(&self, path: &Path, names: &[String]) -> String {
+    fn text(&self, path: &Path, shown: &[(&SeriesFrame, Moment)]) -> String {
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
         match extension {
-            "json" => self.listing(names),
-            "pvd" => self.pvd(names),
-            "series" => self.file_series(names),
-            _ if path == self.file("usda") => self.stage(names),
-            _ => self.manifest().text(),
+            "json" => self.listing(shown),
+            "pvd" => pvd(shown),
+            "series" => file_series(shown),
+            _ if path == self.clips() => self.manifest(shown).text(),
+            _ => self.stage(shown),
         }
     }
 
-    fn listing(&self, names: &[String]) -> String {
-        let named = self.frames.iter().zip(names);
-        let listing = Listing {
-            frames_per_second: self.facts.frames_per_second,
-            up: format!("{:?}", self.facts.up),
-            frames: named.map(|(frame, name)| SeriesFrame { file: name.into(), ..frame.clone() }).collect(),
+    fn listing(&self, shown: &[(&SeriesFrame, Moment)]) -> String {
+        let frame = |&(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| SeriesFrame {
+            time: Some(time),
+            ..frame.clone()
         };
-        serde_json::to_string_pretty(&listing).expect("text and finite numbers") + "\n"
+        let frames: Vec<SeriesFrame> = shown.iter().map(frame).collect();
+        format!("{:#}\n", json!({ "fps": self.fps, "up": self.up.to_string(), "frames": frames }))
     }
 
-    fn pvd(&self, names: &[String]) -> String {
-        let data_set = |(frame, name): (&SeriesFrame, &String)| {
-            format!("<DataSet timestep=\"{}\" part=\"0\" file=\"{}\"/>\n", frame.time, escaped(name))
-        };
-        let all: String = self.frames.iter().zip(names).map(data_set).collect();
-        format!(
-            "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\">\n<Collection>\n{all}\
-             </Collection>\n</VTKFile>\n"
-        )
+    fn stage(&self, shown: &[(&SeriesFrame, Moment)]) -> String {
+        let clips: Vec<_> = shown.iter().map(|(frame, moment)| (moment.code, frame.file.clone())).collect();
+        stage(&clips, &self.manifest(shown), self.codes_a_second(), self.up)
     }
 
-    fn file_series(&self, names: &[String]) -> String {
-        let file =
-            |(frame, name): (&SeriesFrame, &String)| serde_json::json!({ "name": name, "time": frame.time });
-        let files: Vec<_> = self.frames.iter().zip(names).map(file).collect();
-        format!("{:#}\n", serde_json::json!({ "file-series-version": "1.0", "files": files }))
-    }
-
-    fn stage(&self, names: &[String]) -> String {
-        let code = |time: f64| {
-            let code = time * self.facts.frames_per_second;
-            if (code - code.round()).abs() < WHOLE { code.round() } else { code }
-        };
-        let clips = self.frames.iter().zip(names).map(|(frame, name)| (code(frame.time), name.clone()));
-        stage(&clips.collect::<Vec<_>>(), &self.manifest(), self.facts.frames_per_second, self.facts.up)
-    }
-
-    fn manifest(&self) -> Manifest {
+    fn manifest(&self, shown: &[(&SeriesFrame, Moment)]) -> Manifest {
         let mut attributes: Vec<AttributeInfo> = Vec::new();
-        for Attribute { name, components } in self.frames.iter().flat_map(|frame| &frame.attributes) {
-            if attributes.iter().all(|known| known.name != *name) {
-                attributes.push(AttributeInfo { name: name.clone(), components: *components });
+        for attribute in shown.iter().flat_map(|(frame, _)| &frame.attributes) {
+            if attributes.iter().all(|known| known.name != attribute.name) {
+                attributes.push(attribute.clone());
             }
         }
-        let path = self.file("manifest.usda");
+        let path = self.clips();
         Manifest {
             path: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
-            normals: self.frames.iter().any(|frame| frame.normals),
+            normals: shown.iter().any(|(frame, _)| frame.normals),
             attributes,
         }
     }
+}
+
+fn pvd(shown: &[(&SeriesFrame, Moment)]) -> String {
+    let data_set = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| {
+        format!("<DataSet timestep=\"{time}\" part=\"0\" file=\"{}\"/>\n", escaped(&frame.file))
+    };
+    let all: String = shown.iter().map(data_set).collect();
+    format!(
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\">\n<Collection>\n{all}\
+         </Collection>\n</VTKFile>\n"
+    )
+}
+
+fn file_series(shown: &[(&SeriesFrame, Moment)]) -> String {
+    let file = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| {
+        json!({ "name": frame.file, "time": time })
+    };
+    let files: Vec<_> = shown.iter().map(file).collect();
+    format!("{:#}\n", json!({ "file-series-version": "1.0", "files": files }))
 }

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::particles::AttributeInfo;
 
+use super::bounds::{Bounds, bounds_of, joined};
 use super::source::{MeshSource, Vertices};
 
 /// Another mesh, piece by piece in a better order. Takes 4 bytes a vertex.
@@ -19,7 +20,7 @@ pub struct Ordered<'a> {
     ranks: Vec<u32>,
     /// The number of the first vertex of each piece, and that of all.
     firsts: Vec<u64>,
-    bounds: Option<[[f64; 3]; 2]>,
+    bounds: Option<Bounds>,
 }
 
 impl<'a> Ordered<'a> {
@@ -32,8 +33,7 @@ impl<'a> Ordered<'a> {
             .into_par_iter()
             .map(|piece| {
                 let vertices = mesh.vertices(piece)?;
-                let corners = vertices.positions.iter().map(|&p| [p, p]).reduce(joined);
-                Ok((vertices.positions.len(), corners))
+                Ok((vertices.positions.len(), bounds_of(&vertices.positions)))
             })
             .collect::<io::Result<_>>()?;
         let bounds = counted.iter().filter_map(|&(_, corners)| corners).reduce(joined);
@@ -52,7 +52,7 @@ impl<'a> Ordered<'a> {
 
     /// Least and greatest corner of all vertices.
     #[must_use]
-    pub fn bounds(&self) -> Option<[[f64; 3]; 2]> {
+    pub fn bounds(&self) -> Option<Bounds> {
         self.bounds
     }
 
@@ -96,10 +96,6 @@ impl<'a> Ordered<'a> {
         let piece = self.firsts.partition_point(|&first| first <= vertex) - 1;
         self.firsts[piece] + u64::from(self.ranks[vertex as usize])
     }
-}
-
-fn joined([lo, hi]: [[f64; 3]; 2], [p, q]: [[f64; 3]; 2]) -> [[f64; 3]; 2] {
-    [std::array::from_fn(|axis| lo[axis].min(p[axis])), std::array::from_fn(|axis| hi[axis].max(q[axis]))]
 }
 
 impl MeshSource for Ordered<'_> {

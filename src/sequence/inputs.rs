@@ -3,6 +3,7 @@
 //! A frame has a number. `{}` in a name says where it stands, padded or not; otherwise it is the last digits of the
 //! name before its extensions. Order is that of the numbers.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
@@ -28,10 +29,26 @@ pub enum Inputs {
     Pattern(Pattern),
     /// All that we read in a folder.
     Folder(PathBuf),
+    /// Those of a folder whose names differ in their numbers alone.
+    Part {
+        /// Of the files.
+        folder: PathBuf,
+        /// What tells them from others.
+        family: Family,
+    },
     /// What a shell would expand.
     Glob(String),
     /// As they are.
     Files(Vec<PathBuf>),
+}
+
+/// What the names of a sequence's files have in common. A name with `.gz` appended is no other.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct Family {
+    /// Before the number.
+    pub prefix: String,
+    /// After the number.
+    pub suffix: String,
 }
 
 /// A file name with a place for a number.
@@ -126,6 +143,7 @@ impl Inputs {
                 folder.join(format!("{prefix}{{}}{suffix}")).display().to_string()
             }
             Self::Folder(folder) => folder.display().to_string(),
+            Self::Part { folder, family } => folder.join(family.to_string()).display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
         }
@@ -135,9 +153,53 @@ impl Inputs {
     ///
     /// # Errors
     /// [`SequenceError::Io`] for a folder that cannot be read, [`SequenceError::Names`] where two files are the same
-    /// frame.
+    /// frame, [`SequenceError::Several`] where the files are of several sequences.
     pub fn list(&self) -> Result<Vec<FrameFile>, SequenceError> {
-        let mut frames = match self {
+        let mut frames = self.found()?;
+        let families = self.families(&frames);
+        if families.len() > 1 {
+            return Err(SequenceError::several(&self.describe(), &families));
+        }
+        frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
+        if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
+            return Err(SequenceError::Names(format!(
+                "{} and {} are both frame {}; name one sequence, with {{}} for its numbers",
+                a.path.display(),
+                b.path.display(),
+                a.number
+            )));
+        }
+        Ok(frames)
+    }
+
+    /// The sequences that the files belong to, told by their names: of a scene with several fluids each is one.
+    ///
+    /// # Errors
+    /// As [`list`](Self::list), but for several.
+    pub fn sequences(&self) -> Result<Vec<Self>, SequenceError> {
+        let families = self.families(&self.found()?);
+        if families.len() < 2 {
+            return Ok(vec![self.clone()]);
+        }
+        let part = |(family, files): (Family, Vec<PathBuf>)| match self {
+            Self::Folder(folder) => Self::Part { folder: folder.clone(), family },
+            _ => Self::Files(files),
+        };
+        Ok(families.into_iter().map(part).collect())
+    }
+
+    /// The files of each sequence. A pattern says itself what belongs together.
+    fn families(&self, frames: &[FrameFile]) -> BTreeMap<Family, Vec<PathBuf>> {
+        let mut families: BTreeMap<Family, Vec<PathBuf>> = BTreeMap::new();
+        for frame in frames.iter().filter(|_| !matches!(self, Self::Pattern(_))) {
+            families.entry(frame.family()).or_default().push(frame.path.clone());
+        }
+        families
+    }
+
+    /// The frames that are there now, in any order.
+    fn found(&self) -> Result<Vec<FrameFile>, SequenceError> {
+        Ok(match self {
             Self::Pattern(pattern) => {
                 let number = |path: PathBuf| {
                     let digits = pattern.digits(path.file_name()?.to_str()?)?.to_owned();
@@ -157,25 +219,39 @@ impl Inputs {
                     files_in(folder)?.into_iter().filter(|path| is_known(path) && !is_later_piece(path));
                 known.filter_map(by_last_digits).collect()
             }
+            Self::Part { folder, family } => {
+                let mut frames = Self::Folder(folder.clone()).found()?;
+                frames.retain(|frame| frame.family() == *family);
+                frames
+            }
             Self::Glob(pattern) => {
                 let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));
                 let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
                 numbered(paths.filter(|path| path.is_file() && !is_later_piece(path)).collect())?
             }
             Self::Files(files) => numbered(files.clone())?,
-        };
-        frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
-        if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
-            return Err(SequenceError::Names(format!(
-                "{} and {} are both frame {}; name one sequence, with {{}} for its numbers",
-                a.path.display(),
-                b.path.display(),
-                a.number
-            )));
-        }
-        Ok(frames)
+        })
     }
 }
+
+impl FrameFile {
+    /// What its name shares with those of its sequence; nothing where it has no number.
+    fn family(&self) -> Family {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let cut = split_number(&name).filter(|(_, digits, _)| *digits == self.digits);
+        cut.map_or_else(Family::default, |(prefix, _, suffix)| Family {
+            prefix: prefix.to_owned(),
+            suffix: suffix.strip_suffix(".gz").unwrap_or(suffix).to_owned(),
+        })
+    }
+}
+
+impl std::fmt::Display for Family {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}{{}}{}", self.prefix, self.suffix)
+    }
+}
+
 
 fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
     frames.iter().zip(frames.iter().skip(1))

@@ -9,12 +9,14 @@
 pub mod frozen;
 pub mod inputs;
 pub mod naming;
-pub mod series;
 pub mod state;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use thiserror::Error;
+
+use inputs::Family;
 
 /// A sequence that cannot be begun.
 #[derive(Debug, Error)]
@@ -25,6 +27,14 @@ pub enum SequenceError {
     /// The names do not say which frame is which.
     #[error("{0}")]
     Names(String),
+    /// The files are of several sequences, and what is asked for goes with one.
+    #[error("{from}: several sequences: {families}; name one of them, or a folder for the meshes of each")]
+    Several {
+        /// Where they were found.
+        from: String,
+        /// Their names, and how many frames each has.
+        families: String,
+    },
     /// A folder or the state that cannot be read.
     #[error("{}: {fault}", path.display())]
     Io {
@@ -53,4 +63,14 @@ pub enum SequenceError {
         /// Which.
         differing: String,
     },
+}
+
+impl SequenceError {
+    fn several(from: &str, families: &BTreeMap<Family, Vec<PathBuf>>) -> Self {
+        let each = families.iter().map(|(family, files)| format!("{family} ({})", files.len()));
+        Self::Several {
+            from: from.to_owned(),
+            families: each.collect::<Vec<_>>().join(", "),
+        }
+    }
 }

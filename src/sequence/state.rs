@@ -1,13 +1,14 @@
 //! What is kept beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
 //! all frames have in common, and `42.json`, the record of frame 42.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use crate::io::series::SeriesFrame;
 use crate::io::whole::replace_small;
 use crate::units::MeanCount;
 
@@ -59,24 +60,12 @@ impl State {
 /// A frame that is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Its number.
-    pub frame: u64,
     /// What it was made from.
     pub input: Stamp,
     /// The state's fingerprint.
     pub fingerprint: u32,
-    /// The output's name in its folder.
-    pub file: String,
-    /// The output's size.
-    pub bytes: u64,
-    /// In seconds, where the input says it.
-    pub time: Option<f64>,
-    /// Particles that were used.
-    pub particles: u64,
-    /// Of the mesh.
-    pub vertices: u64,
-    /// Of the mesh.
-    pub triangles: u64,
+    /// What it was made into.
+    pub mesh: SeriesFrame,
 }
 
 /// The folder that holds all this.
@@ -139,6 +128,14 @@ impl Store {
         replace_small(&path, &json(state)).map_err(|fault| SequenceError::Io { path, fault })
     }
 
+    /// Keeps other processes that ask for the same from going on until this is dropped, where the file system has locks.
+    #[must_use]
+    pub fn locked(&self) -> Option<File> {
+        let file = File::open(self.state_path()).ok()?;
+        file.lock().ok()?;
+        Some(file)
+    }
+
     fn record_path(&self, frame: u64) -> PathBuf {
         self.folder.join(format!("{frame}.json"))
     }
@@ -154,7 +151,7 @@ impl Store {
     /// # Errors
     /// [`SequenceError::Io`].
     pub fn keep(&self, record: &Record) -> Result<(), SequenceError> {
-        let path = self.record_path(record.frame);
+        let path = self.record_path(record.mesh.frame);
         replace_small(&path, &json(record)).map_err(|fault| SequenceError::Io { path, fault })
     }
 
@@ -164,8 +161,8 @@ impl Store {
         let record = self.record(frame)?;
         let same = record.fingerprint == fingerprint
             && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
-            && output.file_name().is_some_and(|name| *name == *record.file)
-            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.bytes);
+            && output.file_name().is_some_and(|name| *name == *record.mesh.file)
+            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
         same.then_some(record)
     }
 }
@@ -220,17 +217,19 @@ mod tests {
         fs::write(&output, "mesh").unwrap();
         let store = Store::beside(&folder.path().join("out.ply"));
         fs::create_dir(store.folder()).unwrap();
-        let record = Record {
+        let mesh = SeriesFrame {
             frame: 1,
-            input: Stamp::of(&input).unwrap(),
-            fingerprint: 5,
+            time: Some(0.1),
             file: "out_1.ply".into(),
             bytes: 4,
-            time: Some(0.1),
             particles: 1,
             vertices: 0,
             triangles: 0,
+            bounds: Some([[1e-17, -0.1, 1.0 / 3.0], [0.1 + 0.2, 0.0, 1e300]]),
+            normals: true,
+            attributes: Vec::new(),
         };
+        let record = Record { input: Stamp::of(&input).unwrap(), fingerprint: 5, mesh };
         store.keep(&record).unwrap();
         let current = |fingerprint| store.current(1, &input, &output, fingerprint);
         assert_eq!(current(5), Some(record));

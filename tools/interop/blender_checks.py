@@ -2,7 +2,7 @@ import json, sys
 import bpy
 
 folder = sys.argv[sys.argv.index("--") + 1]
-listing = json.load(open(f"{folder}/dam.frames.json"))
+listing = json.load(open(f"{folder}/dam.ply.json"))
 
 
 # Debian's Blender 3.4 is built without USD.
@@ -37,7 +37,7 @@ if not has_usd:
     sys.exit(0)
 blob = imported("usd", f"{folder}/dam.usda")
 for frame in listing["frames"]:
-    bpy.context.scene.frame_set(round(frame["time"] * listing["frames_per_second"]))
+    bpy.context.scene.frame_set(round(frame["time"] * listing["fps"]))
     mesh = blob.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert counts(mesh) == (frame["vertices"], frame["triangles"]), (frame, counts(mesh))
     print(f"dam.usda at {frame['time']} s: {counts(mesh)}, attributes {[a.name for a in mesh.attributes]}")

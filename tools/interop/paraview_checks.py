@@ -5,7 +5,7 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstruct
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
 folder, meniscus = sys.argv[1:]
-frames = json.load(open(f"{folder}/dam.frames.json"))["frames"]
+frames = json.load(open(f"{folder}/dam.ply.json"))["frames"]
 times = [frame["time"] for frame in frames]
 
 for name in ["dam.pvd", "dam.vtp.series", "dam.vtk.series", "dam.ply.series"]:

@@ -2,8 +2,8 @@ import json, sys
 from pxr import Usd, UsdGeom
 
 folder = sys.argv[1]
-listing = json.load(open(f"{folder}/dam.frames.json"))
-rate, frames = listing["frames_per_second"], listing["frames"]
+listing = json.load(open(f"{folder}/dam.usdc.json"))
+rate, frames = listing["fps"], listing["frames"]
 
 
 def mesh_of(path):

@@ -23,11 +23,14 @@ pub struct Division {
 }
 
 impl Division {
-    /// For so many frames. Of two frames for each thread one may wait for the disk, and one more makes up for uneven
-    /// ones.
-    pub fn of(frames: usize, threads: usize, budget: MemoryBudget) -> Self {
-        let affordable = usize::try_from(budget.0 / LEAST).unwrap_or(usize::MAX);
-        let lanes = frames.min(2 * threads + 1).min(affordable).max(1);
+    /// For so many frames, with `chunk` bytes for each thread that are no frame's. Of two frames for each thread one may
+    /// wait for the disk, and one more makes up for uneven ones.
+    pub fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
+        // A lane has a thread at the least, and a frame that is alone has all.
+        let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
+        let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
+        let lanes = (1..=frames.min(2 * threads + 1)).rev().find(affordable).unwrap_or(1);
+        let budget = MemoryBudget(left(lanes));
         if lanes == 1 {
             return Self { lanes, threads, opening: budget, share: budget, alone: budget };
         }
@@ -115,13 +118,15 @@ mod tests {
     #[test]
     fn whatever_is_divided_fits_the_budget() {
         for frames in [1, 2, 100] {
-            for threads in [1, 2, 64] {
+            for (threads, chunk) in [(1, 0), (2, 24 << 20), (64, 0), (64, 24 << 20)] {
                 for budget in [16 << 20, 100 << 20, 8 << 30, 1 << 40] {
-                    let division = Division::of(frames, threads, MemoryBudget(budget));
+                    let division = Division::of(frames, threads, MemoryBudget(budget), chunk);
                     let Division { lanes, opening, share, alone, .. } = division;
                     if lanes > 1 {
-                        assert!(lanes as u64 * (opening.0 + share.0) <= budget, "{division:?}");
-                        assert!(lanes as u64 * opening.0 + alone.0 <= budget, "{division:?}");
+                        let beside = (lanes * division.threads) as u64 * chunk;
+                        assert!(lanes as u64 * (opening.0 + share.0) + beside <= budget, "{division:?}");
+                        let beside = threads as u64 * chunk;
+                        assert!(lanes as u64 * opening.0 + alone.0 + beside <= budget, "{division:?}");
                     }
                     assert!(lanes <= frames);
                     assert!(division.threads >= 1);

@@ -11,6 +11,7 @@ mod reconstruct;
 mod run;
 mod sampling;
 mod sequence;
+mod up;
 
 use std::process::ExitCode;
 

@@ -5,11 +5,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
 use meniscus::frame::{self, Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
-use meniscus::io::UpAxis;
 use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -35,6 +34,7 @@ use crate::interrupt;
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest, report_frame, report_warnings};
 use crate::sequence::{self, SequenceOptions};
+use crate::up::{Orientation, UpOptions};
 
 #[derive(Args)]
 pub struct Options {
@@ -66,10 +66,9 @@ pub struct Options {
     drop_smaller: Option<f64>,
     /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
     #[arg(long)]
-    compress: bool,
-    /// The axis that points up, for .glb files [default: z for .bi4 particles, else y].
-    #[arg(long, value_enum)]
-    up: Option<Up>,
+    pub compress: bool,
+    #[command(flatten)]
+    pub up: UpOptions,
     /// Vertex normals, from the field's gradient.
     #[arg(long)]
     normals: bool,
@@ -84,12 +83,6 @@ pub struct Options {
     pub stats: Option<PathBuf>,
     #[command(flatten)]
     pub run: RunOptions,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum Up {
-    Y,
-    Z,
 }
 
 #[derive(Clone, Copy)]
@@ -125,9 +118,13 @@ impl Options {
             ("detail", json!(self.detail)),
             ("normals", json!(self.normals)),
             ("attributes", json!(self.attributes)),
+            ("simplify", json!(self.simplify)),
+            ("drop-smaller", json!(self.drop_smaller)),
+            ("compress", json!(self.compress)),
         ] {
             settings.insert(name.to_owned(), value);
         }
+        self.up.settings(&mut settings);
         settings
     }
 
@@ -157,22 +154,8 @@ impl Options {
         Ok(())
     }
 
-    /// Refuses what so far is done for one frame at a time.
-    pub fn refuse_for_sequence(&self) -> Result<(), Error> {
-        let given = [
-            ("--simplify", self.simplify.is_some()),
-            ("--drop-smaller", self.drop_smaller.is_some()),
-            ("--compress", self.compress),
-            ("--up", self.up.is_some()),
-        ];
-        match given.into_iter().find(|(_, given)| *given) {
-            None => Ok(()),
-            Some((name, _)) => Err(Error::Request(format!("{name} works on one frame at a time so far"))),
-        }
-    }
-
     /// What is to be left out of the surface.
-    fn reduction(&self) -> Result<Reduction, Error> {
+    pub fn reduction(&self) -> Result<Reduction, Error> {
         if let Some(volume) = self.drop_smaller.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
             return Err(Error::Request(format!("--drop-smaller must be a positive volume; {volume} is not")));
         }
@@ -183,7 +166,7 @@ impl Options {
     }
 
     /// Chunks are simplified whole, and every thread has its own.
-    fn validate_memory(&self, reduction: &Reduction, resources: &Resources) -> Result<(), Error> {
+    pub fn validate_memory(&self, reduction: &Reduction, resources: &Resources) -> Result<(), Error> {
         let least = SMALLEST_BUDGET.0 + BYTES_A_THREAD * rayon::current_num_threads() as u64;
         if reduction.tolerance.is_some() && resources.budget.0 < least {
             let (least, threads) = (ByteSize(least), rayon::current_num_threads());
@@ -194,14 +177,10 @@ impl Options {
         Ok(())
     }
 
-    /// How a .glb file is laid out. DualSPHysics lets z point up; other simulators mostly y.
-    fn layout(&self, input: &Path) -> Layout {
-        let is_bi4 = input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("bi4"));
-        let up = match self.up.unwrap_or(if is_bi4 { Up::Z } else { Up::Y }) {
-            Up::Y => UpAxis::Y,
-            Up::Z => UpAxis::Z,
-        };
-        Layout { up, compression: if self.compress { Compression::Meshopt } else { Compression::None } }
+    /// How the file is laid out, where the format leaves a choice.
+    pub fn layout(&self, orientation: Orientation) -> Layout {
+        let compression = if self.compress { Compression::Meshopt } else { Compression::None };
+        Layout { up: orientation.file, compression }
     }
 
     /// Refuses what is asked for and the format cannot hold.
@@ -209,10 +188,10 @@ impl Options {
         let refuse = |what: &str| {
             Err(Error::Request(format!("{}: {format} cannot hold {what}", self.output.display())))
         };
-        if !matches!(format, MeshFormat::Glb(_)) && (self.compress || self.up.is_some()) {
-            let option = if self.compress { "--compress" } else { "--up" };
-            return Err(Error::Request(format!("{}: {option} goes with .glb", self.output.display())));
+        if !matches!(format, MeshFormat::Glb(_)) && self.compress {
+            return Err(Error::Request(format!("{}: --compress goes with .glb", self.output.display())));
         }
+        self.up.validate(format)?;
         if self.normals && !format.holds_normals() {
             return refuse("vertex normals");
         }
@@ -329,7 +308,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
         (None, None) => run_frame(options, &options.inputs[0]),
         (inputs, Some(naming)) => {
             let inputs = inputs.unwrap_or_else(|| Inputs::Files(options.inputs.clone()));
-            sequence::run(options, &inputs, naming)
+            sequence::run(options, &inputs, &naming)
         }
         (Some(inputs), None) => Err(Error::Request(format!(
             "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder",
@@ -356,11 +335,12 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         refuse_same_file(&options.output, stats)?;
     }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-    let layout = options.layout(input);
-    let prepare = || MeshOutput::prepare(&options.output, replace).map(|output| output.with_layout(layout));
+    let prepare = || MeshOutput::prepare(&options.output, replace);
     let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
+    options.validate_format(output.format())?;
+    let orientation = options.up.orientation(input, output.format());
+    let output = output.with_layout(options.layout(orientation));
     let format = output.format();
-    options.validate_format(format)?;
 
     let mut laps = Laps::default();
     let Some(frame) = options.frame(input, &request, format, resources, &mut laps, &notes)? else {
@@ -380,7 +360,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
-    let bytes = output.write(&*mesh, width)?;
+    let bytes = output.write(&orientation.turned(&*mesh), width)?;
     drop(unfinished);
     laps.lap("write");
     notes.say(format!(

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
 
+use crate::io::UpAxis;
 use crate::io::encode::{write_pieces, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
 use crate::mesh::source::{MeshSource, Vertices};
@@ -16,15 +17,15 @@ const COUNTS: u64 = 1 << 16;
 /// Writes `mesh` as a .usdc layer: points as f32, which is what the schema has; an attribute `velocity` of three
 /// components as `velocities`, others as `primvars` under their name with underscores for what it may not hold.
 ///
-/// No unit and no axis are known here, but for metres: 1 unit is 1 m.
+/// `up` is stated, and nothing turned. No unit is known here but metres: 1 unit is 1 m.
 ///
 /// # Errors
 /// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
 ///
 /// # Panics
 /// As [`MeshFormat::write`].
-pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
-    MeshFormat::Usdc.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io::Result<()> {
+    MeshFormat::Usdc(up).check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     let properties = properties(mesh.has_normals(), &mesh.attributes());
     let arrays = arrays(mesh, properties.len());
     let mut end = HEADER;
@@ -34,7 +35,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> 
         at
     };
     let offsets: Vec<u64> = arrays.iter().map(&mut place).collect();
-    let (tail, contents_at) = tail(&properties, &arrays, &offsets, end);
+    let (tail, contents_at) = tail(&properties, &arrays, &offsets, end, up);
 
     out.write_all(&header(contents_at))?;
     let extent = Mutex::new([[f32::MAX; 3], [f32::MIN; 3]]);
@@ -88,11 +89,23 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
     arrays
 }
 
-fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64) -> (Vec<u8>, u64) {
+fn tail(
+    properties: &[Property],
+    arrays: &[Array],
+    offsets: &[u64],
+    at: u64,
+    up: UpAxis,
+) -> (Vec<u8>, u64) {
     let mut tail = Tail::new(at);
     let children = tail.tokens(&[PRIM]);
     let prim = tail.token(PRIM);
-    tail.root(&[("defaultPrim", prim), ("metersPerUnit", Value::double(1.0)), ("primChildren", children)]);
+    let up = tail.token(&up.to_string());
+    tail.root(&[
+        ("defaultPrim", prim),
+        ("metersPerUnit", Value::double(1.0)),
+        ("upAxis", up),
+        ("primChildren", children),
+    ]);
     const SCHEME: &str = "subdivisionScheme";
     let names: Vec<_> = [SCHEME].into_iter().chain(properties.iter().map(|p| p.name.as_str())).collect();
     let names = tail.tokens(&names);

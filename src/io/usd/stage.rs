@@ -28,7 +28,7 @@ pub fn stage(clips: &[(f64, String)], manifest: &Manifest, codes_per_second: f64
     let (path, declared) = (asset(&manifest.path), manifest.declarations());
     format!(
         "#usda 1.0\n\
-         (\n    defaultPrim = \"{PRIM}\"\n    upAxis = \"{up:?}\"\n    metersPerUnit = 1\n    \
+         (\n    defaultPrim = \"{PRIM}\"\n    upAxis = \"{up}\"\n    metersPerUnit = 1\n    \
          timeCodesPerSecond = {codes_per_second}\n    framesPerSecond = {codes_per_second}\n    \
          startTimeCode = {start}\n    endTimeCode = {end}\n)\n\n\
          def Mesh \"{PRIM}\" (\n    clips = {{\n        dictionary default = {{\n            \

@@ -8,6 +8,9 @@ use crate::io::scan::{Scanner, malformed};
 /// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
 const MOST_OF_NOTHING: usize = 9;
 
+/// What the file's own number is called that is its time: by VTK's readers, and by its newer writers.
+const TIMES: [&str; 2] = ["TIME", "TimeValue"];
+
 /// The sections that we use.
 #[derive(Debug)]
 pub(super) struct Layout {
@@ -20,6 +23,8 @@ pub(super) struct Layout {
     pub cells: Vec<Cells>,
     /// Of an `UNSTRUCTURED_GRID`.
     pub cell_types: Option<Array>,
+    /// A single number.
+    pub time: Option<Array>,
 }
 
 /// Numbers that follow each other.
@@ -78,6 +83,7 @@ struct Walk<'a> {
     normals: Option<usize>,
     cells: Vec<Cells>,
     cell_types: Option<Array>,
+    time: Option<Array>,
 }
 
 impl Layout {
@@ -116,6 +122,7 @@ impl<'a> Walk<'a> {
             normals: None,
             cells: Vec::new(),
             cell_types: None,
+            time: None,
         })
     }
 
@@ -229,6 +236,7 @@ impl<'a> Walk<'a> {
             normals: self.normals,
             cells: self.cells,
             cell_types: self.cell_types,
+            time: self.time,
         })
     }
 
@@ -274,7 +282,11 @@ impl<'a> Walk<'a> {
                     }
                     _ => {
                         let array = self.array(&name, tuples, self.count(components)?, kind)?;
-                        self.keep(array);
+                        if self.owner.is_none() && TIMES.contains(&&*name) {
+                            self.time = array.filter(|array| array.values() == 1);
+                        } else {
+                            self.keep(array);
+                        }
                         Ok(())
                     }
                 }

@@ -14,7 +14,7 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout};
 /// Reads the points as particles: binary arrays stay where they are, text becomes columns of f64.
 ///
 /// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program knows. Strings,
-/// bits, colours, and what cells carry are passed over.
+/// bits, colours, and what cells carry are passed over. The file's own `TIME` or `TimeValue` is the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`] (in a text
@@ -24,7 +24,9 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout};
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
-    Ok(vertices(&bytes, &layout, unpacking)?.into_particles(bytes, format))
+    let time = layout.time.as_ref().and_then(|array| number(&bytes, layout.ascii, array));
+    let vertices = vertices(&bytes, &layout, unpacking)?;
+    Ok(ParticleFile { time: time.filter(|time| time.is_finite()), ..vertices.into_particles(bytes, format) })
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
@@ -110,6 +112,19 @@ fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Re
         attributes,
         normals: layout.normals,
     })
+}
+
+/// The only number of an array.
+fn number(bytes: &[u8], ascii: bool, array: &Array) -> Option<f64> {
+    let stored = &bytes[array.at..array.end];
+    if ascii {
+        return std::str::from_utf8(stored).ok()?.trim().parse().ok();
+    }
+    match array.scalar {
+        Scalar::F64 => stored.first_chunk().map(|&bytes| f64::from_be_bytes(bytes)),
+        Scalar::F32 => stored.first_chunk().map(|&bytes| f32::from_be_bytes(bytes).into()),
+        scalar => integer(scalar, Endian::Big, stored).map(|integer| integer as f64),
+    }
 }
 
 type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;

@@ -1,0 +1,180 @@
+//! All frames on their way, in as many lanes as the machine has room for.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::{Mutex, PoisonError};
+
+use meniscus::error::Error;
+use meniscus::io::output::MeshFormat;
+use meniscus::io::series::Series;
+use meniscus::sequence::inputs::FrameFile;
+use meniscus::sequence::state::{Record, State, Store};
+
+use crate::Verdict;
+use crate::lanes::{Division, Gate};
+use crate::progress::{Progress, ProgressMode};
+
+use super::one_frame::Done;
+use super::tally::Tally;
+use super::watch::Watch;
+use super::{POLL, Setup};
+
+/// What all lanes share.
+pub struct Conversion<'a> {
+    pub setup: &'a Setup<'a>,
+    pub format: MeshFormat,
+    pub store: Store,
+    pub state: State,
+    pub fingerprint: u32,
+    pub division: Division,
+    pub gate: Gate,
+    stop: AtomicBool,
+}
+
+/// What became of a frame.
+struct Outcome {
+    frame: FrameFile,
+    result: Result<Done, Error>,
+}
+
+impl<'a> Conversion<'a> {
+    pub fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, state: State, frames: usize) -> Self {
+        let division = setup.division(frames);
+        let fingerprint = state.fingerprint();
+        let gate = Gate::new(division.lanes);
+        Self { setup, format, store, state, fingerprint, division, gate, stop: AtomicBool::new(false) }
+    }
+
+    pub fn output(&self, frame: &FrameFile) -> PathBuf {
+        self.setup.naming.path(frame)
+    }
+
+    /// The record of a frame that need not be made again.
+    pub fn current(&self, frame: &FrameFile) -> Option<Record> {
+        self.store.current(frame.number, &frame.path, &self.output(frame), self.fingerprint)
+    }
+
+    /// Converts the frames, and those that come while it watches.
+    pub fn run(&self, frames: &[FrameFile], series: &Series) -> Result<Verdict, Error> {
+        let options = &self.setup.options.sequence;
+        let mut tally = Tally::new(self, series);
+        tally.list(frames);
+        let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
+        let todo: Vec<&FrameFile> =
+            wanted.iter().copied().filter(|frame| !(options.resume && tally.lists(frame))).collect();
+        if wanted.len() > todo.len() {
+            let done = wanted.len() - todo.len();
+            self.setup.notes.say(format!("{done} of {} frames are done already", wanted.len()));
+        }
+        let watch = options.watch.map(|idle| Watch::new(idle, options.selection()));
+        let bytes = if watch.is_some() { 0 } else { todo.iter().map(|frame| size(frame)).sum() };
+        let idle = todo.is_empty() && watch.is_none();
+        let mode = if idle { ProgressMode::Never } else { options.progress };
+        let (progress, notes) = Progress::start(mode, bytes, self.division.lanes, self.setup.notes.clone());
+        tally.notes = notes;
+
+        let (to_lanes, jobs) = mpsc::channel::<FrameFile>();
+        let jobs = Mutex::new(jobs);
+        let (results, outcomes) = mpsc::channel();
+        std::thread::scope(|scope| {
+            for lane in 0..self.division.lanes {
+                let (jobs, results, progress) = (&jobs, results.clone(), &progress);
+                scope.spawn(move || self.lane(lane, jobs, &results, progress));
+            }
+            drop(results);
+            match watch {
+                Some(watch) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
+                None => {
+                    tally.total = todo.len();
+                    // The lanes live as long as they are sent to.
+                    todo.into_iter().for_each(|frame| drop(to_lanes.send(frame.clone())));
+                    drop(to_lanes);
+                    outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop))
+                }
+            }
+        })?;
+        progress.finish();
+        tally.finish(&self.setup.frames()?)
+    }
+
+    /// Gives the lanes what becomes complete, until nothing more is to be expected.
+    fn follow(
+        &self,
+        mut watch: Watch,
+        to_lanes: Sender<FrameFile>,
+        outcomes: &Receiver<Outcome>,
+        tally: &mut Tally,
+        progress: &Progress,
+    ) -> Result<(), Error> {
+        let options = &self.setup.options.sequence;
+        let mut under_way = 0;
+        loop {
+            match outcomes.recv_timeout(POLL) {
+                Ok(outcome) => {
+                    under_way -= 1;
+                    let number = outcome.frame.number;
+                    if !self.note(outcome, tally, progress)? {
+                        watch.failed(number);
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+                Err(RecvTimeoutError::Timeout) => {
+                    for frame in watch.ready(&self.setup.frames()?) {
+                        if options.wants(frame.number) && !(options.resume && tally.lists(&frame)) {
+                            under_way += 1;
+                            tally.total += 1;
+                            progress.lengthen(size(&frame));
+                            // The lanes live as long as they are sent to.
+                            let _ = to_lanes.send(frame);
+                        }
+                    }
+                    if under_way == 0 && (watch.is_over() || self.stop.load(Ordering::Relaxed)) {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+    }
+
+    /// Notes what became of a frame; whether it was made.
+    fn note(&self, outcome: Outcome, tally: &mut Tally, progress: &Progress) -> Result<bool, Error> {
+        let Outcome { frame, result } = outcome;
+        let made = result.is_ok();
+        if tally.take(&frame, result, progress.has_bars())? {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        progress.advance(tally.done, tally.total, tally.failed.len(), size(&frame));
+        Ok(made)
+    }
+
+    /// Converts frames until there are no more.
+    fn lane(
+        &self,
+        lane: usize,
+        jobs: &Mutex<Receiver<FrameFile>>,
+        results: &Sender<Outcome>,
+        progress: &Progress,
+    ) {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).build();
+        let pool = pool.expect("threads can be started");
+        loop {
+            let job = jobs.lock().unwrap_or_else(PoisonError::into_inner).recv();
+            let Ok(frame) = job else { return };
+            if self.stop.load(Ordering::Relaxed) {
+                continue;
+            }
+            let result = self.convert(&frame, &pool, &|stage| {
+                progress.stage(lane, || format!("frame {}: {stage}", frame.number));
+            });
+            progress.stage(lane, String::new);
+            if results.send(Outcome { frame, result }).is_err() {
+                return;
+            }
+        }
+    }
+}
+
+fn size(frame: &FrameFile) -> u64 {
+    frame.path.metadata().map_or(0, |m| m.len())
+}

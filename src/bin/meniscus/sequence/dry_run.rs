@@ -1,0 +1,102 @@
+//! What a conversion would do and take, without doing it.
+
+use std::fmt::Write;
+use std::time::Instant;
+
+use bytesize::ByteSize;
+use meniscus::error::Error;
+use meniscus::frame::{self, Frame};
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::open_particles;
+use meniscus::laps::Laps;
+use meniscus::mesh::source::MeshSource;
+use meniscus::plateau::recipe_at;
+use meniscus::sequence::inputs::{FrameFile, gaps};
+use meniscus::sequence::state::{State, Store};
+
+use crate::Verdict;
+use crate::reconstruct::is_frame;
+
+use super::Setup;
+use super::freeze::describe;
+
+impl Setup<'_> {
+    pub(super) fn dry_run(
+        &self,
+        kept: Option<State>,
+        store: &Store,
+        frames: &[FrameFile],
+        wanted: &[&FrameFile],
+    ) -> Result<Verdict, Error> {
+        let begun = Instant::now();
+        let frozen = match &kept {
+            Some(state) => state.frozen.clone(),
+            None => self.freeze(frames)?,
+        };
+        let done = |frame: &&&FrameFile| {
+            let output = self.naming.path(frame);
+            let state = kept.as_ref().filter(|_| self.options.sequence.resume);
+            state
+                .is_some_and(|s| store.current(frame.number, &frame.path, &output, s.fingerprint()).is_some())
+        };
+        let skipped = wanted.iter().filter(done).count();
+        let mut text = format!(
+            "would convert {} of {} frames of {} to {}",
+            wanted.len() - skipped,
+            frames.len(),
+            self.inputs.describe(),
+            self.naming.path(&frames[0]).display(),
+        );
+        if skipped > 0 {
+            let _ = write!(text, "; {skipped} are done");
+        }
+        let missing = gaps(frames);
+        if missing.count > 0 {
+            let _ = write!(text, "\nmissing: {missing}");
+        }
+        let _ = write!(text, "\n{}", describe(&frozen));
+        // The largest file tells what the budget has to hold, and about what each frame takes.
+        let size = |frame: &FrameFile| frame.path.metadata().map_or(0, |m| m.len());
+        let total: u64 = wanted.iter().map(|frame| size(frame)).sum();
+        if let Some(largest) = wanted.iter().max_by_key(|frame| size(frame)).filter(|f| !is_frame(&f.path)) {
+            let unpacking =
+                Unpacking { in_memory: self.resources.budget.0 / 8, scratch: &self.resources.scratch };
+            let file = open_particles(&largest.path, unpacking)?;
+            let indicator = frozen.indicator(self.request.indicator)?;
+            let carried = self.options.carried(&largest.path, &file, self.format(largest)?)?;
+            let sampling = self.request.sampling_on(
+                frozen.grid()?,
+                indicator,
+                frozen.spacing,
+                carried,
+                self.resources.clone(),
+            )?;
+            let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
+            let mut laps = Laps::default();
+            let (census, estimate) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
+            let sampled = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
+            let recipe = recipe_at(indicator, self.surfacing.sigma, self.surfacing.detail, frozen.iso()?);
+            let mesh = sampled.surface_by(&recipe, self.surfacing.normals, &mut laps).map_err(in_file)?;
+            let division = self.division(wanted.len());
+            // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and simplifying takes away.
+            let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();
+            let share = size(largest).max(1) as f64;
+            let scale = (wanted.len() - skipped) as f64 * total as f64 / wanted.len().max(1) as f64 / share;
+            let _ = write!(
+                text,
+                "\nlargest frame {}: {} particles, {} triangles, {} in memory of {}; {} side by side\n\
+                 disk: about {}\ntime: about {:.0} s",
+                largest.number,
+                census.binned,
+                mesh.triangle_count(),
+                ByteSize(estimate.in_core()),
+                ByteSize(self.resources.budget.0),
+                division.lanes,
+                ByteSize((bytes as f64 * scale) as u64),
+                (laps.total() * scale).max(begun.elapsed().as_secs_f64()).ceil(),
+            );
+        }
+        crate::print(&text)?;
+        Ok(Verdict::Good)
+    }
+}

@@ -1,0 +1,163 @@
+//! What is measured once for all frames, on the first that can tell.
+
+use meniscus::error::{Cause, Error};
+use meniscus::frame::{Frame, FrameError};
+use meniscus::io::ReadError;
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::open_particles;
+use meniscus::io::mnf::open_frame;
+use meniscus::plateau::Plateau;
+use meniscus::sequence::SequenceError;
+use meniscus::sequence::frozen::{Frozen, Measured, Origin, Trust, measure};
+use meniscus::sequence::inputs::FrameFile;
+use meniscus::sequence::state::Stamp;
+
+use crate::reconstruct::is_frame;
+
+use super::watch::Watch;
+use super::{POLL, Setup};
+
+/// Frames that are looked at for one that is deep enough to measure.
+const LOOKED_AT: usize = 64;
+
+impl Setup<'_> {
+    /// Measures what holds for all frames on the first that can tell.
+    pub(super) fn freeze(&self, frames: &[FrameFile]) -> Result<Frozen, Error> {
+        let idle = self.options.sequence.watch;
+        let mut watch = idle.map(|idle| Watch::new(idle, self.options.sequence.selection()));
+        let mut best: Option<(Frozen, Trust)> = None;
+        let mut first_error = None;
+        let mut looked_at = 0;
+        let mut current = frames.to_vec();
+        loop {
+            let ready = match &mut watch {
+                None => std::mem::take(&mut current),
+                Some(watch) => watch.ready(&current),
+            };
+            for frame in ready {
+                if looked_at == LOOKED_AT {
+                    break;
+                }
+                looked_at += 1;
+                match self.measure_on(&frame, best.as_ref().filter(|(_, trust)| *trust == Trust::Lattice)) {
+                    Ok((frozen, Trust::Sound)) => {
+                        self.notes.say(format!(
+                            "measured on {}: {}",
+                            frame.path.display(),
+                            describe(&frozen)
+                        ));
+                        return Ok(frozen);
+                    }
+                    Ok((frozen, trust)) => {
+                        if best.as_ref().is_none_or(|(_, known)| *known < trust) {
+                            best = Some((frozen, trust));
+                        }
+                    }
+                    Err(error) if error.cause() == Cause::Input => {
+                        if let Some(watch) = &mut watch {
+                            watch.failed(frame.number);
+                        }
+                        first_error = first_error.or(Some(error));
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
+            match &mut watch {
+                Some(watch) if looked_at < LOOKED_AT && !watch.is_over() => {
+                    std::thread::sleep(POLL);
+                    current = self.frames()?;
+                }
+                _ => break,
+            }
+        }
+        match (best, first_error) {
+            (Some((frozen, trust)), _) => {
+                let what = match trust {
+                    Trust::Shallow => "no fluid is deeper than the filters reach",
+                    Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
+                };
+                self.notes.say(format!(
+                    "warning: {what}; measured on frame {}: {}",
+                    frozen.frame,
+                    describe(&frozen)
+                ));
+                Ok(frozen)
+            }
+            (None, Some(error)) => Err(error),
+            (None, None) => Err(SequenceError::NoFrames(self.inputs.describe()).into()),
+        }
+    }
+
+    /// What one frame says of all. The grid and mu0 are those of a lattice that came before, if one did.
+    fn measure_on(
+        &self,
+        frame: &FrameFile,
+        lattice: Option<&(Frozen, Trust)>,
+    ) -> Result<(Frozen, Trust), Error> {
+        let path = &frame.path;
+        let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
+        let in_file = |fault: FrameError| Error::Frame { path: path.clone(), fault };
+        if is_frame(path) {
+            self.options.validate_frame_input(path)?;
+            let (facts, dif) = open_frame(path, self.resources.budget.0 / 4)?;
+            let (grid, spacing) = (facts.grid, facts.spacing);
+            let frame_of_file = Frame::from_parts(facts, dif, self.resources.clone());
+            let (recipe, plateau) = frame_of_file.recipe(&self.surfacing);
+            let trust = match plateau {
+                Plateau::Interior { .. } => Trust::Sound,
+                Plateau::Shallow { .. } => Trust::Shallow,
+            };
+            let mean = frame_of_file.mean_count();
+            let measured = Measured { grid, mean, iso: recipe.iso, trust };
+            return Ok((frozen(frame.number, input, spacing, None, measured), trust));
+        }
+        let budget = self.resources.budget.0 / 8;
+        let file = open_particles(path, Unpacking { in_memory: budget, scratch: &self.resources.scratch })?;
+        let cells = self.request.cells(path, &file)?;
+        let (grid, indicator) = match lattice {
+            Some((frozen, _)) => (frozen.grid()?, frozen.indicator(self.request.indicator)?),
+            None => (self.request.grid(cells.size)?, self.request.indicator),
+        };
+        let sampling =
+            self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), self.resources.clone())?;
+        let settled = lattice.is_some() || self.options.sampling.origin_given();
+        let origin = if settled { Origin::Given } else { Origin::Free };
+        let measured = measure(&file.particles, &sampling, origin, &self.surfacing).map_err(in_file)?;
+        let mut frozen = frozen(frame.number, input, cells.spacing, cells.source, measured);
+        if let Some((first, _)) = lattice {
+            (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
+        }
+        Ok((frozen, measured.trust))
+    }
+}
+
+fn frozen(
+    frame: u64,
+    input: Stamp,
+    spacing: Option<f64>,
+    source: Option<String>,
+    measured: Measured,
+) -> Frozen {
+    Frozen {
+        frame,
+        input,
+        spacing,
+        spacing_source: source,
+        cell_size: measured.grid.cell_size(),
+        origin: measured.grid.origin().to_array(),
+        mu0: measured.mean.map(|mean| mean.particles()),
+        isovalue: measured.iso.value(),
+    }
+}
+
+pub fn describe(frozen: &Frozen) -> String {
+    let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], mu0, isovalue, .. } = frozen;
+    let spacing = match (spacing, spacing_source) {
+        (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), "),
+        _ => String::new(),
+    };
+    let mu0 = mu0.map_or(String::new(), |mu0| format!(", mu0 {mu0:.4}"));
+    let origin =
+        if [*x, *y, *z] == [0.0; 3] { String::new() } else { format!(", origin {x:.6},{y:.6},{z:.6}") };
+    format!("{spacing}cell size {cell_size:.6}{origin}{mu0}, isovalue {isovalue:.4}")
+}

@@ -1,0 +1,249 @@
+//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
+
+use std::path::Path;
+
+use meniscus::error::Error;
+use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources, Sampling, Surfacing, carried_infos};
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::open_particles;
+use meniscus::io::mnf::open_frame;
+use meniscus::io::output::MeshOutput;
+use meniscus::io::series::SeriesFrame;
+use meniscus::io::whole::Replace;
+use meniscus::io::{CoordinateWidth, ReadError};
+use meniscus::laps::Laps;
+use meniscus::mesh::bounds::Bounded;
+use meniscus::mesh::source::MeshSource;
+use meniscus::mesh::{Mesh, VertexAttribute};
+use meniscus::particles::{AttributeInfo, Particles};
+use meniscus::plateau::recipe_at;
+use meniscus::sequence::inputs::FrameFile;
+use meniscus::sequence::state::{Record, Stamp};
+use meniscus::units::MemoryBudget;
+use rayon::ThreadPool;
+use serde_json::{Value, json};
+
+use crate::interrupt;
+use crate::lanes::Permit;
+use crate::reconstruct::{coordinate_width, is_frame};
+use crate::run::Notes;
+
+use super::Setup;
+use super::conversion::Conversion;
+
+/// A frame that was converted.
+pub struct Done {
+    pub mesh: SeriesFrame,
+    pub stats: Value,
+    pub seconds: f64,
+    pub warnings: Vec<String>,
+}
+
+/// A frame that was read and sampled.
+struct Sampled<'a> {
+    /// `None` where there are no particles.
+    frame: Option<Frame>,
+    /// What its vertices carry.
+    infos: Vec<AttributeInfo>,
+    time: Option<f64>,
+    permit: Permit<'a>,
+}
+
+/// A mesh, and how wide its coordinates are.
+type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
+
+impl Conversion<'_> {
+    /// Converts a frame in `pool`, or where it has to be alone with all threads.
+    pub fn convert(
+        &self,
+        frame: &FrameFile,
+        pool: &ThreadPool,
+        stage: &dyn Fn(&str),
+    ) -> Result<Done, Error> {
+        let options = self.setup.options;
+        let path = &frame.path;
+        let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
+        let replace =
+            if options.sequence.resume || options.run.overwrite { Replace::Allow } else { Replace::Refuse };
+        let target = self.output(frame);
+        let orientation = options.up.orientation(path, self.format);
+        let layout = options.layout(orientation);
+        let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
+        let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
+
+        let mut laps = Laps::default();
+        let Sampled { frame: sampled, infos, time, permit } = self.sample(path, pool, stage, &mut laps)?;
+        let pool = permit.is_beside().then_some(pool);
+        let mut warnings = Vec::new();
+        let surface = match &sampled {
+            None => None,
+            Some(sampled) => {
+                stage("meshing");
+                let surface = within(pool, || self.surface(path, sampled, &mut warnings, &mut laps));
+                warnings.extend(sampled.warnings());
+                surface?
+            }
+        };
+
+        stage("writing");
+        let (mesh, width) = surface.unwrap_or_else(|| {
+            (Box::new(empty_mesh(self.setup.surfacing.normals, infos)), CoordinateWidth::F32)
+        });
+        let turned = orientation.turned(&*mesh);
+        let bounded = Bounded::new(&turned);
+        let bytes = within(pool, || output.write(&bounded, width))?;
+        drop(unfinished);
+        drop(permit);
+        laps.lap("write");
+
+        let particles = sampled.as_ref().map_or(0, |sampled| sampled.facts().census.binned);
+        let listed = SeriesFrame {
+            frame: frame.number,
+            time,
+            file: target.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            bytes,
+            particles: particles as u64,
+            vertices: mesh.vertex_count(),
+            triangles: mesh.triangle_count(),
+            bounds: orientation.shown_bounds(bounded.bounds()),
+            normals: mesh.has_normals(),
+            attributes: mesh.attributes(),
+        };
+        let record = Record { input, fingerprint: self.fingerprint, mesh: listed };
+        interrupt::undisturbed(|| self.store.keep(&record))?;
+        let mut stats = match &sampled {
+            Some(sampled) => {
+                options.record([path, &target], sampled, self.state.frozen.iso()?, &*mesh, bytes, &laps)
+            }
+            None => json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 }),
+        };
+        stats["frame"] = json!(frame.number);
+        stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
+        Ok(Done { mesh: record.mesh, stats, seconds: laps.total(), warnings })
+    }
+
+    /// Reads and samples a frame, from its particles or as it was packed.
+    fn sample(
+        &self,
+        path: &Path,
+        pool: &ThreadPool,
+        stage: &dyn Fn(&str),
+        laps: &mut Laps,
+    ) -> Result<Sampled<'_>, Error> {
+        let Setup { options, resources, .. } = self.setup;
+        let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
+        let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
+        stage("reading");
+        if is_frame(path) {
+            options.validate_frame_input(path)?;
+            let permit = self.gate.enter();
+            let (facts, dif) = open_frame(path, share.0 / 4)?;
+            laps.lap("open");
+            let frame =
+                Frame::from_parts(facts, dif, Resources { budget: share, ..resources.clone() });
+            return Ok(Sampled { frame: Some(frame), infos: Vec::new(), time: None, permit });
+        }
+        let opening = Resources { budget: self.division.opening, ..resources.clone() };
+        let unpacking = Unpacking { in_memory: opening.budget.0 / 2, scratch: &opening.scratch };
+        let file = pool.install(|| open_particles(path, unpacking))?;
+        laps.lap("open");
+        let carried = options.carried(path, &file, self.format)?;
+        let infos = carried_infos(file.particles.attributes(), &carried);
+        let mut sampling = self.sampling(carried, opening)?;
+        stage("counting");
+        let mut counted = pool.install(|| Counted::of(&file.particles, &sampling));
+        laps.lap("count");
+        let fits = match &counted {
+            Ok(counted) => counted.in_core_bytes() <= share.0,
+            Err(FrameError::OverBudget(_)) => false,
+            Err(_) => true,
+        };
+        let beside = resources.backend.divides() && fits;
+        stage("waiting");
+        let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
+        let budget = if beside { share } else { alone };
+        laps.lap("wait");
+        if matches!(counted, Err(FrameError::OverBudget(_))) {
+            drop(counted);
+            sampling.resources.budget = budget;
+            counted = Counted::of(&file.particles, &sampling);
+        }
+        stage("sampling");
+        let frame = match counted {
+            Err(FrameError::NoParticles(_)) => None,
+            counted => {
+                let counted = counted.map_err(in_file)?;
+                let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
+                Some(within(beside.then_some(pool), sample)?)
+            }
+        };
+        Ok(Sampled { frame, infos, time: file.time, permit })
+    }
+
+    fn sampling(&self, carried: Vec<usize>, resources: Resources) -> Result<Sampling, Error> {
+        let frozen = &self.state.frozen;
+        let indicator = frozen.indicator(self.setup.request.indicator)?;
+        self.setup.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
+    }
+
+    /// What is left of a lane's memory for the frame, where as much as its surface takes is needed beside it: for the
+    /// triangles that are left, or for a writer that holds them all.
+    fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
+        let Setup { options, reduction, .. } = self.setup;
+        let holds = self.format.holds_whole_mesh() || options.compress;
+        if self.division.lanes > 1 && (holds || !reduction.is_none()) { MemoryBudget(lane.0 / 2) } else { lane }
+    }
+
+    /// The mesh of a frame; `None` where it is empty.
+    fn surface(
+        &self,
+        path: &Path,
+        sampled: &Frame,
+        warnings: &mut Vec<String>,
+        laps: &mut Laps,
+    ) -> Result<Option<Found>, Error> {
+        let frozen = &self.state.frozen;
+        let Surfacing { sigma, detail, normals, .. } = self.setup.surfacing;
+        let reduction = &self.setup.reduction;
+        let recipe = recipe_at(sampled.facts().indicator, sigma, detail, frozen.iso()?);
+        let mut empty = |why: &str| {
+            warnings.push(format!("{why}: an empty mesh"));
+            Ok(None)
+        };
+        let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
+        let surface = match sampled.surface_by(&recipe, normals, laps) {
+            Err(FrameError::NoSurface { .. }) => return empty("the field is nowhere above the isovalue"),
+            surface => surface.map_err(in_file)?,
+        };
+        let width = coordinate_width(&surface, frozen.cell_size, self.format, &Notes::none())?;
+        if reduction.is_none() {
+            return Ok(Some((Box::new(surface), width)));
+        }
+        match sampled.simplify(surface, reduction, laps) {
+            Err(FrameError::NothingLeft { .. }) => empty("all components are below --drop-smaller"),
+            simplified => Ok(Some((Box::new(simplified.map_err(in_file)?), width))),
+        }
+    }
+}
+
+/// In a pool, or with all threads.
+fn within<T: Send>(pool: Option<&ThreadPool>, act: impl FnOnce() -> T + Send) -> T {
+    match pool {
+        Some(pool) => pool.install(act),
+        None => act(),
+    }
+}
+
+/// What is written where there is no surface: every program can load it, and finds what it expects.
+fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
+    let attribute = |info: AttributeInfo| VertexAttribute {
+        name: info.name,
+        components: info.components,
+        values: Vec::new(),
+    };
+    Mesh {
+        normals: (normals == Normals::Gradient).then(Vec::new),
+        attributes: infos.into_iter().map(attribute).collect(),
+        ..Mesh::default()
+    }
+}

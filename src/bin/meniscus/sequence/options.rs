@@ -1,0 +1,93 @@
+//! Options on which frames are converted, and how their conversion goes.
+
+use clap::Args;
+use meniscus::error::Error;
+use meniscus::sequence::inputs::Selection;
+
+use crate::progress::ProgressMode;
+
+#[derive(Args)]
+#[command(next_help_heading = "Sequences")]
+pub struct SequenceOptions {
+    /// The first frame of the sequence.
+    #[arg(long, value_name = "N")]
+    start: Option<u64>,
+    /// The last frame of the sequence.
+    #[arg(long, value_name = "N")]
+    end: Option<u64>,
+    /// Every Nth frame.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    step: Option<u64>,
+    /// Convert these frames of the sequence only, both ends included, as one of several jobs.
+    #[arg(long, value_name = "A..B", value_parser = range)]
+    frames: Option<(u64, u64)>,
+    /// Go on: skip what is done, whole, and made with the same settings; make the rest.
+    #[arg(long)]
+    pub resume: bool,
+    /// Follow a simulation that runs, until --end, or until nothing has come for so many seconds.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf")]
+    pub watch: Option<f64>,
+    /// Frames a second, for times where the files have none.
+    #[arg(long, value_name = "RATE")]
+    pub fps: Option<f64>,
+    /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop.
+    #[arg(long, conflicts_with_all = ["watch", "dry_run"])]
+    pub plan: bool,
+    /// Bars on a terminal, or a line for each frame.
+    #[arg(long, value_enum, default_value_t = ProgressMode::Auto)]
+    pub progress: ProgressMode,
+}
+
+fn range(text: &str) -> Result<(u64, u64), String> {
+    let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
+    numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
+}
+
+impl SequenceOptions {
+    /// Refuses what has no meaning for a single frame.
+    pub fn refuse_for_one_frame(&self) -> Result<(), Error> {
+        let given = [
+            ("--start", self.start.is_some()),
+            ("--end", self.end.is_some()),
+            ("--step", self.step.is_some()),
+            ("--frames", self.frames.is_some()),
+            ("--resume", self.resume),
+            ("--watch", self.watch.is_some()),
+            ("--fps", self.fps.is_some()),
+            ("--plan", self.plan),
+        ];
+        match given.into_iter().find(|(_, given)| *given) {
+            None => Ok(()),
+            Some((name, _)) => Err(Error::Request(format!("{name} needs a sequence: an output with {{}}"))),
+        }
+    }
+
+    pub fn validate(&self) -> Result<(), Error> {
+        if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
+            return Err(Error::Request(format!("--fps must be a positive number; {fps} is not")));
+        }
+        if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
+            return Err(Error::Request(format!("--watch takes seconds; {seconds} are none")));
+        }
+        Ok(())
+    }
+
+    pub fn selection(&self) -> Selection {
+        let all = Selection::default();
+        Selection {
+            start: self.start.unwrap_or(all.start),
+            end: self.end.unwrap_or(all.end),
+            step: self.step.unwrap_or(all.step),
+        }
+    }
+
+    /// Whether what is asked for has a meaning for one sequence alone.
+    pub fn takes_one(&self) -> bool {
+        self.plan || self.watch.is_some()
+    }
+
+    /// Whether a frame of the sequence is one of those that this run converts.
+    pub fn wants(&self, number: u64) -> bool {
+        self.frames.is_none_or(|(first, last)| (first..=last).contains(&number))
+    }
+}

@@ -1,0 +1,112 @@
+//! Which way is up: simulators and programs disagree on whether y or z is, and few formats can say it.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::io;
+use std::ops::Sub;
+
+use crate::mesh::source::{MeshSource, Vertices};
+use crate::particles::AttributeInfo;
+
+/// Names of colours, in lower case: of all that have three components they alone have no direction.
+const COLOURS: [&str; 5] = ["cd", "color", "colour", "colors", "rgb"];
+
+/// Which axis points up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum UpAxis {
+    Y,
+    Z,
+}
+
+impl fmt::Display for UpAxis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Y => "Y",
+            Self::Z => "Z",
+        })
+    }
+}
+
+impl UpAxis {
+    /// A place or a direction after the quarter turn about x that makes what pointed along this axis point along `to`.
+    #[must_use]
+    pub fn turned<T: Copy + Default + Sub<Output = T>>(self, to: Self, [x, y, z]: [T; 3]) -> [T; 3] {
+        // From zero, so that no zero turns negative.
+        let negative = |value: T| T::default() - value;
+        match (self, to) {
+            (Self::Y, Self::Z) => [x, negative(z), y],
+            (Self::Z, Self::Y) => [x, z, negative(y)],
+            _ => [x, y, z],
+        }
+    }
+}
+
+/// A mesh turned, if need be, so that another axis points up: positions, normals, and attributes of three components but for
+/// colours. Other attributes, tensors among them, stay as they are.
+pub struct Turned<'a> {
+    mesh: &'a dyn MeshSource,
+    from: UpAxis,
+    to: UpAxis,
+    /// For each attribute whether it is a direction.
+    directions: Vec<bool>,
+}
+
+impl<'a> Turned<'a> {
+    /// `mesh`, in which `from` points up, with `to` pointing up.
+    #[must_use]
+    pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
+        let is_direction = |info: &AttributeInfo| {
+            info.components == 3 && !COLOURS.contains(&&*info.name.to_ascii_lowercase())
+        };
+        let directions = mesh.attributes().iter().map(is_direction).collect();
+        Self { mesh, from, to, directions }
+    }
+
+    fn turn<T: Copy + Default + Sub<Output = T>>(&self, values: &mut [[T; 3]]) {
+        values.iter_mut().for_each(|value| *value = self.from.turned(self.to, *value));
+    }
+}
+
+impl MeshSource for Turned<'_> {
+    fn vertex_count(&self) -> u64 {
+        self.mesh.vertex_count()
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.mesh.triangle_count()
+    }
+
+    fn has_normals(&self) -> bool {
+        self.mesh.has_normals()
+    }
+
+    fn attributes(&self) -> Vec<AttributeInfo> {
+        self.mesh.attributes()
+    }
+
+    fn pieces(&self) -> usize {
+        self.mesh.pieces()
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let mut vertices = self.mesh.vertices(piece)?;
+        if self.from == self.to {
+            return Ok(vertices);
+        }
+        self.turn(vertices.positions.to_mut());
+        self.turn(vertices.normals.to_mut());
+        for (values, _) in vertices.attributes.iter_mut().zip(&self.directions).filter(|(_, turns)| **turns) {
+            self.turn(Cow::to_mut(values).as_chunks_mut().0);
+        }
+        Ok(vertices)
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.mesh.triangles(piece)
+    }
+
+    fn whole_positions(&self) -> Option<&[[f64; 3]]> {
+        self.mesh.whole_positions().filter(|_| self.from == self.to)
+    }
+}
