@@ -5,6 +5,7 @@
 //! are integers and their order cannot matter.
 
 use glam::{DVec3, IVec3};
+use hashbrown::HashMap;
 use thiserror::Error;
 
 use crate::units::{UnitError, positive_length};
@@ -195,6 +196,21 @@ impl CellBox {
         (lo.z..hi.z)
             .flat_map(move |z| (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z))))
     }
+}
+
+/// The parts of blocks that some boxes touch, a box around each, in the Morton order of their blocks.
+#[must_use]
+pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
+    let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
+    for cells in boxes {
+        for block in cells.cubes(BLOCK) {
+            let part = parts.entry(block).or_insert(CellBox::EMPTY);
+            *part = part.union(&cells.intersection(&CellBox::cube(block, BLOCK)));
+        }
+    }
+    let mut parts: Vec<_> = parts.into_iter().collect();
+    parts.sort_unstable_by_key(|&(block, _)| MortonKey::of(block));
+    parts.into_iter().map(|(_, cells)| cells).collect()
 }
 
 /// A cube's place on the Morton curve: 21 bits an axis, biased so that negative coordinates come first.

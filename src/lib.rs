@@ -58,6 +58,7 @@ pub mod plateau;
 pub mod programs;
 pub mod recipe;
 pub mod resident;
+pub mod rivals;
 pub mod scratch;
 pub mod sequence;
 pub mod simplify;

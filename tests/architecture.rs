@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 28] = [
+const ROOMS: [&str; 29] = [
     "units",
     "particles",
     "grid",
@@ -25,6 +25,7 @@ const ROOMS: [&str; 28] = [
     "recipe",
     "backend",
     "plateau",
+    "rivals",
     "stitch",
     "simplify",
     "programs",

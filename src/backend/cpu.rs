@@ -70,7 +70,7 @@ fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
         return None;
     }
     if surfaces.normals == Normals::Gradient {
-        mesh.normals = normals(&field, &mesh, recipe.iso, walls);
+        mesh.normals = normals(&field, &mesh, recipe.iso.into(), walls);
     }
     Some(mesh)
 }

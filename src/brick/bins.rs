@@ -5,6 +5,7 @@ use std::io;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use bytemuck::allocation::zeroed_vec;
+use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey, Placed};
 use crate::scratch::Scratch;
@@ -13,6 +14,9 @@ use crate::scratch::Scratch;
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
 /// Bits of a packed particle; the rest of its 64 are free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
+
+/// Bins that are sorted before any is put back.
+const SORTED_AT_ONCE: usize = 1024;
 
 /// A packed particle: where it is in its bin.
 pub(super) type Record = u64;
@@ -102,7 +106,55 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// The particles of bin number `bin`, in no particular order.
+    /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever
+    /// adds real numbers can then add them in one order.
+    ///
+    /// # Errors
+    /// Where they are in a scratch file that cannot be read or written.
+    pub fn sorted(mut self) -> io::Result<Self> {
+        for bins in (0..self.keys.len()).collect::<Vec<_>>().chunks(SORTED_AT_ONCE) {
+            let sorted: Vec<(Vec<Record>, Vec<Vec<f32>>)> =
+                bins.par_iter().map(|&bin| self.sorted_bin(bin)).collect::<io::Result<_>>()?;
+            for (&bin, (records, attributes)) in bins.iter().zip(&sorted) {
+                self.replace(bin, records, attributes)?;
+            }
+        }
+        Ok(self)
+    }
+
+    fn sorted_bin(&self, bin: usize) -> io::Result<(Vec<Record>, Vec<Vec<f32>>)> {
+        let BinContents { records, attributes } = self.contents(bin)?;
+        let mut order: Vec<(u64, u32)> = records.iter().map(|&record| cell_first(record)).zip(0..).collect();
+        order.sort_unstable();
+        let gather = |(values, &n): (&Cow<[f32]>, &usize)| {
+            let tuple = |&(_, from): &(u64, u32)| &values[from as usize * n..][..n];
+            order.iter().flat_map(tuple).copied().collect()
+        };
+        let attributes = attributes.iter().zip(&self.components).map(gather).collect();
+        Ok((order.iter().map(|&(_, from)| records[from as usize]).collect(), attributes))
+    }
+
+    fn replace(&mut self, bin: usize, records: &[Record], attributes: &[Vec<f32>]) -> io::Result<()> {
+        let range = self.first[bin]..self.first[bin + 1];
+        match &mut self.store {
+            Store::Memory { records: to, attributes: all } => {
+                to[range.clone()].copy_from_slice(records);
+                for ((to, from), n) in all.iter_mut().zip(attributes).zip(&self.components) {
+                    to[range.start * n..range.end * n].copy_from_slice(from);
+                }
+            }
+            Store::File { scratch, records_at, attributes_at } => {
+                let first = range.start as u64;
+                scratch.write_at(*records_at + 8 * first, bytemuck::cast_slice(records))?;
+                for ((at, from), &n) in attributes_at.iter().zip(attributes).zip(&self.components) {
+                    scratch.write_at(at + 4 * n as u64 * first, bytemuck::cast_slice(from))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The particles of bin number `bin`, in no particular order unless they were [sorted](Self::sorted).
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read.
@@ -139,6 +191,12 @@ pub(super) fn pack(placed: &Placed) -> Record {
         local << FRACTION_BITS | u64::from(placed.offset[a])
     };
     axis(0) | axis(1) << AXIS_BITS | axis(2) << (2 * AXIS_BITS)
+}
+
+/// A packed particle behind its cell in the bin: a number that sorts by cell.
+fn cell_first(record: Record) -> u64 {
+    let (cell, _) = unpack(record);
+    (cell as u64) << RECORD_BITS | record
 }
 
 #[inline(always)]

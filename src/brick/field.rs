@@ -4,7 +4,7 @@ use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::grid::{BIN, BLOCK, CellBox, MortonKey};
+use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use crate::units::FULL;
 
 use super::store::Store;
@@ -162,18 +162,7 @@ impl DifField {
     /// every axis, as boxes of cells, in the Morton order of their blocks.
     #[must_use]
     pub fn regions(&self, below: i32, above: i32) -> Vec<CellBox> {
-        let mut regions: HashMap<IVec3, CellBox> = HashMap::new();
-        for info in &self.infos {
-            let reached = info.full.grown(below, above);
-            for block in reached.cubes(BLOCK) {
-                let part = reached.intersection(&CellBox::cube(block, BLOCK));
-                let region = regions.entry(block).or_insert(CellBox::EMPTY);
-                *region = region.union(&part);
-            }
-        }
-        let mut regions: Vec<_> = regions.into_iter().collect();
-        regions.sort_unstable_by_key(|&(block, _)| MortonKey::of(block));
-        regions.into_iter().map(|(_, cells)| cells).collect()
+        block_parts(self.infos.iter().map(|info| info.full.grown(below, above)))
     }
 
     /// The bins that have bricks, in Morton order.

@@ -1,6 +1,9 @@
 //! One frame, within its memory budget: particles to DIF, DIF to surface.
 
+mod rival;
 mod sink;
+
+pub use rival::rival_surface;
 
 pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
@@ -27,6 +30,7 @@ use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
+use crate::rivals::TooManyCells;
 use crate::scratch::free_bytes;
 use crate::simplify::{Reduction, Simplified, simplify};
 use crate::stage::attribute::vertex_values;
@@ -64,6 +68,12 @@ pub enum FrameError {
         /// What was asked for, or measured.
         iso: Isovalue,
     },
+    /// Kernels cannot be drawn on so fine a grid.
+    #[error(transparent)]
+    Kernels(#[from] TooManyCells),
+    /// The field of a kernel method is positive nowhere.
+    #[error("the surface is empty: no cell's centre is inside of it; use smaller cells, or a lower --iso")]
+    NoKernelSurface,
     /// What exceeds the memory budget would not fit into scratch files; nothing was written.
     #[error(
         "scratch files take at least {} in {}, where {} are free; name another folder with --scratch, or allow more \
@@ -485,7 +495,7 @@ impl Frame {
         let walls = self.facts.domain.as_ref().map(Domain::cells);
         for (i, info) in infos.iter().enumerate() {
             let attribute = (i, info.components);
-            let values = vertex_values(bins, attribute, &recipe.smoothing, mesh, recipe.iso, walls)?;
+            let values = vertex_values(bins, attribute, &recipe.smoothing, mesh, recipe.iso.into(), walls)?;
             mesh.attributes.push(values);
         }
         Ok(())

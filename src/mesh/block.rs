@@ -93,7 +93,7 @@ pub struct BlockMesh {
     pub block: IVec3,
     /// In Morton order.
     pub tiles: Vec<Tile>,
-    /// For every vertex the field at the lower and the upper end of its edge.
+    /// For every vertex what it keeps of its edge: the field at the lower and the upper end, or a fraction.
     pub ends: Vec<[u16; 2]>,
     /// For every vertex its outward normal; empty where none were asked for.
     pub normals: Vec<[f32; 3]>,

@@ -13,7 +13,6 @@ mod drops;
 mod mend;
 mod near;
 mod patch;
-mod store;
 mod surface;
 mod topology;
 mod vertex_set;
@@ -29,12 +28,12 @@ use rayon::prelude::*;
 use crate::grid::{BLOCK, CellBox, MortonKey};
 use crate::mesh::source::{MeshSource, Vertices};
 use crate::particles::AttributeInfo;
+use crate::scratch::Lists;
 use crate::stitch::Stitched;
 use crate::units::Tolerance;
 
 use drops::smaller_than;
 use patch::Patch;
-use store::{Store, Triangles};
 use topology::Outside;
 use vertex_set::VertexSet;
 
@@ -44,12 +43,15 @@ const CHUNK: i32 = 2;
 /// reach from a seam beyond the chunk that is to simplify it in the second.
 const PIN_SPACING: i32 = 16;
 
+/// Triangles by the numbers of their vertices in the whole mesh.
+type Triangles = Vec<[u64; 3]>;
+
 /// A surface with fewer triangles. Its pieces are the chunks of the second pass.
 #[derive(Debug)]
 pub struct Simplified {
     whole: Stitched,
     /// By their numbers in `whole`.
-    triangles: Store,
+    triangles: Lists<[u64; 3]>,
     kept: VertexSet,
     /// The pieces of `whole` in each chunk.
     chunks: Vec<Vec<usize>>,
@@ -103,7 +105,7 @@ pub fn simplify(
     let shifted = grouped(&blocks, shifted_chunk);
     let batch = 2 * rayon::current_num_threads();
 
-    let mut between = Store::in_memory();
+    let mut between = Lists::in_memory();
     // For each list its shifted chunk, and what is to be done with it.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
     for chunks in aligned.chunks(batch) {
@@ -119,7 +121,7 @@ pub fn simplify(
     }
     homes.sort_unstable();
 
-    let mut triangles = Store::in_memory();
+    let mut triangles = Lists::in_memory();
     let mut kept = VertexSet::none_of(surface.vertex_count());
     let mut triangle_count = 0;
     for chunks in shifted.chunks(batch) {
@@ -251,7 +253,7 @@ impl Passes<'_> {
     fn second(
         &self,
         pieces: &[usize],
-        between: &Store,
+        between: &Lists<[u64; 3]>,
         lists: impl Iterator<Item = (Fate, usize)>,
     ) -> io::Result<Triangles> {
         let mut result = Triangles::new();

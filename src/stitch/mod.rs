@@ -18,8 +18,7 @@ use crate::mesh::source::{MeshSource, Vertices};
 use crate::mesh::spool::Spool;
 use crate::mesh::{BlockMesh, Mesh, TileMask, VertexAttribute, bits, cell_of_bit};
 use crate::particles::AttributeInfo;
-use crate::stage::dual_mc::{table::TABLE, vertex_fraction};
-use crate::units::Isovalue;
+use crate::stage::dual_mc::{Crossings, table::TABLE};
 
 /// Tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
@@ -43,7 +42,7 @@ pub struct Stitched {
     spool: Spool,
     grid: Grid,
     domain: Option<Domain>,
-    iso: Isovalue,
+    crossings: Crossings,
     attributes: Vec<AttributeInfo>,
 }
 
@@ -54,10 +53,10 @@ impl Stitched {
         spool: Spool,
         grid: Grid,
         domain: Option<Domain>,
-        iso: Isovalue,
+        crossings: impl Into<Crossings>,
         attributes: Vec<AttributeInfo>,
     ) -> Self {
-        Self { spool, grid, domain, iso, attributes }
+        Self { spool, grid, domain, crossings: crossings.into(), attributes }
     }
 
     /// A corner of the mesh's blocks that is farthest from the origin, as its greatest coordinate.
@@ -168,7 +167,7 @@ impl Stitched {
     fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
         let place = |((cell, axis), &ends): ((IVec3, usize), &[u16; 2])| {
             let mut cells = cell.as_dvec3() + 0.5;
-            cells[axis] += vertex_fraction(ends, self.iso);
+            cells[axis] += self.crossings.fraction(ends);
             let mut world = self.grid.world_from_cells(cells);
             if let Some(domain) = &self.domain {
                 let [lower, upper] = domain.walls();

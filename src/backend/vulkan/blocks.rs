@@ -3,7 +3,7 @@
 use std::rc::Rc;
 use std::sync::Arc;
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
@@ -15,8 +15,8 @@ use crate::recipe::Fields;
 use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
-use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
-use crate::stage::dual_mc::{Falls, Normals, normal};
+use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
+use crate::stage::dual_mc::{Crossings, Normals, normal};
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
@@ -453,11 +453,14 @@ impl Contouring<'_> {
 
     fn normals(&self, mesh: &BlockMesh, falls: &[i32]) -> Vec<[f32; 3]> {
         let falls: &[Falls] = bytemuck::cast_slice(falls);
-        let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        let (crossings, walls) = (Crossings::from(self.surfaces.recipe.iso), self.surfaces.walls());
         mesh.edges()
             .zip(&mesh.ends)
             .zip(falls)
-            .map(|((edge, &ends), &falls)| normal(edge, ends, falls, iso, walls))
+            .map(|((edge, &ends), falls)| {
+                let falls = falls.map(|axes| DVec3::from(axes.map(f64::from)));
+                normal(edge, crossings.fraction(ends), ends[0] > ends[1], falls, walls)
+            })
             .collect()
     }
 }

@@ -8,8 +8,7 @@ use crate::brick::{Bins, Block};
 use crate::grid::{BIN, CellBox, MortonKey};
 use crate::mesh::BlockMesh;
 use crate::stage::blur::Smoothing;
-use crate::stage::dual_mc::vertex_fraction;
-use crate::units::Isovalue;
+use crate::stage::dual_mc::Crossings;
 
 /// The step to which values are rounded before they are added.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +41,7 @@ pub fn vertex_values(
     (attribute, components): (usize, usize),
     smoothing: &Smoothing,
     mesh: &BlockMesh,
-    iso: Isovalue,
+    crossings: Crossings,
     walls: Option<CellBox>,
 ) -> io::Result<Vec<f32>> {
     let edges: Vec<_> = mesh.edges().map(|(cell, axis)| [cell, cell + IVec3::AXES[axis]]).collect();
@@ -65,7 +64,7 @@ pub fn vertex_values(
 
     let mut values = Vec::with_capacity(edges.len() * components);
     for (cells, &ends) in edges.iter().zip(&mesh.ends) {
-        let upper_share = vertex_fraction(ends, iso);
+        let upper_share = crossings.fraction(ends);
         let index = cells.map(|cell| weight.index(cell));
         let weights = index.map(|i| weight.samples()[i]);
         // An end that no particle reaches has no value to give.

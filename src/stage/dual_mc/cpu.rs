@@ -5,23 +5,27 @@ use glam::{DVec3, IVec3};
 use crate::brick::Block;
 use crate::grid::{BLOCK, CellBox, TILE, local_from_morton, local_morton};
 use crate::mesh::{BlockMesh, Tile, TileMask, bits};
-use crate::units::Isovalue;
 
-use super::Falls;
 use super::table::TABLE;
+use super::{Crossings, Level};
 
 /// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
 ///
-/// Cells outside of `walls` are ghost points. Every tile with a dual cell of mixed signs is there, even
-/// when all its vertices are owned by its neighbours.
+/// Cells outside of `walls` are ghost points, and must repeat the edge cells. Every tile with a dual cell of mixed
+/// signs is there, even when all its vertices are owned by its neighbours.
 ///
 /// # Panics
 /// If `field` does not cover the region's tiles and one cell beyond their upper faces.
 #[must_use]
-pub fn contour(field: &Block, region: CellBox, iso: Isovalue, walls: Option<CellBox>) -> BlockMesh {
+pub fn contour<L: Level>(
+    field: &Block<L::Sample>,
+    region: CellBox,
+    level: L,
+    walls: Option<CellBox>,
+) -> BlockMesh {
     let region = region.tiled();
     let block = region.lo.div_euclid(IVec3::splat(BLOCK));
-    let signs = Signs::of(field, region, iso, walls);
+    let signs = Signs::of(field, region, level, walls);
     let mut mesh = BlockMesh { block, ..BlockMesh::default() };
     let mut local: Vec<usize> =
         region.cubes(TILE).map(|tile| local_morton(tile - block * (BLOCK / TILE))).collect();
@@ -42,25 +46,11 @@ pub fn contour(field: &Block, region: CellBox, iso: Isovalue, walls: Option<Cell
         mesh.ends.extend(tile.edges().map(|(cell, axis)| {
             // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
             let lower = field.index(corner + cell);
-            [field.samples()[lower], field.samples()[lower + strides[axis]]]
+            level.ends(field.samples()[lower], field.samples()[lower + strides[axis]])
         }));
         mesh.tiles.push(tile);
     }
     mesh
-}
-
-/// How far along its edge a vertex lies, from the samples at the lower and the upper end (eq. 8).
-///
-/// Equal samples are those of a cell and of the ghost point that mirrors it: half-way, for phi changes its sign.
-#[must_use]
-#[inline]
-pub fn vertex_fraction([lower, upper]: [u16; 2], iso: Isovalue) -> f64 {
-    if lower == upper {
-        return 0.5;
-    }
-    // phi in halves: 2 c - 2 theta, and c is an integer and a half.
-    let phi = |theta: u16| f64::from(2 * i32::from(iso.threshold()) + 1 - 2 * i32::from(theta));
-    phi(lower) / (phi(lower) - phi(upper))
 }
 
 /// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
@@ -69,28 +59,34 @@ pub fn vertex_fraction([lower, upper]: [u16; 2], iso: Isovalue) -> f64 {
 /// # Panics
 /// If `field` does not cover one cell all round both ends of every edge.
 #[must_use]
-pub fn normals(field: &Block, mesh: &BlockMesh, iso: Isovalue, walls: Option<CellBox>) -> Vec<[f32; 3]> {
+pub fn normals<T: Copy + Default + Into<f64>>(
+    field: &Block<T>,
+    mesh: &BlockMesh,
+    crossings: Crossings,
+    walls: Option<CellBox>,
+) -> Vec<[f32; 3]> {
     let strides = field.strides();
-    let samples = field.samples();
-    let falling =
-        |index: usize| strides.map(|s| i32::from(samples[index - s]) - i32::from(samples[index + s]));
+    let sample = |index: usize| -> f64 { field.samples()[index].into() };
+    let falling = |index: usize| DVec3::from(strides.map(|s| sample(index - s) - sample(index + s)));
     mesh.edges()
         .zip(&mesh.ends)
         .map(|((cell, axis), &ends)| {
-            let lower = field.index(cell);
-            normal((cell, axis), ends, [lower, lower + strides[axis]].map(falling), iso, walls)
+            let at = field.index(cell);
+            let at = [at, at + strides[axis]];
+            let falls_up = sample(at[0]) > sample(at[1]);
+            normal((cell, axis), crossings.fraction(ends), falls_up, at.map(falling), walls)
         })
         .collect()
 }
 
-/// The normal of one vertex, given its edge, the samples at the edge's ends, and by how much the field falls along
-/// each axis around both.
+/// The normal of one vertex, given its edge, how far along it lies, whether the field falls along it, and by how much
+/// the field falls along each axis around both ends.
 #[must_use]
 pub fn normal(
     (cell, axis): (IVec3, usize),
-    ends: [u16; 2],
-    falls: Falls,
-    iso: Isovalue,
+    fraction: f64,
+    falls_up: bool,
+    [lower, upper]: [DVec3; 2],
     walls: Option<CellBox>,
 ) -> [f32; 3] {
     let along = DVec3::AXES[axis];
@@ -102,11 +98,9 @@ pub fn normal(
             return along.as_vec3().to_array();
         }
     }
-    let a = vertex_fraction(ends, iso);
-    let [lower, upper] = falls.map(|fall| DVec3::from(fall.map(f64::from)));
-    let normal = lower * (1.0 - a) + upper * a;
+    let normal = lower * (1.0 - fraction) + upper * fraction;
     // Where the gradient vanishes, the edge itself tells outside from inside.
-    let fallback = if ends[0] > ends[1] { along } else { -along };
+    let fallback = if falls_up { along } else { -along };
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
@@ -118,7 +112,7 @@ struct Signs {
 }
 
 impl Signs {
-    fn of(field: &Block, region: CellBox, iso: Isovalue, walls: Option<CellBox>) -> Self {
+    fn of<L: Level>(field: &Block<L::Sample>, region: CellBox, level: L, walls: Option<CellBox>) -> Self {
         let tile = IVec3::splat(TILE);
         let tiles = CellBox { lo: region.lo / tile, hi: region.hi / tile + 1 };
         let mut signs = Self { tiles, words: vec![0; tiles.volume()] };
@@ -129,7 +123,7 @@ impl Signs {
         }
         let shift = inside_walls.lo.x - region.lo.x;
         for ([y, z], row) in field.rows(inside_walls) {
-            let mut left = row_signs(row, iso.threshold()) << shift;
+            let mut left = row_signs(row, level) << shift;
             let in_tile = 4 * (y & 3) + 16 * (z & 3);
             let mut word = signs.index(IVec3::new(region.lo.x, y, z));
             while left != 0 {
@@ -163,8 +157,8 @@ impl Signs {
 }
 
 /// Bit i is set where sample i is inside.
-fn row_signs(row: &[u16], threshold: u16) -> u64 {
-    row.iter().rev().fold(0, |signs, &theta| signs << 1 | u64::from(theta > threshold))
+fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
+    row.iter().rev().fold(0, |signs, &sample| signs << 1 | u64::from(level.is_inside(sample)))
 }
 
 /// For each cell of a tile the sign one cell further along x, given the next tile's word; and so on.

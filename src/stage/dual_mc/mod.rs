@@ -10,14 +10,12 @@
 //! Needs the field on the block and one cell beyond its upper faces; normals need one cell more all round.
 
 mod cpu;
+mod level;
 pub mod table;
 pub mod vulkan;
 
-pub use cpu::{contour, normal, normals, vertex_fraction};
-
-/// By how much the field falls from one cell below to one cell above along each axis, around the lower and the upper
-/// end of a vertex's edge.
-pub type Falls = [[i32; 3]; 2];
+pub use cpu::{contour, normal, normals};
+pub use level::{Crossings, Level, Zero};
 
 /// Whether vertices get normals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

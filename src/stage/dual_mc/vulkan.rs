@@ -148,11 +148,15 @@ pub struct Outputs {
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
     pub ends: View,
-    /// [`Falls`](super::Falls) for every vertex, if there are to be normals.
+    /// [`Falls`] for every vertex, if there are to be normals.
     pub falls: View,
     /// Vertices that there is room for; nothing is written of more than that.
     pub room: u32,
 }
+
+/// By how much the field falls from one cell below to one cell above along each axis, around the lower and the upper
+/// end of a vertex's edge.
+pub type Falls = [[i32; 3]; 2];
 
 /// Triangles by case, as the kernels take them.
 #[must_use]

@@ -1,5 +1,9 @@
 //! Scratch files: room for what exceeds the memory budget, gone with the process however it ends.
 
+mod lists;
+
+pub use lists::Lists;
+
 use std::fs::File;
 use std::io;
 use std::path::Path;

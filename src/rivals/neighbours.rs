@@ -1,0 +1,101 @@
+//! The particles of a box of cells, to be searched for those within a distance.
+
+use std::io;
+
+use glam::{DVec3, IVec3};
+
+use crate::brick::{BinContents, Bins};
+use crate::grid::{BIN, CellBox, FRACTIONS, MortonKey};
+
+/// Particles by cell.
+#[derive(Debug)]
+pub struct Neighbours {
+    /// Relative to an origin, as are the places.
+    cells: CellBox,
+    /// Where each cell's particles begin, and where the last one's end.
+    starts: Vec<u32>,
+    places: Vec<DVec3>,
+}
+
+/// The cells of a bin's particles, and their places; both relative to what the bin's `corner` is relative to.
+pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item = (IVec3, DVec3)> {
+    contents.particles().map(move |(local, offset)| {
+        let local = local as i32;
+        let cell = corner + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
+        // An offset stands for the middle of its step.
+        let offset = DVec3::from(offset.map(f64::from)) + 0.5;
+        (cell, cell.as_dvec3() + offset / f64::from(FRACTIONS))
+    })
+}
+
+impl Neighbours {
+    /// The particles in `cells`, placed relative to the corner of the cell `origin`.
+    ///
+    /// # Errors
+    /// Where particles are in a scratch file that cannot be read.
+    pub fn load(bins: &Bins, cells: CellBox, origin: IVec3) -> io::Result<Self> {
+        let local = CellBox { lo: cells.lo - origin, hi: cells.hi - origin };
+        let mut near = Self { cells: local, starts: vec![0; local.volume() + 1], places: Vec::new() };
+        let mut found: Vec<(usize, DVec3)> = Vec::new();
+        for coord in cells.cubes(BIN) {
+            let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
+            let contents = bins.contents(bin)?;
+            let inside = places(&contents, coord * BIN - origin).filter(|(cell, _)| local.contains(*cell));
+            found.extend(inside.map(|(cell, place)| (near.index(cell), place)));
+        }
+        // Counts become starts, and starts move on as the cells fill up.
+        found.iter().for_each(|&(cell, _)| near.starts[cell] += 1);
+        let mut total = 0;
+        for start in &mut near.starts {
+            total += std::mem::replace(start, total);
+        }
+        near.places = vec![DVec3::ZERO; found.len()];
+        for (cell, place) in found {
+            near.places[near.starts[cell] as usize] = place;
+            near.starts[cell] += 1;
+        }
+        near.starts.rotate_right(1);
+        near.starts[0] = 0;
+        Ok(near)
+    }
+
+    fn index(&self, cell: IVec3) -> usize {
+        let (local, size) = ((cell - self.cells.lo).as_usizevec3(), self.cells.size().as_usizevec3());
+        local.x + size.x * (local.y + size.y * local.z)
+    }
+
+    /// Calls `visit` with every particle nearer to `place` than `radius`, as seen from there, and its squared distance.
+    #[inline]
+    pub fn within(&self, place: DVec3, radius: f64, mut visit: impl FnMut(DVec3, f64)) {
+        let squared = radius * radius;
+        let CellBox { lo, hi } =
+            CellBox { lo: (place - radius).floor().as_ivec3(), hi: (place + radius).floor().as_ivec3() + 1 }
+                .intersection(&self.cells);
+        // How far a place is from a layer of cells.
+        let apart =
+            |place: f64, cell: i32| (f64::from(cell) - place).max(place - f64::from(cell + 1)).max(0.0);
+        for z in lo.z..hi.z {
+            for y in lo.y..hi.y {
+                let left = squared - apart(place.z, z).powi(2) - apart(place.y, y).powi(2);
+                if left <= 0.0 {
+                    continue;
+                }
+                let half = left.sqrt();
+                let first = ((place.x - half).floor() as i32).max(lo.x);
+                let last = ((place.x + half).floor() as i32).min(hi.x - 1);
+                if first > last {
+                    continue;
+                }
+                let row = self.index(IVec3::new(first, y, z));
+                let run = self.starts[row]..self.starts[row + (last - first) as usize + 1];
+                for &other in &self.places[run.start as usize..run.end as usize] {
+                    let seen = other - place;
+                    let distance = seen.length_squared();
+                    if distance < squared {
+                        visit(seen, distance);
+                    }
+                }
+            }
+        }
+    }
+}

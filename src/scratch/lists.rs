@@ -1,0 +1,99 @@
+//! Lists between two passes: in memory while they are few, in a scratch file when not.
+
+use std::borrow::Cow;
+use std::io;
+use std::path::Path;
+
+use bytemuck::{Pod, cast_slice, cast_slice_mut};
+
+use super::Scratch;
+
+/// Lists that are written once and read by number.
+#[derive(Debug)]
+pub struct Lists<T> {
+    /// Where each list begins in the file, and its length.
+    index: Vec<(u64, usize)>,
+    store: Store<T>,
+    bytes: u64,
+}
+
+#[derive(Debug)]
+enum Store<T> {
+    Memory(Vec<Vec<T>>),
+    File(Scratch),
+}
+
+impl<T: Pod> Lists<T> {
+    /// Nothing yet.
+    #[must_use]
+    pub fn in_memory() -> Self {
+        Self { index: Vec::new(), store: Store::Memory(Vec::new()), bytes: 0 }
+    }
+
+    /// Bytes of all lists, in memory or in the file.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// From now on keeps lists in a scratch file in `folder`.
+    ///
+    /// # Errors
+    /// Where that file cannot be created or written.
+    pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
+        let Store::Memory(lists) = &mut self.store else { return Ok(()) };
+        let lists = std::mem::take(lists);
+        let scratch = Scratch::in_folder(folder)?;
+        for ((at, _), list) in self.index.iter_mut().zip(lists) {
+            *at = scratch.append(cast_slice(&list))?;
+        }
+        self.store = Store::File(scratch);
+        Ok(())
+    }
+
+    /// Adds a list; its number is that of those before it.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be written.
+    pub fn push(&mut self, list: Vec<T>) -> io::Result<()> {
+        let len = list.len();
+        self.bytes += size_of_val(&list[..]) as u64;
+        let at = match &mut self.store {
+            Store::Memory(lists) => {
+                lists.push(list);
+                0
+            }
+            Store::File(scratch) => scratch.append(cast_slice(&list))?,
+        };
+        self.index.push((at, len));
+        Ok(())
+    }
+
+    /// How many lists there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.index.is_empty()
+    }
+
+    /// List number `i`.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn get(&self, i: usize) -> io::Result<Cow<'_, [T]>> {
+        match &self.store {
+            Store::Memory(lists) => Ok(Cow::Borrowed(&lists[i])),
+            Store::File(scratch) => {
+                let (at, len) = self.index[i];
+                let mut list = vec![T::zeroed(); len];
+                scratch.read_at(at, cast_slice_mut(&mut list))?;
+                Ok(Cow::Owned(list))
+            }
+        }
+    }
+}
