@@ -10,7 +10,8 @@ use rayon::prelude::*;
 
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
-use crate::recipe::{Recipe, gather};
+use crate::recipe::{Details, Recipe, gather};
+use crate::stage::adaptive::Adaptive;
 use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::detail::Detail;
 use crate::stage::indicator::Indicator;
@@ -87,11 +88,12 @@ pub fn recipe(
 /// The same where the isovalue is known, of whichever frame.
 #[must_use]
 pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isovalue) -> Recipe {
-    let detail = match detail {
-        Detail::Smoothed => None,
-        Detail::Recovered => Some(Kernel::gaussian(sigma.half())),
+    let details = match detail {
+        Detail::Smoothed => Details::Smoothed,
+        Detail::Recovered => Details::Recovered(Kernel::gaussian(sigma.half())),
+        Detail::Spared => Details::Spared(Adaptive::new(sigma)),
     };
-    Recipe { smoothing: Smoothing::new(indicator, sigma), detail, iso }
+    Recipe { smoothing: Smoothing::new(indicator, sigma), details, iso }
 }
 
 type Histogram = Vec<u64>;

@@ -5,6 +5,7 @@ use crate::brick::vulkan::{
 };
 use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, CELL_LIMIT, FRACTION_BITS, TILE};
+use crate::stage::adaptive::vulkan::{BLEND, MARK, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
@@ -15,9 +16,9 @@ use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 16] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &SIGNS, &TILES, &BASES,
-    &EMIT, &STARTS, &VERTICES, &TRIANGLES,
+pub const PROGRAMS: [&Program; 19] = [
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &MARK, &SPREAD, &BLEND,
+    &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
 ];
 
 /// Constants of the sources: name, type and value.

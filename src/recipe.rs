@@ -1,10 +1,11 @@
-//! The paper from the DIF to the field, once: smooth, and bring back the details.
+//! The paper from the DIF to the field, once: smooth, and bring back or spare the details.
 
 use std::convert::Infallible;
 use std::rc::Rc;
 
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
+use crate::stage::adaptive::{Adaptive, blend, mark, spread};
 use crate::stage::blur::{Kernel, Smoothing, filter};
 use crate::stage::detail::{lost, raise};
 use crate::units::Isovalue;
@@ -14,27 +15,56 @@ use crate::units::Isovalue;
 pub struct Recipe {
     /// Section 4.2.
     pub smoothing: Smoothing,
-    /// The second Gaussian of section 6.2, where details are to be recovered.
-    pub detail: Option<Kernel>,
+    /// What becomes of details.
+    pub details: Details,
     /// Where the surface is.
     pub iso: Isovalue,
+}
+
+/// What becomes of details that smoothing loses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Details {
+    #[allow(missing_docs)]
+    Smoothed,
+    /// By the second Gaussian of section 6.2.
+    Recovered(Kernel),
+    /// By an adaptive blur.
+    Spared(Adaptive),
 }
 
 impl Recipe {
     /// How far from a full cell the field can be other than 0.
     #[must_use]
     pub fn reach(&self) -> i32 {
-        self.smoothing.reach().max(self.detail_reach())
+        let details = match &self.details {
+            Details::Smoothed => 0,
+            Details::Recovered(kernel) => kernel.reach(),
+            Details::Spared(adaptive) => adaptive.fine.reach(),
+        };
+        self.smoothing.reach().max(details)
     }
 
     /// How far from a cell the DIF decides its field: the sum of the reaches of all steps.
     #[must_use]
     pub fn halo(&self) -> i32 {
-        self.smoothing.reach() + self.detail_reach()
+        let details = match &self.details {
+            Details::Smoothed => 0,
+            Details::Recovered(kernel) => kernel.reach(),
+            Details::Spared(adaptive) => adaptive.near,
+        };
+        self.smoothing.reach() + details
     }
 
-    fn detail_reach(&self) -> i32 {
-        self.detail.as_ref().map_or(0, Kernel::reach)
+    /// Whether the surface can pass between cells whose field this part of the DIF decides.
+    #[must_use]
+    pub fn may_cut(&self, dif: &Block, away_from_walls: bool) -> bool {
+        // A weighted mean lies on the same side as all that it is made of. An adaptive blur marks every full cell. All
+        // inside is no surface only away from walls.
+        let threshold = self.iso.threshold();
+        let least = if matches!(self.details, Details::Spared(_)) { 0 } else { threshold };
+        let any_inside = dif.samples().iter().any(|&theta| theta > least);
+        let any_outside = dif.samples().iter().any(|&theta| theta <= threshold);
+        any_inside && (any_outside || !away_from_walls)
     }
 
     /// Cuts what the field of `cells` depends on out of the DIF.
@@ -48,13 +78,25 @@ impl Recipe {
     /// # Errors
     /// Those of `fields`.
     pub fn apply<F: Fields>(&self, fields: &mut F, dif: F::Field) -> Result<F::Field, F::Error> {
-        let kept = self.detail.as_ref().map(|kernel| (kernel, dif.clone()));
-        let mut kernels = self.smoothing.filters().iter();
-        let smooth = kernels.try_fold(dif, |field, kernel| fields.blur(field, kernel))?;
-        let Some((kernel, dif)) = kept else { return Ok(smooth) };
-        let lost = fields.lost(dif, &smooth, self.iso)?;
-        let fine = fields.blur(lost, kernel)?;
-        fields.greater(fine, smooth)
+        let smooth = |fields: &mut F, dif: F::Field| {
+            self.smoothing.filters().iter().try_fold(dif, |field, kernel| fields.blur(field, kernel))
+        };
+        match &self.details {
+            Details::Smoothed => smooth(fields, dif),
+            Details::Recovered(kernel) => {
+                let smooth = smooth(fields, dif.clone())?;
+                let lost = fields.lost(dif, &smooth, self.iso)?;
+                let fine = fields.blur(lost, kernel)?;
+                fields.greater(fine, smooth)
+            }
+            Details::Spared(adaptive) => {
+                let smooth = smooth(fields, dif.clone())?;
+                let marks = fields.marks(dif, self.iso)?;
+                let fine = fields.blur(marks, &adaptive.fine)?;
+                let near = fields.spread(&smooth, adaptive.near)?;
+                fields.blend(fine, smooth, near, self.iso)
+            }
+        }
     }
 
     /// The field, from a DIF that is larger by [`halo`](Self::halo) on every side.
@@ -89,6 +131,21 @@ pub trait Fields {
 
     /// Of two fields the greater, cell by cell.
     fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
+
+    /// The marks of an adaptive blur.
+    fn marks(&mut self, dif: Self::Field, iso: Isovalue) -> Result<Self::Field, Self::Error>;
+
+    /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
+    fn spread(&mut self, field: &Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
+
+    /// The field of an adaptive blur.
+    fn blend(
+        &mut self,
+        fine: Self::Field,
+        smooth: Self::Field,
+        near: Self::Field,
+        iso: Isovalue,
+    ) -> Result<Self::Field, Self::Error>;
 }
 
 /// Fields in blocks.
@@ -111,6 +168,28 @@ impl Fields for Blocks {
     fn greater(&mut self, mut field: Rc<Block>, other: Rc<Block>) -> Result<Rc<Block>, Infallible> {
         raise(Rc::make_mut(&mut field), &other);
         Ok(field)
+    }
+
+    fn marks(&mut self, dif: Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Infallible> {
+        Ok(Rc::new(mark(Rc::unwrap_or_clone(dif), iso)))
+    }
+
+    fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Infallible> {
+        let mut near = spread(field, reach);
+        if let Some(walls) = self.walls {
+            near.repeat_edges(walls);
+        }
+        Ok(Rc::new(near))
+    }
+
+    fn blend(
+        &mut self,
+        fine: Rc<Block>,
+        smooth: Rc<Block>,
+        near: Rc<Block>,
+        iso: Isovalue,
+    ) -> Result<Rc<Block>, Infallible> {
+        Ok(Rc::new(blend(&fine, &smooth, Rc::unwrap_or_clone(near), iso)))
     }
 }
 

@@ -71,15 +71,6 @@ impl Isovalue {
         self.0
     }
 
-    /// Whether the surface can pass between cells whose smoothed field is made of `samples`: a weighted
-    /// mean lies on the same side as all that it is made of. All inside is no surface only away from walls.
-    #[must_use]
-    pub fn may_cut(self, samples: &[u16], away_from_walls: bool) -> bool {
-        let any_inside = samples.iter().any(|&theta| theta > self.0);
-        let any_outside = samples.iter().any(|&theta| theta <= self.0);
-        any_inside && (any_outside || !away_from_walls)
-    }
-
     /// `c` as a fraction of 1.
     #[must_use]
     pub fn value(self) -> f64 {

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 29] = [
+const ROOMS: [&str; 30] = [
     "units",
     "particles",
     "grid",
@@ -20,6 +20,7 @@ const ROOMS: [&str; 29] = [
     "stage/indicator",
     "stage/blur",
     "stage/detail",
+    "stage/adaptive",
     "stage/dual_mc",
     "stage/attribute",
     "recipe",

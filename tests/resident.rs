@@ -58,7 +58,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
-        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5)] {
+        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Spared, 1.0)] {
             for walls in [false, true] {
                 let mut sampling = Sampling { indicator, ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));

@@ -19,14 +19,14 @@ use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
-use meniscus::recipe::Recipe;
+use meniscus::recipe::{Details, Recipe};
 use meniscus::stage::blur::{self, Kernel, Smoothing};
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
 const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
-const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
+const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Spared];
 
 /// Runs a test on a device of its own, and looks at what validation found when all of it is gone.
 fn validated(test: impl FnOnce(&Device)) {
@@ -152,7 +152,7 @@ fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: Me
         for walls in [false, true] {
             let mut sampling = Sampling { indicator, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
-            for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[1], 0.8)] {
+            for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[2], 0.8)] {
                 let sigma = Sigma::new(sigma).unwrap();
                 let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);
@@ -216,7 +216,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let dif = DifField::in_memory(BrickSide::Sixteen, pages);
     let recipe = Recipe {
         smoothing: Smoothing::new(Indicator::Symmetry, Sigma::new(0.2).unwrap()),
-        detail: None,
+        details: Details::Smoothed,
         iso: Isovalue::new(0.5).unwrap(),
     };
     let regions: Vec<CellBox> = dif.regions(recipe.reach() + 1, recipe.reach());

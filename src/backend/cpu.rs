@@ -61,7 +61,7 @@ fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
     let walls = surfaces.walls();
     let dif = recipe.gather(dif, surfaces.field(region), domain);
     let inside_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
-    if !recipe.iso.may_cut(dif.samples(), inside_walls) {
+    if !recipe.may_cut(&dif, inside_walls) {
         return None;
     }
     let field = recipe.field(dif, domain);

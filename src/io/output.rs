@@ -41,8 +41,15 @@ impl fmt::Display for MeshFormat {
 
 impl MeshFormat {
     /// All that there are.
-    const ALL: [Self; 7] =
-        [Self::Ply, Self::Obj, Self::Vtk, Self::Vtp, Self::Stl, Self::Usdc(UpAxis::Y), Self::Glb(glb::Layout::PLAIN)];
+    const ALL: [Self; 7] = [
+        Self::Ply,
+        Self::Obj,
+        Self::Vtk,
+        Self::Vtp,
+        Self::Stl,
+        Self::Usdc(UpAxis::Y),
+        Self::Glb(glb::Layout::PLAIN),
+    ];
 
     /// The extensions, for messages.
     pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl, .usdc and .glb";

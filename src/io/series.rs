@@ -184,9 +184,8 @@ fn pvd(shown: &[(&SeriesFrame, Moment)]) -> String {
 }
 
 fn file_series(shown: &[(&SeriesFrame, Moment)]) -> String {
-    let file = |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| {
-        json!({ "name": frame.file, "time": time })
-    };
+    let file =
+        |(frame, Moment { time, .. }): &(&SeriesFrame, Moment)| json!({ "name": frame.file, "time": time });
     let files: Vec<_> = shown.iter().map(file).collect();
     format!("{:#}\n", json!({ "file-series-version": "1.0", "files": files }))
 }

@@ -252,7 +252,6 @@ impl std::fmt::Display for Family {
     }
 }
 
-
 fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {
     frames.iter().zip(frames.iter().skip(1))
 }

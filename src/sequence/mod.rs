@@ -68,9 +68,6 @@ pub enum SequenceError {
 impl SequenceError {
     fn several(from: &str, families: &BTreeMap<Family, Vec<PathBuf>>) -> Self {
         let each = families.iter().map(|(family, files)| format!("{family} ({})", files.len()));
-        Self::Several {
-            from: from.to_owned(),
-            families: each.collect::<Vec<_>>().join(", "),
-        }
+        Self::Several { from: from.to_owned(), families: each.collect::<Vec<_>>().join(", ") }
     }
 }

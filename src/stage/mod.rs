@@ -1,5 +1,6 @@
 //! The method, one room a stage: `mod.rs` states the formula and the promise, `cpu.rs` computes it.
 
+pub mod adaptive;
 pub mod attribute;
 pub mod blur;
 pub mod detail;

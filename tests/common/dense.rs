@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec3, IVec3};
 use meniscus::grid::CellBox;
+use meniscus::stage::detail::Detail;
 use meniscus::stage::dual_mc::table::TABLE;
 
 /// What is to be computed. Cells have edge 1 and the grid's origin is 0.
@@ -15,8 +16,9 @@ pub struct Method {
     /// `None`: symmetry. `Some(mu0)`: counting.
     pub mu0: Option<f64>,
     pub sigma: f64,
-    /// Recover details, at this isovalue in 1 / 65535.
-    pub detail: Option<f64>,
+    pub detail: Detail,
+    /// In 1 / 65535.
+    pub iso: f64,
     pub walls: Option<CellBox>,
 }
 
@@ -97,10 +99,22 @@ impl Method {
         by_cell
     }
 
+    /// The greatest value within 1 + ceil(sigma) cells along each axis.
+    fn near<T: Copy + Default + PartialOrd>(&self, field: &Dense<T>) -> Dense<T> {
+        let reach = 1 + self.sigma.ceil() as i32;
+        (0..3).fold(field.clone(), |field, axis| {
+            Dense::new(field.cells, |cell| {
+                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, self.walls));
+                taps.fold(T::default(), |most, value| if value > most { value } else { most })
+            })
+        })
+    }
+
     /// The field in f64.
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let by_cell = self.particles_by_cell(particles);
-        let theta = Dense::new(self.cells(particles), |cell| {
+        let cells = self.cells(particles);
+        let theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0.0 };
             let n = offsets.len() as f64;
             match self.mu0 {
@@ -126,22 +140,33 @@ impl Method {
         if self.mu0.is_some() {
             smooth = blur(&smooth, &[1.0 / 3.0; 2]);
         }
-        let Some(c) = self.detail.map(|c| c / 65535.0) else { return smooth };
-        let lost =
-            Dense::new(
-                theta.cells,
-                |cell| {
-                    if smooth.at(cell, None) <= c { theta.at(cell, None) } else { 0.0 }
-                },
-            );
-        let details = blur(&lost, &gaussian(self.sigma / 2.0));
-        Dense::new(theta.cells, |cell| smooth.at(cell, None).max(details.at(cell, None)))
+        let c = self.iso / 65535.0;
+        let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
+        let dense = |value: &dyn Fn(IVec3) -> f64| Dense::new(cells, value);
+        match self.detail {
+            Detail::Smoothed => dense(&smooth),
+            Detail::Recovered => {
+                let lost = dense(&|cell| if smooth(cell) <= c { theta(cell) } else { 0.0 });
+                let details = blur(&lost, &gaussian(self.sigma / 2.0));
+                dense(&|cell| smooth(cell).max(details.at(cell, None)))
+            }
+            Detail::Spared => {
+                let marks = dense(&|cell| if theta(cell) > 0.0 { (3.0 * c).min(1.0) } else { 0.0 });
+                let fine = blur(&marks, &gaussian((self.sigma / 2.0).min(0.5)));
+                let near = self.near(&dense(&smooth));
+                dense(&|cell| {
+                    let w = ((near.at(cell, None) - c) / (c / 2.0)).clamp(0.0, 1.0);
+                    (1.0 - w) * fine.at(cell, None) + w * smooth(cell)
+                })
+            }
+        }
     }
 
     /// The field in the integers of the design: offsets of 13 bits, theta of 16.
     pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
         let by_cell = self.particles_by_cell(particles);
-        let theta = Dense::new(self.cells(particles), |cell| {
+        let cells = self.cells(particles);
+        let theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
             match self.mu0 {
@@ -176,12 +201,27 @@ impl Method {
         if self.mu0.is_some() {
             smooth = blur(&smooth, &[21846, 21845]);
         }
-        let Some(c) = self.detail else { return smooth };
-        let lost = Dense::new(theta.cells, |cell| {
-            if f64::from(smooth.at(cell, None)) <= c { theta.at(cell, None) } else { 0 }
-        });
-        let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
-        Dense::new(theta.cells, |cell| smooth.at(cell, None).max(details.at(cell, None)))
+        let t = self.iso.floor() as u64;
+        let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
+        let dense = |value: &dyn Fn(IVec3) -> u16| Dense::new(cells, value);
+        match self.detail {
+            Detail::Smoothed => dense(&smooth),
+            Detail::Recovered => {
+                let lost = dense(&|cell| if u64::from(smooth(cell)) <= t { theta(cell) } else { 0 });
+                let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
+                dense(&|cell| smooth(cell).max(details.at(cell, None)))
+            }
+            Detail::Spared => {
+                let marks = dense(&|cell| if theta(cell) > 0 { (3 * t + 2).min(65535) as u16 } else { 0 });
+                let fine = blur(&marks, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
+                let near = self.near(&dense(&smooth));
+                dense(&|cell| {
+                    let w = (2 * u64::from(near.at(cell, None)).saturating_sub(t)).min(t + 1);
+                    let [fine, smooth] = [fine.at(cell, None), smooth(cell)].map(u64::from);
+                    (((t + 1 - w) * fine + w * smooth + t.div_ceil(2)) / (t + 1)) as u16
+                })
+            }
+        }
     }
 }
 

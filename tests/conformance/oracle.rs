@@ -22,6 +22,8 @@ fn variants() -> Vec<(Sampling, Surfacing)> {
             (0.8, Detail::Recovered),
             (1.5, Detail::Recovered),
             (2.0, Detail::Smoothed),
+            (0.7, Detail::Spared),
+            (1.5, Detail::Spared),
         ] {
             for walls in [false, true] {
                 let mut sampling = Sampling { indicator, ..sampling() };
@@ -42,7 +44,8 @@ fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
     Method {
         mu0: frame.mean_count().map(|mean| mean.particles()),
         sigma: surfacing.sigma.cells(),
-        detail: (surfacing.detail == Detail::Recovered).then(|| f64::from(iso.threshold()) + 0.5),
+        detail: surfacing.detail,
+        iso: f64::from(iso.threshold()) + 0.5,
         walls: sampling.domain.map(|d| d.cells()),
     }
 }
@@ -138,7 +141,9 @@ fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64() {
         };
         let errors = scaled.values.iter().zip(&real.values).map(|(i, r)| (i - r).abs());
         let worst = errors.fold(0.0, f64::max);
-        assert!(worst < 1e-4, "{surfacing:?}: a cell is off by {worst}");
+        // Where both of its fields are mixed, an adaptive blur multiplies what their shares are off by.
+        let bound = if surfacing.detail == Detail::Spared { 5e-4 } else { 1e-4 };
+        assert!(worst < bound, "{surfacing:?}: a cell is off by {worst}");
 
         let c = surface.iso.value();
         let (ours, our_triangles) = dense::mesh(&scaled, c, method.walls);

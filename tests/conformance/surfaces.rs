@@ -15,7 +15,7 @@ use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::spool::Spool;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::recipe::Recipe;
+use meniscus::recipe::{Details, Recipe};
 use meniscus::stage::blur::Smoothing;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
@@ -91,7 +91,7 @@ fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> 
     let dif = DifField::in_memory(BrickSide::Sixteen, pages);
     // So narrow a filter changes nothing.
     let smoothing = Smoothing::new(Indicator::Symmetry, Sigma::new(0.01).unwrap());
-    let recipe = Recipe { smoothing, detail: None, iso };
+    let recipe = Recipe { smoothing, details: Details::Smoothed, iso };
     let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
     let stages = sampling().resources.backend.start(MemoryBudget(8 << 30));
     let meshes = stages.contour(&surfaces, &dif.regions(recipe.reach() + 1, recipe.reach()));
@@ -138,9 +138,12 @@ fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
     for seed in 20..24 {
         let particles = splashes(seed);
         for indicator in INDICATORS {
-            for (sigma, detail) in
-                [(0.8, Detail::Smoothed), (1.0, Detail::Recovered), (3.0, Detail::Smoothed)]
-            {
+            for (sigma, detail) in [
+                (0.8, Detail::Smoothed),
+                (1.0, Detail::Recovered),
+                (1.2, Detail::Spared),
+                (3.0, Detail::Smoothed),
+            ] {
                 for walls in [false, true] {
                     let mut sampling = Sampling { indicator, ..sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));

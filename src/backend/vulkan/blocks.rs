@@ -11,7 +11,8 @@ use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BIN, BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
-use crate::recipe::Fields;
+use crate::recipe::{Details, Fields};
+use crate::stage::adaptive::vulkan::{blend, mark, spread};
 use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
@@ -157,6 +158,11 @@ impl Constants {
             Ok::<_, VulkanError>(buffer.whole())
         };
         let recipe = surfaces.recipe;
+        let detail = match &recipe.details {
+            Details::Smoothed => None,
+            Details::Recovered(kernel) => Some(kernel),
+            Details::Spared(adaptive) => Some(&adaptive.fine),
+        };
         let theta: Vec<u32> =
             surfaces.dif.decode_table().unwrap_or_default().iter().map(|&theta| theta.into()).collect();
         Ok(Self {
@@ -164,7 +170,7 @@ impl Constants {
                 .smoothing
                 .filters()
                 .iter()
-                .chain(&recipe.detail)
+                .chain(detail)
                 .map(|kernel| Ok((kernel.clone(), upload(kernel.half())?)))
                 .collect::<Result<_, VulkanError>>()?,
             theta: upload(&theta)?,
@@ -260,7 +266,11 @@ impl Contouring<'_> {
     }
 
     fn fields(&self) -> u64 {
-        if self.surfaces.recipe.detail.is_some() { 3 } else { 2 }
+        match self.surfaces.recipe.details {
+            Details::Smoothed => 2,
+            Details::Recovered(_) => 3,
+            Details::Spared(_) => 4,
+        }
     }
 
     /// Bytes of a block, on the device and staged.
@@ -303,11 +313,10 @@ impl Contouring<'_> {
         let count = batch.blocks.len() as u64;
         let field_bytes = 4 * u64::from(batch.words);
         let first = lane.buffer(device, "first field", Place::Device, field_bytes)?;
-        let second = lane.buffer(device, "second field", Place::Device, field_bytes)?;
-        let mut free = vec![second];
-        if self.fields() == 3 {
-            free.push(lane.buffer(device, "third field", Place::Device, field_bytes)?);
-        }
+        let names = ["second field", "third field", "fourth field"];
+        let others = names[..self.fields() as usize - 1].iter();
+        let free = others.map(|name| lane.buffer(device, name, Place::Device, field_bytes));
+        let free = free.collect::<Result<_, VulkanError>>()?;
         let outputs = self.outputs(lane, count, batch.room)?;
         let read = lane.buffer(device, "tallies read", Place::Download, outputs.tallies.bytes())?;
 
@@ -528,5 +537,35 @@ impl Fields for PaddedFields<'_> {
         let program = &self.work.frame.kernels.greater;
         raise(self.commands, program, self.blocks, &other.samples, &field.samples)?;
         Ok(field)
+    }
+
+    fn marks(&mut self, dif: Rc<Padded>, iso: Isovalue) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("detail", 1);
+        mark(self.commands, &self.work.frame.kernels.mark, self.blocks, iso, &dif.samples)?;
+        Ok(dif)
+    }
+
+    fn spread(&mut self, field: &Rc<Padded>, reach: i32) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("detail", 3);
+        let (to, through) = (self.take(), self.take());
+        let walls = self.work.surfaces.walls();
+        let views = [&field.samples, &through, &to];
+        let program = &self.work.frame.kernels.spread;
+        spread(self.commands, program, self.blocks, reach, walls, field.margin, views)?;
+        self.free.push(through);
+        Ok(Rc::new(Padded { samples: to, margin: field.margin + reach }))
+    }
+
+    fn blend(
+        &mut self,
+        fine: Rc<Padded>,
+        smooth: Rc<Padded>,
+        near: Rc<Padded>,
+        iso: Isovalue,
+    ) -> Result<Rc<Padded>, VulkanError> {
+        self.stage("detail", 4);
+        let views = [&fine.samples, &smooth.samples, &near.samples];
+        blend(self.commands, &self.work.frame.kernels.blend, self.blocks, iso, views)?;
+        Ok(near)
     }
 }

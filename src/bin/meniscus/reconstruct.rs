@@ -58,6 +58,9 @@ pub struct Options {
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
     detail: bool,
+    /// Spare details: smooth less where there is no bulk. Keeps every drop and thin sheet, and surfaces as smooth.
+    #[arg(long, conflicts_with = "detail")]
+    adaptive: bool,
     /// Use fewer triangles, as long as no part of the surface moves farther than this.
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     simplify: Option<f64>,
@@ -116,6 +119,7 @@ impl Options {
             ("sigma", json!(self.sigma)),
             ("iso", iso),
             ("detail", json!(self.detail)),
+            ("adaptive", json!(self.adaptive)),
             ("normals", json!(self.normals)),
             ("attributes", json!(self.attributes)),
             ("simplify", json!(self.simplify)),
@@ -135,7 +139,11 @@ impl Options {
                 IsoOption::Auto => None,
                 IsoOption::Value(value) => Some(value),
             },
-            detail: if self.detail { Detail::Recovered } else { Detail::Smoothed },
+            detail: match (self.detail, self.adaptive) {
+                (true, _) => Detail::Recovered,
+                (_, true) => Detail::Spared,
+                _ => Detail::Smoothed,
+            },
             normals: if self.normals { Normals::Gradient } else { Normals::None },
         })
     }
@@ -412,6 +420,7 @@ impl Options {
             "sigma": self.sigma,
             "isovalue": iso.value(),
             "detail": self.detail,
+            "adaptive": self.adaptive,
             "simplify": self.simplify,
             "drop_smaller": self.drop_smaller,
             "vertices": mesh.vertex_count(),

@@ -89,13 +89,7 @@ fn arrays(mesh: &dyn MeshSource, count: usize) -> Vec<Array> {
     arrays
 }
 
-fn tail(
-    properties: &[Property],
-    arrays: &[Array],
-    offsets: &[u64],
-    at: u64,
-    up: UpAxis,
-) -> (Vec<u8>, u64) {
+fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64, up: UpAxis) -> (Vec<u8>, u64) {
     let mut tail = Tail::new(at);
     let children = tail.tokens(&[PRIM]);
     let prim = tail.token(PRIM);

@@ -10,10 +10,13 @@ pub mod vulkan;
 
 pub use cpu::{lost, raise};
 
-/// Whether details that smoothing loses are recovered.
+/// What becomes of details that smoothing loses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Detail {
     Smoothed,
+    /// Section 6.2.
     Recovered,
+    /// The blur spares them, see [`adaptive`](super::adaptive).
+    Spared,
 }

@@ -90,7 +90,9 @@ impl<'a> Conversion<'a> {
                     // The lanes live as long as they are sent to.
                     todo.into_iter().for_each(|frame| drop(to_lanes.send(frame.clone())));
                     drop(to_lanes);
-                    outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop))
+                    outcomes
+                        .iter()
+                        .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop))
                 }
             }
         })?;

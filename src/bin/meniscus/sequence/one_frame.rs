@@ -54,12 +54,7 @@ type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
     /// Converts a frame in `pool`, or where it has to be alone with all threads.
-    pub fn convert(
-        &self,
-        frame: &FrameFile,
-        pool: &ThreadPool,
-        stage: &dyn Fn(&str),
-    ) -> Result<Done, Error> {
+    pub fn convert(&self, frame: &FrameFile, pool: &ThreadPool, stage: &dyn Fn(&str)) -> Result<Done, Error> {
         let options = self.setup.options;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
@@ -139,8 +134,7 @@ impl Conversion<'_> {
             let permit = self.gate.enter();
             let (facts, dif) = open_frame(path, share.0 / 4)?;
             laps.lap("open");
-            let frame =
-                Frame::from_parts(facts, dif, Resources { budget: share, ..resources.clone() });
+            let frame = Frame::from_parts(facts, dif, Resources { budget: share, ..resources.clone() });
             return Ok(Sampled { frame: Some(frame), infos: Vec::new(), time: None, permit });
         }
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
@@ -191,7 +185,11 @@ impl Conversion<'_> {
     fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
         let Setup { options, reduction, .. } = self.setup;
         let holds = self.format.holds_whole_mesh() || options.compress;
-        if self.division.lanes > 1 && (holds || !reduction.is_none()) { MemoryBudget(lane.0 / 2) } else { lane }
+        if self.division.lanes > 1 && (holds || !reduction.is_none()) {
+            MemoryBudget(lane.0 / 2)
+        } else {
+            lane
+        }
     }
 
     /// The mesh of a frame; `None` where it is empty.

@@ -1,0 +1,78 @@
+//! See the room's `mod.rs` for the formulas.
+
+use multiversion::multiversion;
+
+use crate::brick::Block;
+use crate::grid::CellBox;
+use crate::units::Isovalue;
+
+use super::mark_of;
+
+/// Marks every full cell.
+#[must_use]
+pub fn mark(mut dif: Block, iso: Isovalue) -> Block {
+    let mark = mark_of(iso);
+    dif.samples_mut().iter_mut().for_each(|theta| *theta = if *theta > 0 { mark } else { 0 });
+    dif
+}
+
+/// The greatest sample within `reach` cells along each axis; the result is smaller by as much on every side.
+///
+/// # Panics
+/// If the block is too small for one cell to remain.
+#[must_use]
+pub fn spread(block: &Block, reach: i32) -> Block {
+    (0..3).fold(block.clone(), |block, axis| spread_axis(&block, axis, reach))
+}
+
+fn spread_axis(block: &Block, axis: usize, reach: i32) -> Block {
+    let CellBox { mut lo, mut hi } = block.cells();
+    lo[axis] += reach;
+    hi[axis] -= reach;
+    let cells = CellBox { lo, hi };
+    assert!(!cells.is_empty(), "a reach of {reach} on {:?}", block.cells());
+    let mut out = Block::zero(cells);
+    let [_, row_stride, slab_stride] = block.strides();
+    let step = block.strides()[axis];
+    let size = cells.size().as_usizevec3();
+    for (row, to) in out.samples_mut().chunks_exact_mut(size.x).enumerate() {
+        let first = row % size.y * row_stride + row / size.y * slab_stride;
+        greatest(to, &block.samples()[first..], step, 2 * reach as usize + 1);
+    }
+    out
+}
+
+/// Fills `to[i]` with the greatest of so many taps, `step` apart.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
+    for k in 0..count {
+        for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
+            *to = (*to).max(sample);
+        }
+    }
+}
+
+/// Makes `fine` the field on the cells of `near`.
+///
+/// # Panics
+/// If `fine` or `smooth` does not cover `near`.
+#[must_use]
+pub fn blend(fine: &Block, smooth: &Block, mut near: Block, iso: Isovalue) -> Block {
+    let cells = near.cells();
+    let width = cells.size().x as usize;
+    let rows = fine.rows(cells).zip(smooth.rows(cells));
+    for (near, ((_, fine), (_, smooth))) in near.samples_mut().chunks_exact_mut(width).zip(rows) {
+        blend_row(near, fine, smooth, iso.threshold());
+    }
+    near
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn blend_row(near: &mut [u16], fine: &[u16], smooth: &[u16], threshold: u16) {
+    let whole = u32::from(threshold) + 1;
+    for ((near, &fine), &smooth) in near.iter_mut().zip(fine).zip(smooth) {
+        let share = (2 * u32::from(near.saturating_sub(threshold))).min(whole);
+        let sum = (whole - share) * u32::from(fine) + share * u32::from(smooth);
+        *near = ((sum + whole / 2) / whole) as u16;
+    }
+}

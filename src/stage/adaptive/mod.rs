@@ -1,0 +1,49 @@
+//! A blur that knows details: the standard deviation varies with the field (the paper's future work, section 6.3).
+//!
+//! In the bulk and on its surface the field is theta_smooth of section 4.2. On drops, ligaments and thin sheets, which
+//! that would take below the isovalue c, it is theta_fine: every full cell is marked by 3 c, and the marks blurred by a
+//! Gaussian of min(sigma / 2, 1 / 2). A particle alone keeps 1.4 c of that, so none is lost; its indicator is left out
+//! of it, which by symmetry tells no more of a lone particle than where the grid happens to lie.
+//!
+//! Which of both holds is told by theta_near, the greatest theta_smooth within 1 + ceil(sigma) cells along each axis:
+//!
+//! w = min(max((theta_near - c) / (c / 2), 0), 1), and the field is (1 - w) theta_fine + w theta_smooth.
+//!
+//! By a flat surface theta_near is about 2 c, so it is as smooth as without. In integers, with T the isovalue's
+//! threshold and W = T + 1: marks are min(3 T + 2, 65535), w = min(max(2 (theta_near - T), 0), W), and the field is
+//! ((W - w) theta_fine + w theta_smooth + W / 2) / W, rounded down.
+
+mod cpu;
+pub mod vulkan;
+
+pub use cpu::{blend, mark, spread};
+
+use crate::stage::blur::Kernel;
+use crate::units::{FULL, Isovalue, Sigma};
+
+/// The widest Gaussian on details, in cells.
+const WIDEST_FINE: f64 = 0.5;
+
+/// The filters beside those of the smoothing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Adaptive {
+    /// For the marks.
+    pub fine: Kernel,
+    /// From a cell to those that tell whether there is bulk, along each axis.
+    pub near: i32,
+}
+
+impl Adaptive {
+    /// Beside a Gaussian of `sigma`.
+    #[must_use]
+    pub fn new(sigma: Sigma) -> Self {
+        let fine = sigma.half().cells().min(WIDEST_FINE);
+        let fine = Sigma::new(fine).expect("less than a sigma, and more than 0");
+        Self { fine: Kernel::gaussian(fine), near: 1 + sigma.cells().ceil() as i32 }
+    }
+}
+
+/// The mark of a full cell.
+fn mark_of(iso: Isovalue) -> u16 {
+    (3 * u32::from(iso.threshold()) + 2).min(FULL.into()) as u16
+}

@@ -1,0 +1,121 @@
+//! See the room's `mod.rs` for the formulas.
+
+use std::sync::Arc;
+
+use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
+use crate::grid::CellBox;
+use crate::units::Isovalue;
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+use super::mark_of;
+
+push_block! {
+    /// Of [`MARK`].
+    struct MarkPush {
+        words: u32,
+        mark: u32,
+    }
+}
+
+push_block! {
+    /// Of [`SPREAD`].
+    struct SpreadPush {
+        walls_lo: [i32; 3],
+        axis: u32,
+        walls_hi: [i32; 3],
+        reach: u32,
+        margin: [u32; 3],
+    }
+}
+
+push_block! {
+    /// Of [`BLEND`].
+    struct BlendPush {
+        words: u32,
+        threshold: u32,
+    }
+}
+
+/// Marks of full cells.
+pub const MARK: Program = Program {
+    name: "mark",
+    code: include_bytes!("../../../spirv/mark.spv"),
+    buffers: &["field"],
+    push: MarkPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// One axis of the greatest near by.
+pub const SPREAD: Program = Program {
+    name: "spread",
+    code: include_bytes!("../../../spirv/spread.spv"),
+    buffers: &["blocks", "samples", "greatest"],
+    push: SpreadPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Of two fields as much as a third says.
+pub const BLEND: Program = Program {
+    name: "blend",
+    code: include_bytes!("../../../spirv/blend.spv"),
+    buffers: &["fine", "smoothed", "field"],
+    push: BlendPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Marks every full cell of `field`.
+///
+/// # Errors
+/// Those of the device.
+pub fn mark(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    iso: Isovalue,
+    field: &View,
+) -> Result<(), VulkanError> {
+    let push = MarkPush { words: blocks.words, mark: mark_of(iso).into() };
+    batch.dispatch(kernel, std::slice::from_ref(field), &push, blocks.flat_groups())
+}
+
+/// The greatest sample within `reach`, along x, then y, then z: from `from` through `to` and `through` into `to`.
+///
+/// Samples within `margin` of a block's faces are unknown, and within `margin` plus `reach` when it is done.
+///
+/// # Errors
+/// Those of the device.
+pub fn spread(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    reach: i32,
+    walls: Option<CellBox>,
+    margin: i32,
+    [from, through, to]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let reach = reach as u32;
+    let mut push = SpreadPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3] };
+    for (axis, [from, to]) in (0..).zip([[from, to], [to, through], [through, to]]) {
+        push.axis = axis;
+        push.margin[axis as usize] += reach;
+        let buffers = [&blocks.blocks, from, to].map(Clone::clone);
+        batch.dispatch(kernel, &buffers, &push, blocks.groups())?;
+    }
+    Ok(())
+}
+
+/// Makes the greatest samples near by, in `field`, the field itself.
+///
+/// # Errors
+/// Those of the device.
+pub fn blend(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    iso: Isovalue,
+    [fine, smooth, field]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let push = BlendPush { words: blocks.words, threshold: iso.threshold().into() };
+    batch.dispatch(kernel, &[fine, smooth, field].map(Clone::clone), &push, blocks.flat_groups())
+}
