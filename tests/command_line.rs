@@ -120,6 +120,12 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--iso", "1.5"]), "isovalue"),
         (ball(&["--iso", "high"]), "auto"),
         (ball(&["--mu0", "3"]), "counting"),
+        (ball(&["--method", "guess"]), "guess"),
+        (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
+        (ball(&["--method", "yu-turk", "--adaptive"]), "--adaptive"),
+        (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
+        (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
+        (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
         (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
         (ball(&["--cell", "0"]), "--cell"),
         (ball(&["--cell-size", "-1"]), "--cell-size"),
@@ -136,6 +142,22 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--backend", "abacus"]), "abacus"),
     ] {
         assert_refused(folder.path(), &arguments, 2, &[says]);
+    }
+}
+
+#[test]
+fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
+    let folder = folder_with_ball();
+    for method in ["dif", "mueller", "zhu-bridson", "yu-turk"] {
+        let out = format!("{method}.ply");
+        let arguments = ["reconstruct", "ball.xyz", "-o", &out, "--method", method, "--stats", "stats.jsonl"];
+        let run = meniscus(folder.path(), &arguments);
+        assert!(run.status.success(), "{method}: {run:?}");
+        assert!(meniscus(folder.path(), &["check", &out]).status.success(), "{method}");
+        let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        assert_eq!(record["method"], method);
+        assert!(record["triangles"].as_u64().unwrap() > 100);
     }
 }
 

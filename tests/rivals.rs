@@ -22,7 +22,7 @@ const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, 
 
 fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: Method) -> Mesh {
     let laps = &mut Laps::default();
-    rival_surface(particles, sampling, method, Normals::Gradient, laps).unwrap().to_mesh().unwrap()
+    rival_surface(particles, sampling, method, Normals::Gradient, laps).unwrap().mesh.to_mesh().unwrap()
 }
 
 fn spaced(spacing: f64) -> Sampling {

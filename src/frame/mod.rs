@@ -3,7 +3,7 @@
 mod rival;
 mod sink;
 
-pub use rival::rival_surface;
+pub use rival::{KernelSurface, rival_surface};
 
 pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
@@ -129,6 +129,25 @@ impl Resources {
     #[must_use]
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
         Self { budget, scratch, backend: Arc::new(Cpu) }
+    }
+
+    /// What a reduction leaves of a surface; triangles beyond so many bytes go to scratch files.
+    ///
+    /// # Errors
+    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+    pub fn simplify(
+        &self,
+        surface: Stitched,
+        reduction: &Reduction,
+        bytes: u64,
+        laps: &mut Laps,
+    ) -> Result<Simplified, FrameError> {
+        let simplified = simplify(surface, reduction, bytes, &self.scratch).map_err(self.scratch_error())?;
+        laps.lap("simplify");
+        if simplified.triangle_count() == 0 {
+            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
+        }
+        Ok(simplified)
     }
 
     fn host_bytes(&self) -> u64 {
@@ -373,6 +392,12 @@ impl Frame {
         write_frame(out, &self.facts, &self.dif).map(drop)
     }
 
+    /// Bytes of its surface that may be in memory.
+    #[must_use]
+    pub fn surface_share(&self) -> u64 {
+        self.surface_share
+    }
+
     /// What the stages run on.
     #[must_use]
     pub fn backend(&self) -> String {
@@ -464,13 +489,7 @@ impl Frame {
         reduction: &Reduction,
         laps: &mut Laps,
     ) -> Result<Simplified, FrameError> {
-        let simplified = simplify(surface, reduction, self.surface_share, &self.resources.scratch)
-            .map_err(self.resources.scratch_error())?;
-        laps.lap("simplify");
-        if simplified.triangle_count() == 0 {
-            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
-        }
-        Ok(simplified)
+        self.resources.simplify(surface, reduction, self.surface_share, laps)
     }
 
     /// Meshes all blocks in Morton order into `spool`.

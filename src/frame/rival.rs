@@ -4,7 +4,7 @@ use std::io;
 
 use rayon::prelude::*;
 
-use crate::brick::{BinPlan, Bins};
+use crate::brick::{BinPlan, Bins, Census};
 use crate::estimate::{Estimate, Plan, Shares};
 use crate::grid::Domain;
 use crate::laps::Laps;
@@ -20,6 +20,15 @@ use crate::stitch::Stitched;
 use crate::units::Sigma;
 
 use super::{BATCH, Counted, FrameError, Sampling, carried_infos};
+
+/// A surface by a kernel method.
+#[derive(Debug)]
+pub struct KernelSurface {
+    /// Stitched, as for a DIF.
+    pub mesh: Stitched,
+    /// What became of the particles.
+    pub census: Census,
+}
 
 /// The surface of `particles` by a kernel method. Of `sampling` the indicator and the bricks' side have no meaning
 /// here, the backend is always the processor, and the spacing must be known.
@@ -38,14 +47,15 @@ pub fn rival_surface(
     method: Method,
     with: Normals,
     laps: &mut Laps,
-) -> Result<Stitched, FrameError> {
+) -> Result<KernelSurface, FrameError> {
     let Sampling { grid, domain, carried, resources, .. } = sampling;
     let spacing = sampling.spacing.expect("kernels are as wide as the spacing says");
     let spacing = Spacing::new(spacing / grid.cell_size())?;
     let Counted { plan: bin_plan, estimate, .. } = Counted::of(particles, sampling)?;
     laps.lap("count");
     // Kernels are kept until the surface is done, as attributes are.
-    let kernel_bytes = bin_plan.census().binned as u64 * method.kernel_bytes();
+    let census = bin_plan.census();
+    let kernel_bytes = census.binned as u64 * method.kernel_bytes();
     let particle_bytes = estimate.particles + kernel_bytes;
     let estimate = Estimate { particles: particle_bytes, field: 0, carried: true, ..estimate };
     let plan = estimate.plan(resources.budget);
@@ -93,7 +103,8 @@ pub fn rival_surface(
     if spool.is_empty() {
         return Err(FrameError::NoKernelSurface);
     }
-    Ok(Stitched::new(spool, *grid, *domain, Crossings::Fractions, attributes))
+    let mesh = Stitched::new(spool, *grid, *domain, Crossings::Fractions, attributes);
+    Ok(KernelSurface { mesh, census })
 }
 
 /// Bins beyond memory.

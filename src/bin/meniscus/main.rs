@@ -5,6 +5,7 @@ mod info;
 mod inspect;
 mod interrupt;
 mod lanes;
+mod method;
 mod pack;
 mod progress;
 mod reconstruct;

@@ -27,10 +27,11 @@ use meniscus::simplify::{BYTES_A_THREAD, Reduction, Simplified};
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::{FULL, Isovalue, MeanCount, Sigma, Tolerance};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::Verdict;
 use crate::interrupt;
+use crate::method::MethodName;
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest, report_frame, report_warnings};
 use crate::sequence::{self, SequenceOptions};
@@ -49,18 +50,21 @@ pub struct Options {
     pub sequence: SequenceOptions,
     #[command(flatten)]
     pub sampling: SamplingOptions,
-    /// Width of the Gaussian.
-    #[arg(long, value_name = "CELLS", default_value_t = 1.0, allow_negative_numbers = true)]
-    sigma: f64,
+    /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with.
+    #[arg(long, value_enum, default_value = "dif")]
+    pub method: MethodName,
+    /// Width of the Gaussian [default: 1.0].
+    #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
+    pub sigma: Option<f64>,
     /// Where the surface is, between 0 and 1; auto: half of the field's interior plateau.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true)]
-    iso: IsoOption,
+    pub iso: IsoOption,
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
-    detail: bool,
+    pub detail: bool,
     /// Spare details: smooth less where there is no bulk. Keeps every drop and thin sheet, and surfaces as smooth.
     #[arg(long, conflicts_with = "detail")]
-    adaptive: bool,
+    pub adaptive: bool,
     /// Use fewer triangles, as long as no part of the surface moves farther than this.
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     simplify: Option<f64>,
@@ -74,7 +78,7 @@ pub struct Options {
     pub up: UpOptions,
     /// Vertex normals, from the field's gradient.
     #[arg(long)]
-    normals: bool,
+    pub normals: bool,
     /// Particle attributes to carry to the vertices, or none [default: velocity, where the format can hold it].
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     attributes: Option<Vec<String>>,
@@ -89,7 +93,7 @@ pub struct Options {
 }
 
 #[derive(Clone, Copy)]
-enum IsoOption {
+pub enum IsoOption {
     Auto,
     Value(Isovalue),
 }
@@ -108,6 +112,10 @@ pub fn is_frame(path: &Path) -> bool {
 }
 
 impl Options {
+    fn sigma(&self) -> f64 {
+        self.sigma.unwrap_or(1.0)
+    }
+
     /// What was asked for and tells in the bytes of the mesh, by the options' names.
     pub fn settings(&self) -> Settings {
         let mut settings = self.sampling.settings();
@@ -116,7 +124,7 @@ impl Options {
             IsoOption::Value(value) => json!(value.value()),
         };
         for (name, value) in [
-            ("sigma", json!(self.sigma)),
+            ("sigma", json!(self.sigma())),
             ("iso", iso),
             ("detail", json!(self.detail)),
             ("adaptive", json!(self.adaptive)),
@@ -134,7 +142,7 @@ impl Options {
 
     pub fn surfacing(&self) -> Result<Surfacing, Error> {
         Ok(Surfacing {
-            sigma: Sigma::new(self.sigma)?,
+            sigma: Sigma::new(self.sigma())?,
             iso: match self.iso {
                 IsoOption::Auto => None,
                 IsoOption::Value(value) => Some(value),
@@ -315,6 +323,9 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     match (inputs, naming) {
         (None, None) => run_frame(options, &options.inputs[0]),
         (inputs, Some(naming)) => {
+            if options.rival()?.is_some() {
+                return Err(Error::Request("--method works on one frame at a time, but for dif".into()));
+            }
             let inputs = inputs.unwrap_or_else(|| Inputs::Files(options.inputs.clone()));
             sequence::run(options, &inputs, &naming)
         }
@@ -330,10 +341,17 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let notes = options.run.notes();
     options.sequence.refuse_for_one_frame()?;
     let request = options.sampling.validate()?;
+    let rival = options.rival()?;
     let surfacing = options.surfacing()?;
     let reduction = options.reduction()?;
     if is_frame(input) {
         options.validate_frame_input(input)?;
+        if rival.is_some() {
+            return Err(Error::Request(format!(
+                "{}: --method needs the particles themselves",
+                input.display()
+            )));
+        }
     }
     let resources = options.run.resources(&options.output)?;
     options.validate_memory(&reduction, &resources)?;
@@ -351,20 +369,27 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let format = output.format();
 
     let mut laps = Laps::default();
-    let Some(frame) = options.frame(input, &request, format, resources, &mut laps, &notes)? else {
-        return Ok(Verdict::Good);
-    };
-    report_frame(&frame, &notes);
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
-    let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
-    report_warnings(&frame, &notes);
-    report_isovalue(iso, plateau, surfacing.iso, &notes);
+    // The surface, what simplifying may keep of it in memory, and what a program wants to know.
+    let (mesh, share, facts) = if let Some(method) = rival {
+        let made = options.rival_frame(method, input, &request, format, resources.clone(), &mut laps, &notes);
+        let Some((surface, facts)) = made? else { return Ok(Verdict::Good) };
+        (surface.mesh, resources.budget.0 / 4, facts)
+    } else {
+        let made = options.frame(input, &request, format, resources.clone(), &mut laps, &notes);
+        let Some(frame) = made? else { return Ok(Verdict::Good) };
+        report_frame(&frame, &notes);
+        let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
+        report_warnings(&frame, &notes);
+        report_isovalue(iso, plateau, surfacing.iso, &notes);
+        (mesh, frame.surface_share(), options.frame_facts(&frame, iso))
+    };
 
-    let width = coordinate_width(&mesh, frame.facts().grid.cell_size(), format, &notes)?;
+    let width = coordinate_width(&mesh, mesh.grid().cell_size(), format, &notes)?;
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {
         Box::new(mesh)
     } else {
-        let simplified = frame.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
+        let simplified = resources.simplify(mesh, &reduction, share, &mut laps).map_err(in_file)?;
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
@@ -383,7 +408,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
     if options.stats.is_some() {
-        let record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
+        let record = options.record([input, &options.output], facts, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }
     Ok(Verdict::Good)
@@ -394,17 +419,35 @@ impl Options {
     pub fn record(
         &self,
         [input, output]: [&Path; 2],
-        frame: &Frame,
-        iso: Isovalue,
+        mut facts: Value,
         mesh: &dyn MeshSource,
         bytes: u64,
         laps: &Laps,
-    ) -> serde_json::Value {
-        let facts = frame.facts();
+    ) -> Value {
         let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
-        json!({
+        let of_run = json!({
             "input": input,
             "output": output,
+            "simplify": self.simplify,
+            "drop_smaller": self.drop_smaller,
+            "vertices": mesh.vertex_count(),
+            "triangles": mesh.triangle_count(),
+            "output_bytes": bytes,
+            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
+            "total_seconds": laps.total(),
+            "threads": rayon::current_num_threads(),
+            "peak_resident_bytes": peak_resident(),
+        });
+        if let (Value::Object(facts), Value::Object(of_run)) = (&mut facts, of_run) {
+            facts.extend(of_run);
+        }
+        facts
+    }
+
+    /// The part of it that is not the same for every method.
+    pub fn frame_facts(&self, frame: &Frame, iso: Isovalue) -> Value {
+        let facts = frame.facts();
+        json!({
             "particles": facts.census.binned,
             "not_finite": facts.census.not_finite,
             "too_far": facts.census.too_far,
@@ -417,25 +460,17 @@ impl Options {
                 Indicator::Counting { .. } => "counting",
             },
             "mu0": frame.mean_count().map(MeanCount::particles),
-            "sigma": self.sigma,
+            "sigma": self.sigma(),
             "isovalue": iso.value(),
+            "method": "dif",
             "detail": self.detail,
             "adaptive": self.adaptive,
-            "simplify": self.simplify,
-            "drop_smaller": self.drop_smaller,
-            "vertices": mesh.vertex_count(),
-            "triangles": mesh.triangle_count(),
-            "output_bytes": bytes,
-            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
-            "total_seconds": laps.total(),
             "backend": frame.backend(),
-            "threads": rayon::current_num_threads(),
-            "peak_resident_bytes": peak_resident(),
         })
     }
 
     /// Appends a line to the statistics, if they are asked for.
-    pub fn append_stats(&self, record: &serde_json::Value) -> Result<(), Error> {
+    pub fn append_stats(&self, record: &Value) -> Result<(), Error> {
         let Some(path) = &self.stats else { return Ok(()) };
         let file = OpenOptions::new().create(true).append(true).open(path);
         let written = file.and_then(|mut file| writeln!(file, "{record}"));

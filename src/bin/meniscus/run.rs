@@ -78,6 +78,11 @@ impl RunOptions {
         Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend(budget)? })
     }
 
+    /// Whether a device was asked for.
+    pub fn vulkan_given(&self) -> bool {
+        matches!(self.backend, BackendName::Vulkan)
+    }
+
     fn backend(&self, budget: MemoryBudget) -> Result<Arc<dyn Backend>, Error> {
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),

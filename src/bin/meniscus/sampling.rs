@@ -66,14 +66,16 @@ pub struct SamplingRequest {
     invalid: InvalidParticles,
     origin: DVec3,
     walls: Option<[DVec3; 2]>,
+    spacing: Option<f64>,
     cell: Cell,
 }
 
 /// How the edge of a cell is given.
+#[derive(Clone, Copy)]
 enum Cell {
     Size(f64),
-    /// Times a spacing, or the one still to be found.
-    Ratio(f64, Option<f64>),
+    /// Times the spacing.
+    Ratio(f64),
 }
 
 impl SamplingOptions {
@@ -121,6 +123,11 @@ impl SamplingOptions {
         self.origin.is_some()
     }
 
+    /// Whether anything was said of the indicator.
+    pub fn indicator_given(&self) -> bool {
+        self.indicator.is_some() || self.mu0.is_some()
+    }
+
     /// Refuses what is wrong whatever the particles are.
     pub fn validate(&self) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator.unwrap_or(IndicatorName::Symmetry), self.mu0) {
@@ -139,7 +146,7 @@ impl SamplingOptions {
         };
         let cell = match self.cell_size {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(1.0))?, spacing),
+            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(1.0))?),
         };
         let origin = DVec3::from(self.origin.unwrap_or_default());
         let walls =
@@ -152,7 +159,7 @@ impl SamplingOptions {
             return Err(error.into());
         }
         let invalid = if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse };
-        Ok(SamplingRequest { indicator, invalid, origin, walls, cell })
+        Ok(SamplingRequest { indicator, invalid, origin, walls, spacing, cell })
     }
 }
 
@@ -182,7 +189,28 @@ impl SamplingRequest {
         resources: Resources,
         notes: &Notes,
     ) -> Result<Sampling, Error> {
-        let cells = self.cells(path, file)?;
+        self.sampling_in(self.cells(path, file)?, carried, resources, notes)
+    }
+
+    /// The same with the spacing, whether or not the cells depend on it.
+    pub fn sampling_by_spacing(
+        &self,
+        path: &Path,
+        file: &ParticleFile,
+        carried: Vec<usize>,
+        resources: Resources,
+        notes: &Notes,
+    ) -> Result<Sampling, Error> {
+        self.sampling_in(self.cells_and_spacing(path, file)?, carried, resources, notes)
+    }
+
+    fn sampling_in(
+        &self,
+        cells: Cells,
+        carried: Vec<usize>,
+        resources: Resources,
+        notes: &Notes,
+    ) -> Result<Sampling, Error> {
         cells.describe().iter().for_each(|text| notes.say(text));
         let grid = Grid::new(self.origin, cells.size)?;
         self.sampling_on(grid, self.indicator, cells.spacing, carried, resources)
@@ -216,11 +244,15 @@ impl SamplingRequest {
 
     /// The edge of a cell, the spacing where it matters, and where that comes from.
     pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
-        let (ratio, spacing) = match self.cell {
-            Cell::Size(size) => return Ok(Cells { size, spacing: file.spacing, source: None }),
-            Cell::Ratio(ratio, spacing) => (ratio, spacing),
-        };
-        let (spacing, source) = if let Some(spacing) = spacing {
+        match self.cell {
+            Cell::Size(size) => Ok(Cells { size, spacing: self.spacing.or(file.spacing), source: None }),
+            Cell::Ratio(_) => self.cells_and_spacing(path, file),
+        }
+    }
+
+    /// The same with the spacing, whether or not the edge depends on it.
+    fn cells_and_spacing(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
+        let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, "as given".to_owned())
         } else if let Some(spacing) = file.spacing {
             (spacing, "from the file".to_owned())
@@ -234,7 +266,10 @@ impl SamplingRequest {
             let spacing = spacing::estimate(&file.particles).ok_or_else(none)?;
             (spacing, "estimated from the particles".to_owned())
         };
-        let size = positive_length("the cell size", ratio * spacing)?;
+        let size = match self.cell {
+            Cell::Size(size) => size,
+            Cell::Ratio(ratio) => positive_length("the cell size", ratio * spacing)?,
+        };
         Ok(Cells { size, spacing: Some(spacing), source: Some(source) })
     }
 }
@@ -244,9 +279,8 @@ pub fn report_warnings(frame: &Frame, notes: &Notes) {
     frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
 }
 
-/// Says what became of the particles, and warns of a lattice on the corners of cells.
-pub fn report_frame(frame: &Frame, notes: &Notes) {
-    let Census { not_finite, too_far, outside, .. } = frame.facts().census;
+/// Says what became of the particles.
+pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes: &Notes) {
     for (count, what) in [
         (not_finite, "dropped: a coordinate is not finite"),
         (too_far, "dropped: beyond the addressable grid"),
@@ -256,6 +290,11 @@ pub fn report_frame(frame: &Frame, notes: &Notes) {
             notes.say(format!("{count} particles {what}"));
         }
     }
+}
+
+/// Says what became of the particles, and warns of a lattice on the corners of cells.
+pub fn report_frame(frame: &Frame, notes: &Notes) {
+    report_census(frame.facts().census, notes);
     // Particles at random have a mean indicator of 0.44 in cells that hold one, and more in larger ones. Much
     // less means a lattice whose particles lie on corners, where symmetry sees next to nothing.
     if frame.facts().indicator != Indicator::Symmetry {
