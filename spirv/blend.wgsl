@@ -1,4 +1,4 @@
-// The adaptive blur: fine where the greatest smoothed sample near by is at the threshold or below, smoothed from one and
+// The adaptive blur: the blurred occupancy, scaled, where the greatest smoothed sample near by is at the threshold or below, smoothed from one and
 // a half times that on, and a mean of both between.
 
 struct Push {
@@ -6,9 +6,12 @@ struct Push {
     words: u32,
     // The greatest sample that is outside.
     threshold: u32,
+    // Of the fine field.
+    scale: u32,
 }
 
 var<immediate> push: Push;
+// Blurred occupancy.
 @group(0) @binding(0) var<storage, read> fine: array<u32>;
 @group(0) @binding(1) var<storage, read> smoothed: array<u32>;
 // The greatest near by, to become the field.
@@ -21,7 +24,8 @@ fn blend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) 
         return;
     }
     let near = vec2(field[word] & 0xffffu, field[word] >> 16u);
-    let a = vec2(fine[word] & 0xffffu, fine[word] >> 16u);
+    let blurred = vec2(fine[word] & 0xffffu, fine[word] >> 16u);
+    let a = min(blurred * push.scale >> vec2(FINE_BITS), vec2(FULL));
     let b = vec2(smoothed[word] & 0xffffu, smoothed[word] >> 16u);
     let whole = push.threshold + 1u;
     let share = min(2u * (max(near, vec2(push.threshold)) - push.threshold), vec2(whole));

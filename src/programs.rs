@@ -5,7 +5,8 @@ use crate::brick::vulkan::{
 };
 use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, CELL_LIMIT, FRACTION_BITS, TILE};
-use crate::stage::adaptive::vulkan::{BLEND, MARK, SPREAD};
+use crate::stage::adaptive::FINE_BITS;
+use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
@@ -17,7 +18,7 @@ use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
 pub const PROGRAMS: [&Program; 19] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &MARK, &SPREAD, &BLEND,
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD, &BLEND,
     &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
 ];
 
@@ -28,6 +29,7 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
     const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
     vec![
         ("FULL", "u32", FULL.into()),
+        ("FINE_BITS", "u32", FINE_BITS.into()),
         ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
         ("AXIS_BITS", "u32", AXIS_BITS.into()),
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
-use crate::stage::adaptive::{Adaptive, blend, mark, spread};
+use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
 use crate::stage::blur::{Kernel, Smoothing, filter};
 use crate::stage::detail::{lost, raise};
 use crate::units::Isovalue;
@@ -58,8 +58,8 @@ impl Recipe {
     /// Whether the surface can pass between cells whose field this part of the DIF decides.
     #[must_use]
     pub fn may_cut(&self, dif: &Block, away_from_walls: bool) -> bool {
-        // A weighted mean lies on the same side as all that it is made of. An adaptive blur marks every full cell. All
-        // inside is no surface only away from walls.
+        // A weighted mean lies on the same side as all that it is made of. In an adaptive blur every full cell
+        // can be inside. All inside is no surface only away from walls.
         let threshold = self.iso.threshold();
         let least = if matches!(self.details, Details::Spared(_)) { 0 } else { threshold };
         let any_inside = dif.samples().iter().any(|&theta| theta > least);
@@ -91,8 +91,8 @@ impl Recipe {
             }
             Details::Spared(adaptive) => {
                 let smooth = smooth(fields, dif.clone())?;
-                let marks = fields.marks(dif, self.iso)?;
-                let fine = fields.blur(marks, &adaptive.fine)?;
+                let occupancy = fields.occupancy(dif)?;
+                let fine = fields.blur(occupancy, &adaptive.fine)?;
                 let near = fields.spread(&smooth, adaptive.near)?;
                 fields.blend(fine, smooth, near, self.iso)
             }
@@ -132,13 +132,13 @@ pub trait Fields {
     /// Of two fields the greater, cell by cell.
     fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
 
-    /// The marks of an adaptive blur.
-    fn marks(&mut self, dif: Self::Field, iso: Isovalue) -> Result<Self::Field, Self::Error>;
+    /// 1 in every full cell.
+    fn occupancy(&mut self, dif: Self::Field) -> Result<Self::Field, Self::Error>;
 
     /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
     fn spread(&mut self, field: &Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// The field of an adaptive blur.
+    /// The field of an adaptive blur, from the blurred occupancy, the smoothed DIF and the greatest of that near by.
     fn blend(
         &mut self,
         fine: Self::Field,
@@ -170,8 +170,8 @@ impl Fields for Blocks {
         Ok(field)
     }
 
-    fn marks(&mut self, dif: Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Infallible> {
-        Ok(Rc::new(mark(Rc::unwrap_or_clone(dif), iso)))
+    fn occupancy(&mut self, dif: Rc<Block>) -> Result<Rc<Block>, Infallible> {
+        Ok(Rc::new(occupancy(Rc::unwrap_or_clone(dif))))
     }
 
     fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Infallible> {

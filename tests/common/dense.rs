@@ -151,12 +151,12 @@ impl Method {
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
             Detail::Spared => {
-                let marks = dense(&|cell| if theta(cell) > 0.0 { (3.0 * c).min(1.0) } else { 0.0 });
-                let fine = blur(&marks, &gaussian((self.sigma / 2.0).min(0.5)));
+                let occupancy = dense(&|cell| if theta(cell) > 0.0 { 1.0 } else { 0.0 });
+                let blurred = blur(&occupancy, &gaussian((self.sigma / 2.0).min(0.5)));
                 let near = self.near(&dense(&smooth));
                 dense(&|cell| {
                     let w = ((near.at(cell, None) - c) / (c / 2.0)).clamp(0.0, 1.0);
-                    (1.0 - w) * fine.at(cell, None) + w * smooth(cell)
+                    (1.0 - w) * (3.0 * c * blurred.at(cell, None)).min(1.0) + w * smooth(cell)
                 })
             }
         }
@@ -212,12 +212,13 @@ impl Method {
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
             Detail::Spared => {
-                let marks = dense(&|cell| if theta(cell) > 0 { (3 * t + 2).min(65535) as u16 } else { 0 });
-                let fine = blur(&marks, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
+                let occupancy = dense(&|cell| if theta(cell) > 0 { 65535 } else { 0 });
+                let blurred = blur(&occupancy, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
                 let near = self.near(&dense(&smooth));
                 dense(&|cell| {
                     let w = (2 * u64::from(near.at(cell, None)).saturating_sub(t)).min(t + 1);
-                    let [fine, smooth] = [fine.at(cell, None), smooth(cell)].map(u64::from);
+                    let [blurred, smooth] = [blurred.at(cell, None), smooth(cell)].map(u64::from);
+                    let fine = (blurred * ((3 * t + 2) / 4) / (1 << 14)).min(65535);
                     (((t + 1 - w) * fine + w * smooth + t.div_ceil(2)) / (t + 1)) as u16
                 })
             }

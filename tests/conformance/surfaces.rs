@@ -134,6 +134,42 @@ fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold()
 }
 
 #[test]
+fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_is() {
+    let mut random = Random::new(6);
+    let pool = fill(16.0, 1.0, 0.3, 4, |p| p.z < 0.0);
+    let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
+    let drops: Vec<[f64; 3]> = (0..27)
+        .map(|i| {
+            let place =
+                IVec3::new(i % 3, i / 3 % 3, i / 9).as_dvec3() * 10.0 + DVec3::new(-10.0, -10.0, 10.0);
+            (place + anywhere()).to_array()
+        })
+        .collect();
+    let layer = |p: DVec3| p.z > -1.0 && p.z < 0.0 && p.abs().max_element() < 14.0;
+    let sheet = fill(16.0, 1.0, 0.3, 9, layer).into_iter().map(|[x, y, z]| [x, y, z - 30.0]);
+    let all: Vec<[f64; 3]> = pool.into_iter().chain(drops).chain(sheet).collect();
+    for indicator in INDICATORS {
+        let sampling = Sampling { indicator, ..sampling() };
+        let mesh = |detail| {
+            let (_, surface) = reconstruct(&all[..], &sampling, &Surfacing { detail, ..surfacing() });
+            surface.mesh
+        };
+        let (plain, recovered, spared) =
+            (mesh(Detail::Smoothed), mesh(Detail::Recovered), mesh(Detail::Spared));
+        assert_watertight(&spared, &format!("{indicator:?}"));
+        let found = measure(&spared);
+        assert_eq!((found.components, found.genus), (1 + 27 + 1, Some(0)), "{indicator:?}");
+        assert!(measure(&plain).components < 3, "{indicator:?}: without, they are lost");
+        assert_ne!(measure(&recovered).components, 29, "{indicator:?}: section 6.2 loses or tears some");
+        let top = |mesh: &Mesh| -> Vec<[f64; 3]> {
+            let near = |p: &&[f64; 3]| p[0].abs() < 10.0 && p[1].abs() < 10.0 && p[2].abs() < 3.0;
+            mesh.positions.iter().filter(near).copied().collect()
+        };
+        assert!(top(&plain).len() > 300 && top(&plain) == top(&spared), "{indicator:?}: the pool has moved");
+    }
+}
+
+#[test]
 fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
     for seed in 20..24 {
         let particles = splashes(seed);

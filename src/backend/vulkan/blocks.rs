@@ -12,7 +12,7 @@ use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BIN, BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
 use crate::recipe::{Details, Fields};
-use crate::stage::adaptive::vulkan::{blend, mark, spread};
+use crate::stage::adaptive::vulkan::{blend, occupancy, spread};
 use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
@@ -539,9 +539,9 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    fn marks(&mut self, dif: Rc<Padded>, iso: Isovalue) -> Result<Rc<Padded>, VulkanError> {
+    fn occupancy(&mut self, dif: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
         self.stage("detail", 1);
-        mark(self.commands, &self.work.frame.kernels.mark, self.blocks, iso, &dif.samples)?;
+        occupancy(self.commands, &self.work.frame.kernels.occupancy, self.blocks, &dif.samples)?;
         Ok(dif)
     }
 

@@ -20,7 +20,7 @@ use crate::brick::vulkan::{DeviceBins, GATHER, PAGE_WORDS};
 use crate::brick::{Bins, BrickSide};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
-use crate::stage::adaptive::vulkan::{BLEND, MARK, SPREAD};
+use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
@@ -62,7 +62,7 @@ struct Kernels {
     blur: Arc<Kernel>,
     lost: Arc<Kernel>,
     greater: Arc<Kernel>,
-    mark: Arc<Kernel>,
+    occupancy: Arc<Kernel>,
     spread: Arc<Kernel>,
     blend: Arc<Kernel>,
     dual_mc: DualMc,
@@ -92,7 +92,7 @@ impl Vulkan {
             blur: kernel(&BLUR)?,
             lost: kernel(&LOST)?,
             greater: kernel(&GREATER)?,
-            mark: kernel(&MARK)?,
+            occupancy: kernel(&OCCUPANCY)?,
             spread: kernel(&SPREAD)?,
             blend: kernel(&BLEND)?,
             dual_mc: DualMc {

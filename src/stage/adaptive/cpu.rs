@@ -4,15 +4,14 @@ use multiversion::multiversion;
 
 use crate::brick::Block;
 use crate::grid::CellBox;
-use crate::units::Isovalue;
+use crate::units::{FULL, Isovalue};
 
-use super::mark_of;
+use super::{FINE_BITS, fine_scale};
 
-/// Marks every full cell.
+/// 1 in every full cell.
 #[must_use]
-pub fn mark(mut dif: Block, iso: Isovalue) -> Block {
-    let mark = mark_of(iso);
-    dif.samples_mut().iter_mut().for_each(|theta| *theta = if *theta > 0 { mark } else { 0 });
+pub fn occupancy(mut dif: Block) -> Block {
+    dif.samples_mut().iter_mut().for_each(|theta| *theta = if *theta > 0 { FULL } else { 0 });
     dif
 }
 
@@ -52,7 +51,7 @@ fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
     }
 }
 
-/// Makes `fine` the field on the cells of `near`.
+/// The field on the cells of `near`, where `fine` is the blurred occupancy.
 ///
 /// # Panics
 /// If `fine` or `smooth` does not cover `near`.
@@ -62,17 +61,18 @@ pub fn blend(fine: &Block, smooth: &Block, mut near: Block, iso: Isovalue) -> Bl
     let width = cells.size().x as usize;
     let rows = fine.rows(cells).zip(smooth.rows(cells));
     for (near, ((_, fine), (_, smooth))) in near.samples_mut().chunks_exact_mut(width).zip(rows) {
-        blend_row(near, fine, smooth, iso.threshold());
+        blend_row(near, fine, smooth, iso.threshold(), fine_scale(iso));
     }
     near
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn blend_row(near: &mut [u16], fine: &[u16], smooth: &[u16], threshold: u16) {
+fn blend_row(near: &mut [u16], fine: &[u16], smooth: &[u16], threshold: u16, scale: u32) {
     let whole = u32::from(threshold) + 1;
     for ((near, &fine), &smooth) in near.iter_mut().zip(fine).zip(smooth) {
         let share = (2 * u32::from(near.saturating_sub(threshold))).min(whole);
-        let sum = (whole - share) * u32::from(fine) + share * u32::from(smooth);
+        let fine = (u32::from(fine) * scale >> FINE_BITS).min(FULL.into());
+        let sum = (whole - share) * fine + share * u32::from(smooth);
         *near = ((sum + whole / 2) / whole) as u16;
     }
 }

@@ -1,25 +1,26 @@
 //! A blur that knows details: the standard deviation varies with the field (the paper's future work, section 6.3).
 //!
 //! In the bulk and on its surface the field is theta_smooth of section 4.2. On drops, ligaments and thin sheets, which
-//! that would take below the isovalue c, it is theta_fine: every full cell is marked by 3 c, and the marks blurred by a
-//! Gaussian of min(sigma / 2, 1 / 2). A particle alone keeps 1.4 c of that, so none is lost; its indicator is left out
-//! of it, which by symmetry tells no more of a lone particle than where the grid happens to lie.
+//! that would take below the isovalue c, it is theta_fine = min(3 c B, 1), where B is the occupancy, 1 in full cells and
+//! 0 in others, blurred by a Gaussian of min(sigma / 2, 1 / 2). A particle alone keeps 1.4 c, so none is lost; its
+//! indicator is left out of it, which by symmetry tells no more of a lone particle than where the grid happens to lie.
 //!
 //! Which of both holds is told by theta_near, the greatest theta_smooth within 1 + ceil(sigma) cells along each axis:
 //!
 //! w = min(max((theta_near - c) / (c / 2), 0), 1), and the field is (1 - w) theta_fine + w theta_smooth.
 //!
 //! By a flat surface theta_near is about 2 c, so it is as smooth as without. In integers, with T the isovalue's
-//! threshold and W = T + 1: marks are min(3 T + 2, 65535), w = min(max(2 (theta_near - T), 0), W), and the field is
-//! ((W - w) theta_fine + w theta_smooth + W / 2) / W, rounded down.
+//! threshold, W = T + 1 and B of 0 to 65535: theta_fine = min(B S >> 14, 65535) with S = (3 T + 2) / 4,
+//! w = min(max(2 (theta_near - T), 0), W), and the field is ((W - w) theta_fine + w theta_smooth + W / 2) / W. Quotients
+//! are rounded down.
 
 mod cpu;
 pub mod vulkan;
 
-pub use cpu::{blend, mark, spread};
+pub use cpu::{blend, occupancy, spread};
 
 use crate::stage::blur::Kernel;
-use crate::units::{FULL, Isovalue, Sigma};
+use crate::units::{Isovalue, Sigma};
 
 /// The widest Gaussian on details, in cells.
 const WIDEST_FINE: f64 = 0.5;
@@ -27,7 +28,7 @@ const WIDEST_FINE: f64 = 0.5;
 /// The filters beside those of the smoothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adaptive {
-    /// For the marks.
+    /// For the occupancy.
     pub fine: Kernel,
     /// From a cell to those that tell whether there is bulk, along each axis.
     pub near: i32,
@@ -43,7 +44,10 @@ impl Adaptive {
     }
 }
 
-/// The mark of a full cell.
-fn mark_of(iso: Isovalue) -> u16 {
-    (3 * u32::from(iso.threshold()) + 2).min(FULL.into()) as u16
+/// Bits that theta_fine is shifted by.
+pub const FINE_BITS: u32 = 14;
+
+/// S: a quarter of 3 c, so that its product with a sample has 32 bits.
+fn fine_scale(iso: Isovalue) -> u32 {
+    (3 * u32::from(iso.threshold()) + 2) / 4
 }

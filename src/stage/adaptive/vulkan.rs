@@ -7,13 +7,12 @@ use crate::grid::CellBox;
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-use super::mark_of;
+use super::fine_scale;
 
 push_block! {
-    /// Of [`MARK`].
-    struct MarkPush {
+    /// Of [`OCCUPANCY`].
+    struct OccupancyPush {
         words: u32,
-        mark: u32,
     }
 }
 
@@ -33,15 +32,16 @@ push_block! {
     struct BlendPush {
         words: u32,
         threshold: u32,
+        scale: u32,
     }
 }
 
-/// Marks of full cells.
-pub const MARK: Program = Program {
-    name: "mark",
-    code: include_bytes!("../../../spirv/mark.spv"),
+/// 1 in every full cell.
+pub const OCCUPANCY: Program = Program {
+    name: "occupancy",
+    code: include_bytes!("../../../spirv/occupancy.spv"),
     buffers: &["field"],
-    push: MarkPush::FIELDS,
+    push: OccupancyPush::FIELDS,
     group: [256, 1, 1],
 };
 
@@ -63,18 +63,17 @@ pub const BLEND: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Marks every full cell of `field`.
+/// Makes 1 of every full cell of `field`.
 ///
 /// # Errors
 /// Those of the device.
-pub fn mark(
+pub fn occupancy(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
     blocks: &DeviceBlocks,
-    iso: Isovalue,
     field: &View,
 ) -> Result<(), VulkanError> {
-    let push = MarkPush { words: blocks.words, mark: mark_of(iso).into() };
+    let push = OccupancyPush { words: blocks.words };
     batch.dispatch(kernel, std::slice::from_ref(field), &push, blocks.flat_groups())
 }
 
@@ -105,7 +104,7 @@ pub fn spread(
     Ok(())
 }
 
-/// Makes the greatest samples near by, in `field`, the field itself.
+/// Makes the greatest samples near by, in `field`, the field itself; `fine` is the blurred occupancy.
 ///
 /// # Errors
 /// Those of the device.
@@ -116,6 +115,6 @@ pub fn blend(
     iso: Isovalue,
     [fine, smooth, field]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let push = BlendPush { words: blocks.words, threshold: iso.threshold().into() };
+    let push = BlendPush { words: blocks.words, threshold: iso.threshold().into(), scale: fine_scale(iso) };
     batch.dispatch(kernel, &[fine, smooth, field].map(Clone::clone), &push, blocks.flat_groups())
 }
