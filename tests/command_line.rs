@@ -577,7 +577,7 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         (&["a.ply", "--simplify", "nan"], "--simplify"),
         (&["a.ply", "--drop-smaller", "-1"], "--drop-smaller"),
         (&["a.ply", "--compress"], "--compress goes with .glb"),
-        (&["a.obj", "--up", "z"], "--up goes with .glb"),
+        (&["a.glb", "--up", "z"], "in a .glb y points up; --particles-up z"),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
     }

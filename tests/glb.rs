@@ -217,3 +217,23 @@ fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
         assert!(fault.to_string().contains("write .ply"), "{fault}");
     }
 }
+
+#[test]
+fn an_empty_mesh_is_a_scene_without_one_for_nothing_may_be_of_no_bytes() {
+    for layout in [Layout::PLAIN, meshopt(UpAxis::Z)] {
+        let empty = Mesh { normals: Some(Vec::new()), ..Mesh::default() };
+        let mut bytes = Vec::new();
+        MeshFormat::Glb(layout).write(&mut bytes, &empty, CoordinateWidth::F32).unwrap();
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!(
+            (&bytes[..4], word(4), word(8), word(12)),
+            (&b"glTF"[..], 2, bytes.len(), bytes.len() - 20)
+        );
+        let json: Value = serde_json::from_slice(&bytes[20..]).unwrap();
+        assert_eq!(json["scenes"][0]["nodes"], serde_json::json!([0]));
+        assert_eq!(json["nodes"], serde_json::json!([{}]));
+        for of_nothing in ["meshes", "accessors", "bufferViews", "buffers", "extensionsRequired"] {
+            assert!(json[of_nothing].is_null(), "{json}");
+        }
+    }
+}

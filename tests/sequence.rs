@@ -87,7 +87,7 @@ fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
         tree(&out)
     };
     let first = bytes(&[&["--threads", "1"]]);
-    assert_eq!(first.len(), 9 + 9 + 2, "meshes, their records, the state and a manifest");
+    assert_eq!(first.len(), 9 + 9 + 3, "meshes, their records, the state and two listings");
     assert!(first == bytes(&[&["--threads", "3"]]));
     assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
     // The last job sees the frames of all others.
@@ -233,7 +233,14 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
     let before = tree(folder.path());
     for (arguments, code, says) in [
         (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
-        (vec!["in", "-o", "out_{}.ply"], 2, "both frame 1"),
+        (vec!["in", "-o", "out_{}.ply"], 2, "several sequences: f_{}.xyz (3), g_{}.xyz (1); name one"),
+        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several sequences"),
+        (vec!["in", "-o", "out/", "--watch"], 2, "several sequences"),
+        (vec!["in", "-o", "out/", "--plan"], 2, "several sequences"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress goes with .glb"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"], 2, "--simplify"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.glb", "--up", "z"], 2, "--particles-up"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.abc"], 2, "unknown extension"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.stl", "--normals"], 2, "normals"),
         (vec!["in/f_{}.xyz", "-o", "out_{}_{}.ply"], 2, "one {}"),
@@ -384,21 +391,16 @@ fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
     for i in 0..6 {
         fs::write(folder.path().join(format!("f_{i}.xyz")), &frame).unwrap();
     }
-    for memory in ["64MiB", "192MiB"] {
-        let stats = format!("{memory}.jsonl");
-        let arguments = [
-            "f_{}.xyz",
-            "-o",
-            "m_{}.ply",
-            "--spacing",
-            "1",
-            "--memory",
-            memory,
-            "--threads",
-            "2",
-            "--overwrite",
-        ];
-        run(folder.path(), &[&arguments[..], &["--stats", &stats]].concat(), 0);
+    for (memory, output, options) in [
+        ("64MiB", "m_{}.ply", &[][..]),
+        ("192MiB", "m_{}.ply", &[]),
+        ("192MiB", "m_{}.ply", &["--simplify", "0.1"]),
+        ("400MiB", "m_{}.glb", &["--simplify", "0.1", "--compress"]),
+    ] {
+        let stats = format!("{memory}{}.jsonl", options.len());
+        let arguments =
+            ["f_{}.xyz", "-o", output, "--spacing", "1", "--memory", memory, "--threads", "2", "--overwrite"];
+        run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
         let text = fs::read_to_string(folder.path().join(stats)).unwrap();
         let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
         // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there are.
@@ -466,4 +468,175 @@ fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame()
         tree(&folder.path().join("out")).into_iter().filter(|(name, _)| name.starts_with("m_")).collect()
     };
     assert!(meshes(&folder) == meshes(&plain), "{errors}");
+}
+
+/// The listings of a sequence, by their names.
+fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = tree(out);
+    files.retain(|name, _| !name.contains('_') && !name.contains('/'));
+    files
+}
+
+#[test]
+fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_boxes() {
+    let folder = falling(8..=12);
+    let out = folder.path().join("out");
+    for (extension, names) in [
+        ("vtp", &["m.pvd", "m.vtp.json", "m.vtp.series"][..]),
+        ("usdc", &["m.manifest.usda", "m.usda", "m.usdc.json"]),
+        ("stl", &["m.stl.json", "m.stl.series"]),
+        ("glb", &["m.glb.json"]),
+    ] {
+        let _ = fs::remove_dir_all(&out);
+        let pattern = format!("out/m_{{}}.{extension}");
+        let convert = |more: &[&str]| {
+            run(folder.path(), &[&["in/f_{}.xyz", "-o", &pattern, "--fps", "25"], more].concat(), 0)
+        };
+        convert(&[]);
+        let whole = listings(&out);
+        assert_eq!(whole.keys().collect::<Vec<_>>(), names);
+        let text = String::from_utf8(whole[names[names.len() / 2]].clone()).unwrap();
+        let places = [8, 9, 10, 11, 12].map(|i| text.find(&format!("m_{i}.{extension}")).unwrap());
+        assert!(places.is_sorted(), "{text}");
+        let json: Value = serde_json::from_slice(&whole[&format!("m.{extension}.json")]).unwrap();
+        let last = &json["frames"][4];
+        assert_eq!((&last["frame"], &last["time"]), (&12.into(), &(12.0 / 25.0).into()));
+        let coordinate = |corner: usize, axis: usize| last["bounds"][corner][axis].as_f64().unwrap();
+        // A ball of radius 5 in cells of 1, 0.84 below the origin.
+        for (axis, middle) in [0.0, -0.84, 0.0].into_iter().enumerate() {
+            assert!((coordinate(0, axis) + 5.0 - middle).abs() < 0.6, "{last}");
+            assert!((coordinate(1, axis) - 5.0 - middle).abs() < 0.6, "{last}");
+        }
+
+        names.iter().for_each(|name| fs::remove_file(out.join(name)).unwrap());
+        let said = convert(&["--resume"]);
+        assert!(said.contains("5 of 5 frames are done already"), "{said}");
+        assert!(listings(&out) == whole, "{extension}: after a run that had nothing to do");
+        fs::remove_dir_all(&out).unwrap();
+        convert(&["--frames", "11..12"]);
+        assert!(listings(&out) != whole);
+        convert(&["--frames", "8..10"]);
+        assert!(listings(&out) == whole, "{extension}: by two jobs");
+    }
+}
+
+#[test]
+fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequence() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=3 {
+        let drop = ball(frame).into_iter().map(|[x, y, z]| [0.3 * x, 0.3 * y + 12.0, 0.3 * z]);
+        let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
+    }
+    let frozen = ["--cell-size", "1", "--iso", "0.2", "--origin", "0,0,0"];
+    let mut sizes = Vec::new();
+    for (extension, options) in [
+        ("ply", &[][..]),
+        ("ply", &["--simplify", "0.25"]),
+        ("ply", &["--drop-smaller", "40"]),
+        ("ply", &["--simplify", "0.25", "--drop-smaller", "40", "--up", "z", "--normals"]),
+        ("glb", &["--simplify", "0.1", "--compress", "--particles-up", "z"]),
+        ("usdc", &["--up", "z"]),
+    ] {
+        let (many, one) = (format!("m_{{}}.{extension}"), format!("one.{extension}"));
+        let more = [&frozen[..], options, &["--overwrite"]].concat();
+        run(folder.path(), &[&["f_{}.xyz", "-o", &many], &more[..]].concat(), 0);
+        for frame in 1..=3 {
+            let input = format!("f_{frame}.xyz");
+            run(folder.path(), &[&[&input, "-o", &one], &more[..]].concat(), 0);
+            let name = format!("m_{frame}.{extension}");
+            let [many, one] = [&name, &one].map(|name| fs::read(folder.path().join(name)).unwrap());
+            assert!(many == one, "{options:?}: {name}");
+            sizes.push(one.len());
+        }
+        // Each is one of the settings that a sequence keeps to.
+        let refused = [&["f_{}.xyz", "-o", &many], &frozen[..], &["--simplify", "0.3"]].concat();
+        let errors = run(folder.path(), &refused, 2);
+        assert!(errors.contains("simplify"), "{errors}");
+    }
+    assert!(sizes[3] < sizes[0] / 2 && sizes[6] < sizes[0], "{sizes:?}");
+
+    let all = ["f_{}.xyz", "-o", "none_{}.ply", "--drop-smaller", "1e9"];
+    let said = run(folder.path(), &all, 0);
+    assert!(said.contains("all components are below --drop-smaller"), "{said}");
+    assert_eq!(read_mesh(&folder.path().join("none_2.ply")).unwrap().triangles.len(), 0);
+}
+
+#[test]
+fn up_turns_places_normals_and_directions_and_back() {
+    let folder = TempDir::new().unwrap();
+    let rows: String = ball(3).iter().map(|[x, y, z]| format!("{x},{y},{z},1,2,3,5\n")).collect();
+    let table = format!("x,y,z,vx,vy,vz,mass\n{rows}");
+    fs::write(folder.path().join("f.csv"), table).unwrap();
+    let mesh = |name: &str, options: &[&str]| {
+        let common = ["f.csv", "-o", name, "--normals", "--attributes", "velocity,mass", "--spacing", "0.5"];
+        run(folder.path(), &[&common[..], options].concat(), 0);
+        read_mesh(&folder.path().join(name)).unwrap()
+    };
+    let y = mesh("y.vtk", &[]);
+    let z = mesh("z.vtk", &["--up", "z"]);
+    let values = |mesh: &meniscus::mesh::Mesh, name: &str| {
+        mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone()
+    };
+    assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));
+    let normals = y.normals.iter().flatten().zip(z.normals.iter().flatten());
+    assert!(normals.map(|(a, b)| assert_eq!([a[0], -a[2], a[1]], *b)).count() > 1000);
+    assert_eq!(values(&y, "velocity")[..3], [1.0, 2.0, 3.0]);
+    assert_eq!(values(&z, "velocity")[..3], [1.0, -3.0, 2.0]);
+    assert_eq!(values(&y, "mass"), values(&z, "mass"));
+    assert_eq!(y.triangles, z.triangles);
+    // What has z up already stays, or turns the other way.
+    assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
+    let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
+    assert!(y.positions.iter().zip(&back.positions).all(|(a, b)| [a[0], a[2], -a[1]] == *b));
+    assert!(check(&back).is_closed_oriented_manifold() && measure(&back).volume.unwrap() > 0.0);
+}
+
+#[test]
+fn the_times_of_the_files_are_the_times_of_the_listings() {
+    let folder = TempDir::new().unwrap();
+    for (frame, time) in [(1, "0.125"), (2, "0.5")] {
+        let particles = ball(frame);
+        let rows: String = particles.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let text = format!(
+            "# vtk DataFile Version 3.0\nparticles\nASCII\nDATASET POLYDATA\nFIELD FieldData 2\n\
+             CYCLE 1 1 int\n{frame}\nTIME 1 1 double\n{time}\nPOINTS {} double\n{rows}",
+            particles.len()
+        );
+        fs::write(folder.path().join(format!("f_{frame}.vtk")), text).unwrap();
+    }
+    run(folder.path(), &["f_{}.vtk", "-o", "m_{}.vtp", "--fps", "7"], 0);
+    let pvd = fs::read_to_string(folder.path().join("m.pvd")).unwrap();
+    assert!(pvd.contains("timestep=\"0.125\"") && pvd.contains("timestep=\"0.5\""), "{pvd}");
+}
+
+#[test]
+fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
+    let folder = falling(1..=3);
+    for frame in 2..=5 {
+        fs::write(folder.path().join(format!("in/oil_{frame}.xyz")), raw(&ball(frame + 10))).unwrap();
+    }
+    run(folder.path(), &["in", "-o", "out/"], 0);
+    let out = tree(&folder.path().join("out"));
+    let meshes: Vec<_> = out.keys().filter(|name| name.ends_with(".ply")).collect();
+    assert_eq!(meshes, ["f_1.ply", "f_2.ply", "f_3.ply", "oil_2.ply", "oil_3.ply", "oil_4.ply", "oil_5.ply"]);
+    for (prefix, frames) in [("f", 3), ("oil", 4)] {
+        let json: Value = serde_json::from_slice(&out[&format!("{prefix}.ply.json")]).unwrap();
+        assert_eq!(json["frames"].as_array().unwrap().len(), frames);
+        let pattern = format!("in/{prefix}_{{}}.xyz");
+        run(folder.path(), &[&pattern, "-o", &format!("{prefix}/{prefix}_{{}}.ply")], 0);
+        let alone = tree(&folder.path().join(prefix));
+        assert!(alone.iter().all(|(name, bytes)| out[name] == *bytes), "{prefix}");
+    }
+    // Bad files of one fluid are no matter to the other.
+    for frame in 1..=3 {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "no").unwrap();
+    }
+    run(folder.path(), &["in", "-o", "again/"], 1);
+    let again = tree(&folder.path().join("again"));
+    assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
+    // The same fluid in two formats would be two sequences of one name.
+    fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
+    let errors = run(folder.path(), &["in", "-o", "other/"], 2);
+    assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
 }

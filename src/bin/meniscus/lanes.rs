@@ -97,9 +97,16 @@ impl Gate {
 }
 
 impl Permit<'_> {
-    /// Whether others compute at the same time.
-    pub fn is_beside(&self) -> bool {
-        self.lanes < self.gate.lanes
+    /// Runs `act` with the threads of this lane, or alone with all there are: those of the global pool, which a thread of
+    /// another pool does not reach.
+    pub fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
+        if self.lanes < self.gate.lanes {
+            return act();
+        }
+        std::thread::scope(|scope| match scope.spawn(act).join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
     }
 }
 

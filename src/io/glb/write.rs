@@ -50,6 +50,9 @@ pub fn write_mesh(
     layout: Layout,
 ) -> io::Result<()> {
     MeshFormat::Glb(layout).check_counts(mesh.vertex_count(), mesh.triangle_count())?;
+    if mesh.triangle_count() == 0 {
+        return write_header(out, &empty_document(), 0);
+    }
     let mesh = Ordered::new(mesh)?;
     let [lo, hi] = mesh.bounds().unwrap_or_default();
     let space = match (layout.compression, width) {
@@ -71,13 +74,26 @@ pub fn write_mesh(
         }
     };
     let document = document(&mesh, layout, space, [lo, hi], &views, encoded.as_deref());
-    let mut json = document.to_string().into_bytes();
-    json.resize(json.len().next_multiple_of(4), b' ');
     let stored: u64 = match &encoded {
         None => views.iter().map(View::bytes).sum(),
         Some(encoded) => encoded.iter().map(|bytes| aligned(bytes.len() as u64)).sum(),
     };
-    let total = 12 + 8 + json.len() as u64 + 8 + stored;
+    write_header(out, &document, stored)?;
+    match encoded {
+        None => views.iter().try_for_each(|view| view.write(out, &mesh, space)),
+        Some(encoded) => encoded.iter().try_for_each(|bytes| {
+            out.write_all(bytes)?;
+            out.write_all(&[0; 3][..(aligned(bytes.len() as u64) - bytes.len() as u64) as usize])
+        }),
+    }
+}
+
+/// Writes all that comes before so many bytes of numbers.
+fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Result<()> {
+    let mut json = document.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let binary = if stored > 0 { 8 + stored } else { 0 };
+    let total = 12 + 8 + json.len() as u64 + binary;
     let Ok(total) = u32::try_from(total) else {
         let what = format!("the mesh takes {total} bytes, a .glb file holds 4 GiB; write .ply, .obj or .vtp");
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
@@ -88,15 +104,11 @@ pub fn write_mesh(
     }
     out.write_all(b"JSON")?;
     out.write_all(&json)?;
-    out.write_all(&(stored as u32).to_le_bytes())?;
-    out.write_all(b"BIN\0")?;
-    match encoded {
-        None => views.iter().try_for_each(|view| view.write(out, &mesh, space)),
-        Some(encoded) => encoded.iter().try_for_each(|bytes| {
-            out.write_all(bytes)?;
-            out.write_all(&[0; 3][..(aligned(bytes.len() as u64) - bytes.len() as u64) as usize])
-        }),
+    if stored > 0 {
+        out.write_all(&(stored as u32).to_le_bytes())?;
+        out.write_all(b"BIN\0")?;
     }
+    Ok(())
 }
 
 fn aligned(bytes: u64) -> u64 {
@@ -289,6 +301,15 @@ fn gathered<T: Send + Clone>(
     Ok(all)
 }
 
+fn asset() -> Value {
+    json!({ "version": "2.0", "generator": concat!("meniscus ", env!("CARGO_PKG_VERSION")) })
+}
+
+/// A scene without a mesh: accessors, views and buffers of nothing are not allowed.
+fn empty_document() -> Value {
+    json!({ "asset": asset(), "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{}] })
+}
+
 /// The file's JSON.
 fn document(
     mesh: &Ordered,
@@ -371,7 +392,7 @@ fn document(
         node["scale"] = json!(scale);
     }
     let mut document = json!({
-        "asset": { "version": "2.0", "generator": concat!("meniscus ", env!("CARGO_PKG_VERSION")) },
+        "asset": asset(),
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [node],

@@ -158,15 +158,16 @@ impl<'a> Conversion<'a> {
         results: &Sender<Outcome>,
         progress: &Progress,
     ) {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).build();
-        let pool = pool.expect("threads can be started");
+        // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
+        let _pool = pool.build().expect("threads can be started");
         loop {
             let job = jobs.lock().unwrap_or_else(PoisonError::into_inner).recv();
             let Ok(frame) = job else { return };
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
-            let result = self.convert(&frame, &pool, &|stage| {
+            let result = self.convert(&frame, &|stage| {
                 progress.stage(lane, || format!("frame {}: {stage}", frame.number));
             });
             progress.stage(lane, String::new);

@@ -20,7 +20,6 @@ use meniscus::plateau::recipe_at;
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::state::{Record, Stamp};
 use meniscus::units::MemoryBudget;
-use rayon::ThreadPool;
 use serde_json::{Value, json};
 
 use crate::interrupt;
@@ -53,8 +52,8 @@ struct Sampled<'a> {
 type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
-    /// Converts a frame in `pool`, or where it has to be alone with all threads.
-    pub fn convert(&self, frame: &FrameFile, pool: &ThreadPool, stage: &dyn Fn(&str)) -> Result<Done, Error> {
+    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
+    pub fn convert(&self, frame: &FrameFile, stage: &dyn Fn(&str)) -> Result<Done, Error> {
         let options = self.setup.options;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
@@ -67,14 +66,13 @@ impl Conversion<'_> {
         let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
 
         let mut laps = Laps::default();
-        let Sampled { frame: sampled, infos, time, permit } = self.sample(path, pool, stage, &mut laps)?;
-        let pool = permit.is_beside().then_some(pool);
+        let Sampled { frame: sampled, infos, time, permit } = self.sample(path, stage, &mut laps)?;
         let mut warnings = Vec::new();
         let surface = match &sampled {
             None => None,
             Some(sampled) => {
                 stage("meshing");
-                let surface = within(pool, || self.surface(path, sampled, &mut warnings, &mut laps));
+                let surface = permit.run(|| self.surface(path, sampled, &mut warnings, &mut laps));
                 warnings.extend(sampled.warnings());
                 surface?
             }
@@ -86,7 +84,7 @@ impl Conversion<'_> {
         });
         let turned = orientation.turned(&*mesh);
         let bounded = Bounded::new(&turned);
-        let bytes = within(pool, || output.write(&bounded, width))?;
+        let bytes = permit.run(|| output.write(&bounded, width))?;
         drop(unfinished);
         drop(permit);
         laps.lap("write");
@@ -122,13 +120,7 @@ impl Conversion<'_> {
     }
 
     /// Reads and samples a frame, from its particles or as it was packed.
-    fn sample(
-        &self,
-        path: &Path,
-        pool: &ThreadPool,
-        stage: &dyn Fn(&str),
-        laps: &mut Laps,
-    ) -> Result<Sampled<'_>, Error> {
+    fn sample(&self, path: &Path, stage: &dyn Fn(&str), laps: &mut Laps) -> Result<Sampled<'_>, Error> {
         let Setup { options, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
@@ -143,13 +135,13 @@ impl Conversion<'_> {
         }
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let unpacking = Unpacking { in_memory: opening.budget.0 / 2, scratch: &opening.scratch };
-        let file = pool.install(|| open_particles(path, unpacking))?;
+        let file = open_particles(path, unpacking)?;
         laps.lap("open");
         let carried = options.carried(path, &file, self.format)?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.sampling(carried, opening)?;
         stage("counting");
-        let mut counted = pool.install(|| Counted::of(&file.particles, &sampling));
+        let mut counted = Counted::of(&file.particles, &sampling);
         laps.lap("count");
         let fits = match &counted {
             Ok(counted) => counted.in_core_bytes() <= share.0,
@@ -172,7 +164,7 @@ impl Conversion<'_> {
             counted => {
                 let counted = counted.map_err(in_file)?;
                 let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
-                Some(within(beside.then_some(pool), sample)?)
+                Some(permit.run(sample)?)
             }
         };
         Ok(Sampled { frame, infos, time: file.time, permit })
@@ -225,14 +217,6 @@ impl Conversion<'_> {
             Err(FrameError::NothingLeft { .. }) => empty("all components are below --drop-smaller"),
             simplified => Ok(Some((Box::new(simplified.map_err(in_file)?), width))),
         }
-    }
-}
-
-/// In a pool, or with all threads.
-fn within<T: Send>(pool: Option<&ThreadPool>, act: impl FnOnce() -> T + Send) -> T {
-    match pool {
-        Some(pool) => pool.install(act),
-        None => act(),
     }
 }
 
