@@ -19,6 +19,7 @@ async function load(path) {
     demand(issues.numErrors === 0, `${path}: ${issues.numErrors} errors, ${issues.numWarnings} warnings ${errors}`);
     const jsonLength = bytes.readUInt32LE(12);
     const json = JSON.parse(bytes.toString('utf8', 20, 20 + jsonLength));
+    if (!json.meshes) return { values: {}, positions: [], indices: [], error: 0, size: bytes.length };
     const binary = bytes.subarray(20 + jsonLength + 8);
     const types = { 5120: Int8Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array };
     const widths = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };

@@ -25,6 +25,12 @@ for name in ["dam.pvd", "dam.vtp.series", "dam.vtk.series", "dam.ply.series"]:
         assert lo < -0.5, (name, lo, hi)
     print(f"{name}: times {times}, arrays {arrays}")
 
+reader = PVDReader(FileName=f"{folder}/empty.pvd")
+reader.UpdatePipeline(times[0])
+info = reader.GetDataInformation()
+assert (info.GetNumberOfPoints(), info.GetNumberOfCells()) == (0, 0)
+print("an empty sequence")
+
 # Particles, as VTK itself writes them.
 count = 5000
 points, velocity, cells = vtkPoints(), vtkFloatArray(), vtkCellArray()

@@ -15,7 +15,7 @@ def mesh_of(path):
 
 for frame in frames:
     stage, mesh = mesh_of(f"{folder}/{frame['file']}")
-    assert UsdGeom.GetStageMetersPerUnit(stage) == 1
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1 and UsdGeom.GetStageUpAxis(stage) == "Y"
     assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
     for time in [Usd.TimeCode.Default(), 0, 7]:
         points, counts = mesh.GetPointsAttr().Get(time), mesh.GetFaceVertexCountsAttr().Get(time)
@@ -30,6 +30,13 @@ for frame in frames:
     assert density.GetInterpolation() == "vertex" and len(density.Get()) == frame["vertices"]
     assert mesh.GetNormalsInterpolation() == "vertex"
 print(f"{len(frames)} layers: counts, topology, extent, normals, velocities, primvars")
+
+_, mesh = mesh_of(f"{folder}/empty_1.usdc")
+counts, corners = mesh.GetFaceVertexCountsAttr().Get(0), mesh.GetFaceVertexIndicesAttr().Get(0)
+assert len(mesh.GetPointsAttr().Get(0)) == len(mesh.GetNormalsAttr().Get()) == len(counts) == len(corners) == 0
+assert UsdGeom.Mesh.ValidateTopology(corners, counts, 0)[0]
+assert list(UsdGeom.PointBased.ComputeExtent([])) == list(mesh.GetExtentAttr().Get(0))
+print("an empty layer")
 
 # The same numbers as in the .ply.
 def ply(path):
