@@ -25,8 +25,8 @@ fn blend(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) 
     }
     let near = vec2(field[word] & 0xffffu, field[word] >> 16u);
     let blurred = vec2(fine[word] & 0xffffu, fine[word] >> 16u);
-    let a = min(blurred * push.scale >> vec2(FINE_BITS), vec2(FULL));
     let b = vec2(smoothed[word] & 0xffffu, smoothed[word] >> 16u);
+    let a = max(min(blurred * push.scale >> vec2(FINE_BITS), vec2(FULL)), b);
     let whole = push.threshold + 1u;
     let share = min(2u * (max(near, vec2(push.threshold)) - push.threshold), vec2(whole));
     let sum = (whole - share) * a + share * b;

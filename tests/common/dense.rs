@@ -156,7 +156,8 @@ impl Method {
                 let near = self.near(&dense(&smooth));
                 dense(&|cell| {
                     let w = ((near.at(cell, None) - c) / (c / 2.0)).clamp(0.0, 1.0);
-                    (1.0 - w) * (3.0 * c * blurred.at(cell, None)).min(1.0) + w * smooth(cell)
+                    let fine = (3.0 * c * blurred.at(cell, None)).min(1.0).max(smooth(cell));
+                    (1.0 - w) * fine + w * smooth(cell)
                 })
             }
         }
@@ -218,7 +219,7 @@ impl Method {
                 dense(&|cell| {
                     let w = (2 * u64::from(near.at(cell, None)).saturating_sub(t)).min(t + 1);
                     let [blurred, smooth] = [blurred.at(cell, None), smooth(cell)].map(u64::from);
-                    let fine = (blurred * ((3 * t + 2) / 4) / (1 << 14)).min(65535);
+                    let fine = (blurred * ((3 * t + 2) / 4) / (1 << 14)).min(65535).max(smooth);
                     (((t + 1 - w) * fine + w * smooth + t.div_ceil(2)) / (t + 1)) as u16
                 })
             }

@@ -1,16 +1,16 @@
 //! A blur that knows details: the standard deviation varies with the field (the paper's future work, section 6.3).
 //!
 //! In the bulk and on its surface the field is theta_smooth of section 4.2. On drops, ligaments and thin sheets, which
-//! that would take below the isovalue c, it is theta_fine = min(3 c B, 1), where B is the occupancy, 1 in full cells and
-//! 0 in others, blurred by a Gaussian of min(sigma / 2, 1 / 2). A particle alone keeps 1.4 c, so none is lost; its
-//! indicator is left out of it, which by symmetry tells no more of a lone particle than where the grid happens to lie.
+//! that would take below the isovalue c, it is theta_fine = max(min(3 c B, 1), theta_smooth), where B is the occupancy, 1
+//! in full cells and 0 in others, blurred by a Gaussian of min(sigma / 2, 1 / 2). A particle alone keeps 1.4 c, so none
+//! is lost; its indicator is left out, which by symmetry tells of a lone particle only where the grid happens to lie.
 //!
 //! Which of both holds is told by theta_near, the greatest theta_smooth within 1 + ceil(sigma) cells along each axis:
 //!
 //! w = min(max((theta_near - c) / (c / 2), 0), 1), and the field is (1 - w) theta_fine + w theta_smooth.
 //!
 //! By a flat surface theta_near is about 2 c, so it is as smooth as without. In integers, with T the isovalue's
-//! threshold, W = T + 1 and B of 0 to 65535: theta_fine = min(B S >> 14, 65535) with S = (3 T + 2) / 4,
+//! threshold, W = T + 1 and B of 0 to 65535: theta_fine = max(min(B S >> 14, 65535), theta_smooth), S = (3 T + 2) / 4,
 //! w = min(max(2 (theta_near - T), 0), W), and the field is ((W - w) theta_fine + w theta_smooth + W / 2) / W. Quotients
 //! are rounded down.
 
