@@ -1,6 +1,6 @@
-//! The isovalue that places the surface without bias (METHOD section 5).
+//! The isovalue that places the surface without bias.
 //!
-//! Over a half space the smoothed field crosses half of its interior plateau at the true surface. The
+//! At the true surface the smoothed field is 0.47 of its interior plateau ([`Isovalue::PLATEAU_PERCENT`]). The
 //! plateau is the median of the smoothed DIF over interior cells: those whose filters see nothing but
 //! fluid. A cell counts as fluid when it is full, or lies in a gap that one cell on every side closes,
 //! for particles at random leave cells empty in the middle of the fluid.
@@ -61,12 +61,12 @@ impl Plateau {
         }
     }
 
-    /// Half of the plateau.
+    /// What goes with the plateau.
     #[must_use]
     pub fn isovalue(self) -> Isovalue {
         match self {
-            Self::Interior { median, .. } => Isovalue::half_of(median),
-            Self::Shallow { greatest } => Isovalue::half_of(greatest),
+            Self::Interior { median, .. } => Isovalue::of_plateau(median),
+            Self::Shallow { greatest } => Isovalue::of_plateau(greatest),
         }
     }
 }

@@ -43,7 +43,7 @@ pub struct Settings {
     pub sigma: Sigma,
     /// Section 6.2, or not.
     pub detail: Detail,
-    /// The isovalue; half of the frame's plateau where it is `None`.
+    /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
 }
 

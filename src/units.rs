@@ -59,10 +59,15 @@ impl Isovalue {
         Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
     }
 
-    /// Half of a field value: the unbiased isovalue for a plateau (METHOD section 5).
+    /// The share of its interior plateau at which a smoothed field crosses the true surface, in hundredths: what leaves no
+    /// bias on surfaces of known bodies, on average over both indicators, cells of 0.5 to 1.5 spacings, and where the
+    /// particles' lattice lies on the grid (`tools/evaluate isovalue`).
+    pub const PLATEAU_PERCENT: u16 = 47;
+
+    /// The isovalue for a plateau.
     #[must_use]
-    pub fn half_of(plateau: u16) -> Self {
-        Self(plateau / 2)
+    pub fn of_plateau(plateau: u16) -> Self {
+        Self((u32::from(plateau) * u32::from(Self::PLATEAU_PERCENT) / 100) as u16)
     }
 
     /// The greatest field value that is outside.

@@ -198,7 +198,7 @@ pub struct Sampling {
 pub struct Surfacing {
     /// The Gaussian's width.
     pub sigma: Sigma,
-    /// The isovalue; half of the frame's plateau where it is `None`.
+    /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
     /// Section 6.2, or not.
     pub detail: Detail,

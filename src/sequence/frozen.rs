@@ -74,7 +74,7 @@ pub struct Measured {
     pub grid: Grid,
     /// For counting.
     pub mean: Option<MeanCount>,
-    /// Given, or half of the plateau.
+    /// Given, or a share of the plateau.
     pub iso: Isovalue,
     /// Whether a later frame would know better.
     pub trust: Trust,

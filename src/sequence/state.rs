@@ -197,7 +197,7 @@ mod tests {
         let store = Store::beside(&folder.path().join("fluid.ply"));
         assert_eq!(store.load().unwrap(), None);
         for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
-            let iso = Isovalue::half_of(theta);
+            let iso = Isovalue::of_plateau(theta);
             let state = State::new(Settings::new(), frozen(iso.value()));
             store.save(&state).unwrap();
             let loaded = store.load().unwrap().unwrap();

@@ -56,7 +56,7 @@ pub struct Options {
     /// Width of the Gaussian [default: 1.0].
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
-    /// Where the surface is, between 0 and 1; auto: half of the field's interior plateau.
+    /// Where the surface is, between 0 and 1; auto: 0.47 of the field's interior plateau.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true)]
     pub iso: IsoOption,
     /// Recover details that smoothing loses, such as drops.
@@ -514,10 +514,11 @@ fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, not
         )),
         (_, Some(_)) => {}
         (Plateau::Interior { median, .. }, None) => {
-            notes.say(format!("isovalue {iso:.4}, half of the interior plateau {:.4}", fraction(median)));
+            let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
+            notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", fraction(median)));
         }
         (Plateau::Shallow { greatest }, None) => notes.say(format!(
-            "isovalue {iso:.4}, half of the field's greatest value {:.4}: no fluid is deeper than the filters reach",
+            "isovalue {iso:.4}, by the field's greatest value {:.4}: no fluid is deeper than the filters reach",
             fraction(greatest)
         )),
     }

@@ -72,7 +72,7 @@ fn blend_row(near: &mut [u16], fine: &[u16], smooth: &[u16], threshold: u16, sca
     for ((near, &fine), &smooth) in near.iter_mut().zip(fine).zip(smooth) {
         let share = (2 * u32::from(near.saturating_sub(threshold))).min(whole);
         let smooth = u32::from(smooth);
-        let fine = (u32::from(fine) * scale >> FINE_BITS).min(FULL.into()).max(smooth);
+        let fine = ((u32::from(fine) * scale) >> FINE_BITS).min(FULL.into()).max(smooth);
         let sum = (whole - share) * fine + share * smooth;
         *near = ((sum + whole / 2) / whole) as u16;
     }
