@@ -1,0 +1,170 @@
+//! How far surfaces lie from the meshes that were filled with particles (the paper's figure 13), and how much that
+//! depends on how the particles' lattice falls on the grid.
+
+use glam::{DQuat, DVec3};
+use meniscus::frame::{FrameError, Normals};
+use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
+use meniscus::mesh::compare::compare;
+use meniscus::mesh::measure::measure;
+use rayon::prelude::*;
+
+use crate::methods::{Method, grid};
+use crate::sample::{Lattice, fill, place};
+use crate::shapes::{Solid, solids};
+use crate::tables::{Table, figure, mean, mean_and_worst, percent, signed, worst};
+use crate::{Options, Outcome};
+
+/// Edges of a cell, in spacings.
+pub const CELLS: [f64; 5] = [0.5, 0.75, 1.0, 1.5, 2.0];
+/// How far particles are from their lattice, in spacings.
+pub const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", 0.3)];
+
+const HEAD: [&str; 9] = [
+    "cell / spacing",
+    "method",
+    "Hausdorff",
+    "mean",
+    "RMS",
+    "bias",
+    "volume",
+    "Hausdorff, cells",
+    "mean, cells",
+];
+
+/// Distances between a surface and the truth, in spacings.
+#[derive(Debug, Clone, Copy)]
+pub struct Errors {
+    pub hausdorff: f64,
+    /// Of both directions, and so on.
+    pub mean: f64,
+    pub rms: f64,
+    /// Positive where the surface lies outside.
+    pub bias: f64,
+    /// Over the volume.
+    pub volume: f64,
+}
+
+impl Errors {
+    pub fn of(solid: &Solid, mesh: &Mesh) -> Outcome<Self> {
+        let found = compare(&solid.mesh, mesh)?;
+        let volume = measure(mesh).volume.ok_or("a surface is not closed")?;
+        let (there, back) = (&found.from_mesh, &found.from_reference);
+        Ok(Self {
+            hausdorff: found.hausdorff,
+            mean: (there.mean + back.mean) / 2.0,
+            rms: ((there.rms.powi(2) + back.rms.powi(2)) / 2.0).sqrt(),
+            bias: found.bias,
+            volume: volume / solid.volume - 1.0,
+        })
+    }
+}
+
+/// The lattices of a sampling: at some places in a cell, and turned some ways.
+pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
+    let at = |n: usize| Lattice {
+        shift: cell * place(n),
+        turn: DQuat::IDENTITY,
+        jitter,
+        inset: options.inset,
+        seed: n as u64,
+    };
+    (0..options.choose(8, 1)).map(at).collect()
+}
+
+fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
+    let axes = [(DVec3::new(1.0, 2.0, 3.0), 0.4), (DVec3::X, 0.785), (DVec3::new(3.0, -1.0, 2.0), 1.1)];
+    let turned = axes.map(|(axis, angle)| DQuat::from_axis_angle(axis.normalize(), angle));
+    let straight = places(options, cell, jitter);
+    turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
+}
+
+/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles only.
+fn errors(solid: &Solid, method: &Method, cell: f64, lattices: &[Lattice]) -> Outcome<Option<Vec<Errors>>> {
+    let of = |lattice: &Lattice| {
+        let particles = fill(solid, lattice);
+        let surface = method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Laps::default());
+        match surface {
+            Err(FrameError::NoSurface { .. }) => Ok(None),
+            surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),
+        }
+    };
+    lattices.par_iter().map(of).collect()
+}
+
+/// What a table says of many surfaces, and of none.
+fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
+    let Some(errors) = errors else { return vec!["none".into()] };
+    let of = |f: fn(&Errors) -> f64| errors.iter().map(f).collect::<Vec<_>>();
+    let (bias, volume) = (of(|e| e.bias), of(|e| e.volume));
+    vec![
+        mean_and_worst(&of(|e| e.hausdorff)),
+        mean_and_worst(&of(|e| e.mean)),
+        mean_and_worst(&of(|e| e.rms)),
+        format!("{} ({})", signed(mean(bias.iter().copied())), signed(worst(bias))),
+        format!("{} ({})", percent(mean(volume.iter().copied())), percent(worst(volume))),
+        figure(mean(of(|e| e.hausdorff)) / cell),
+        figure(mean(of(|e| e.mean)) / cell),
+    ]
+}
+
+pub fn run(options: &Options) -> Outcome<()> {
+    let methods = Method::WITH_OTHER_ISOVALUES;
+    // By sampling, cell and method: of all solids.
+    let mut all = vec![vec![vec![Some(Vec::new()); methods.len()]; CELLS.len()]; SAMPLINGS.len()];
+    for solid in &solids(options)? {
+        for (s, (sampling, jitter)) in SAMPLINGS.into_iter().enumerate() {
+            let mut tables = [(); 2].map(|()| Table::new(&HEAD));
+            for (c, cell) in CELLS.into_iter().enumerate() {
+                for (m, method) in methods.iter().enumerate() {
+                    let lattices = [places(options, cell, jitter), turns(options, cell, jitter)];
+                    for (table, lattices) in tables.iter_mut().zip(lattices) {
+                        let found = errors(solid, method, cell, &lattices)?;
+                        let about = [cell.to_string(), method.name()];
+                        table.row(about.into_iter().chain(row(found.as_deref(), cell)));
+                        let sum = all[s][c][m].take();
+                        all[s][c][m] = sum.zip(found).map(|(sum, found)| [sum, found].concat());
+                    }
+                }
+            }
+            let what = format!(
+                "{} of {} particles, {sampling}: distances in spacings, mean (worst)",
+                solid.name, solid.volume
+            );
+            let [by_place, by_turn] = tables;
+            by_place.print(&format!("{what} over places of the lattice in a cell"));
+            by_turn.print(&format!("{what} over turns of the lattice"));
+        }
+    }
+    summary(methods, &all);
+    Ok(())
+}
+
+/// Which method is nearest, of all solids, places and turns.
+fn summary(methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
+    let figures: [(&str, fn(&Errors) -> f64); 2] =
+        [("mean distance", |e| e.mean), ("Hausdorff distance", |e| e.hausdorff)];
+    for (what, of) in figures {
+        let names: Vec<String> = methods.iter().map(Method::name).collect();
+        let head: Vec<&str> =
+            ["sampling", "cell / spacing"].into_iter().chain(names.iter().map(|n| &**n)).collect();
+        let mut table = Table::new(&head);
+        for ((sampling, _), cells) in SAMPLINGS.iter().zip(all) {
+            for (cell, by_method) in CELLS.iter().zip(cells) {
+                let of_all = |errors: &Vec<Errors>| mean(errors.iter().map(of));
+                let means: Vec<_> = by_method.iter().map(|errors| errors.as_ref().map(of_all)).collect();
+                let least = means.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+                let text = |mean: &Option<f64>| match *mean {
+                    None => "none".into(),
+                    Some(mean) if mean == least => format!("**{mean:.3}**"),
+                    Some(mean) => figure(mean),
+                };
+                table.row(
+                    [(*sampling).to_owned(), cell.to_string()].into_iter().chain(means.iter().map(text)),
+                );
+            }
+        }
+        table
+            .print(&format!("{what} in spacings, mean over all bodies, places and turns, the least in bold"));
+    }
+}

@@ -1,0 +1,74 @@
+//! Measures the paper's methods against each other and prints Markdown tables: accuracy, roughness, speed, resolution,
+//! parameters, pictures.
+//!
+//! `cargo run --release --example evaluate -- [TOPIC] [--out DIR] [--quick] [MESH...]`
+
+mod accuracy;
+#[path = "../../tests/common/shapes.rs"]
+mod meshes;
+mod methods;
+mod sample;
+#[path = "../bench/scene.rs"]
+mod scene;
+mod shapes;
+mod tables;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, ValueEnum};
+
+type Outcome<T> = Result<T, Box<dyn std::error::Error + Send + Sync>>;
+
+#[derive(Parser)]
+struct Options {
+    /// What to measure.
+    #[arg(default_value = "all")]
+    topic: Topic,
+    /// Closed meshes to fill with particles, besides a sphere and a torus.
+    meshes: Vec<PathBuf>,
+    /// Where pictures go.
+    #[arg(long, value_name = "DIR", default_value = "target/evaluate")]
+    out: PathBuf,
+    /// Few particles and few runs: to see that all works.
+    #[arg(long)]
+    quick: bool,
+    /// Particles in a mesh.
+    #[arg(long, value_name = "COUNT")]
+    particles: Option<usize>,
+    /// How deep in a mesh its particles lie at the least, in spacings: 0.5 is spheres that touch its surface.
+    #[arg(long, value_name = "SPACINGS", default_value = "0")]
+    inset: f64,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Topic {
+    /// Distances to meshes filled with particles (the paper's figure 13).
+    Accuracy,
+    All,
+}
+
+impl Options {
+    /// What is chosen for a full run, or for a quick one.
+    fn choose<T>(&self, full: T, quick: T) -> T {
+        if self.quick { quick } else { full }
+    }
+
+    fn particles(&self) -> usize {
+        self.particles.unwrap_or(self.choose(100_000, 3_000))
+    }
+}
+
+fn main() -> ExitCode {
+    let options = Options::parse();
+    let topics: [(Topic, fn(&Options) -> Outcome<()>); 1] = [(Topic::Accuracy, accuracy::run)];
+    for (topic, run) in topics {
+        if options.topic == topic || options.topic == Topic::All {
+            if let Err(fault) = run(&options) {
+                eprintln!("evaluate: {fault}");
+                return ExitCode::FAILURE;
+            }
+        }
+    }
+    ExitCode::SUCCESS
+}

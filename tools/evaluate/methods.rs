@@ -1,0 +1,125 @@
+//! The methods that are compared, each from particles to a mesh, on one grid.
+
+use glam::DVec3;
+use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::Grid;
+use meniscus::laps::Laps;
+use meniscus::particles::Particles;
+use meniscus::stage::indicator::Indicator;
+use meniscus::stitch::Stitched;
+use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+
+use crate::Outcome;
+
+/// How a surface is made of particles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Method {
+    /// By a discrete indicator function.
+    Dif { indicator: Indicator, sigma: f64, iso: Iso },
+}
+
+/// Where the surface is in the smoothed field.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Iso {
+    /// At half of its interior plateau.
+    Auto,
+    /// At a value.
+    At(f64),
+}
+
+pub const COUNTING: Indicator = Indicator::Counting { mean: None };
+
+impl Method {
+    pub const SYMMETRY: Self = Self::symmetry(1.0, Iso::Auto);
+    pub const COUNTING: Self = Self::counting(1.0, Iso::Auto);
+    /// The paper's methods as they are meant to be used, ours by default.
+    pub const ALL: &[Self] = &[Self::SYMMETRY, Self::COUNTING];
+    /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
+    pub const WITH_OTHER_ISOVALUES: &[Self] = &[
+        Self::SYMMETRY,
+        Self::COUNTING,
+        Self::symmetry(1.0, Iso::At(0.1)),
+        Self::counting(1.0, Iso::At(0.1)),
+    ];
+
+    pub const fn symmetry(sigma: f64, iso: Iso) -> Self {
+        Self::Dif { indicator: Indicator::Symmetry, sigma, iso }
+    }
+
+    pub const fn counting(sigma: f64, iso: Iso) -> Self {
+        Self::Dif { indicator: COUNTING, sigma, iso }
+    }
+
+    /// What it is called in tables.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Dif { indicator, iso: Iso::Auto, .. } => indicator_name(*indicator).into(),
+            Self::Dif { indicator, iso: Iso::At(c), .. } => {
+                format!("{}, c {c}", indicator_name(*indicator))
+            }
+        }
+    }
+
+    /// What it is called in file names.
+    pub fn slug(&self) -> String {
+        self.name().replace(", ", "-").replace(' ', "")
+    }
+
+    /// The surface of particles `spacing` apart.
+    pub fn surface<P: Particles + ?Sized>(
+        &self,
+        particles: &P,
+        grid: Grid,
+        spacing: f64,
+        normals: Normals,
+        laps: &mut Laps,
+    ) -> Result<Stitched, FrameError> {
+        match *self {
+            Self::Dif { indicator, sigma, iso } => {
+                let frame = Frame::sample(particles, &sampling(grid, spacing, indicator), laps)?;
+                let surfacing = Surfacing { normals, ..surfacing(sigma, iso.value()) };
+                Ok(frame.surface(&surfacing, laps)?.mesh)
+            }
+        }
+    }
+}
+
+impl Iso {
+    pub fn value(self) -> Option<Isovalue> {
+        match self {
+            Self::Auto => None,
+            Self::At(c) => Some(Isovalue::new(c).expect("between 0 and 1")),
+        }
+    }
+}
+
+pub fn indicator_name(indicator: Indicator) -> &'static str {
+    match indicator {
+        Indicator::Symmetry => "symmetry",
+        Indicator::Counting { .. } => "counting",
+    }
+}
+
+pub fn grid(cell: f64) -> Outcome<Grid> {
+    Ok(Grid::new(DVec3::ZERO, cell)?)
+}
+
+/// Everything in memory, on the processor.
+pub fn sampling(grid: Grid, spacing: f64, indicator: Indicator) -> Sampling {
+    Sampling {
+        grid,
+        domain: None,
+        indicator,
+        invalid: InvalidParticles::Refuse,
+        side: BrickSide::default(),
+        carried: Vec::new(),
+        spacing: Some(spacing),
+        resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
+    }
+}
+
+pub fn surfacing(sigma: f64, iso: Option<Isovalue>) -> Surfacing {
+    let sigma = Sigma::new(sigma).expect("a valid sigma");
+    Surfacing { sigma, iso, detail: Detail::Smoothed, normals: Normals::None }
+}

@@ -1,0 +1,75 @@
+//! Closed meshes as bodies of fluid: scaled until the particles' spacing is 1, and searched for depths.
+
+use std::path::Path;
+
+use glam::DVec3;
+use meniscus::io::output::read_mesh;
+use meniscus::mesh::Mesh;
+use meniscus::mesh::measure::measure;
+use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+
+use crate::meshes::{sphere, torus};
+use crate::{Options, Outcome};
+
+/// Nothing is to lie on the grid just so.
+const CENTRE: DVec3 = DVec3::new(0.371, 0.113, 0.729);
+
+/// A closed mesh whose volume is that of its particles, each a cube of edge 1.
+pub struct Solid {
+    pub name: String,
+    pub mesh: Mesh,
+    pub volume: f64,
+    /// Of the box around it.
+    pub centre: DVec3,
+    /// Of the sphere around the box.
+    pub radius: f64,
+    search: TriMesh,
+}
+
+impl Solid {
+    /// Scales `mesh` to hold `particles`.
+    pub fn new(name: &str, mut mesh: Mesh, particles: usize) -> Outcome<Self> {
+        let measures = measure(&mesh);
+        let (Some([lo, hi]), Some(volume)) = (measures.bounds, measures.volume.filter(|&v| v > 0.0)) else {
+            return Err(format!("{name}: not a closed mesh that faces outwards").into());
+        };
+        let (lo, hi) = (DVec3::from(lo), DVec3::from(hi));
+        let scale = (particles as f64 / volume).cbrt();
+        for position in &mut mesh.positions {
+            *position = (CENTRE + scale * (DVec3::from(*position) - (lo + hi) / 2.0)).into();
+        }
+        mesh = Mesh { normals: None, attributes: Vec::new(), ..mesh };
+        let positions = mesh.positions.iter().map(|&position| position.into()).collect();
+        let search = TriMesh::with_flags(positions, mesh.triangles.clone(), TriMeshFlags::ORIENTED)
+            .map_err(|fault| format!("{name}: {fault}"))?;
+        let radius = scale * (hi - lo).length() / 2.0;
+        Ok(Self { name: name.into(), mesh, volume: particles as f64, centre: CENTRE, radius, search })
+    }
+
+    pub fn read(path: &Path, particles: usize) -> Outcome<Self> {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Self::new(&name, read_mesh(path)?, particles)
+    }
+
+    /// Distance to the surface, positive inside.
+    pub fn depth(&self, point: DVec3) -> f64 {
+        let (nearest, _) = self.search.project_local_point_and_get_location(point, false);
+        let distance = nearest.point.distance(point);
+        if nearest.is_inside { distance } else { -distance }
+    }
+}
+
+/// The sphere, the torus, and the meshes of files.
+pub fn solids(options: &Options) -> Outcome<Vec<Solid>> {
+    let particles = options.particles();
+    let (depth, across) = options.choose((6, 128), (4, 32));
+    let mut solids = vec![
+        Solid::new("sphere", sphere(1.0, depth), particles)?,
+        Solid::new("torus", torus(2 * across, across), particles)?,
+    ];
+    for file in &options.meshes {
+        solids.push(Solid::read(file, particles)?);
+    }
+    Ok(solids)
+}
