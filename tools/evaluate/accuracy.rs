@@ -17,6 +17,10 @@ use crate::{Options, Outcome};
 
 /// Edges of a cell, in spacings.
 pub const CELLS: [f64; 5] = [0.5, 0.75, 1.0, 1.5, 2.0];
+fn cells(options: &Options) -> &'static [f64] {
+    options.choose(&CELLS, &CELLS[2..3])
+}
+
 /// How far particles are from their lattice, in spacings.
 pub const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", 0.3)];
 
@@ -111,11 +115,11 @@ fn row(errors: Option<&[Errors]>, cell: f64) -> Vec<String> {
 pub fn run(options: &Options) -> Outcome<()> {
     let methods = Method::WITH_OTHER_ISOVALUES;
     // By sampling, cell and method: of all solids.
-    let mut all = vec![vec![vec![Some(Vec::new()); methods.len()]; CELLS.len()]; SAMPLINGS.len()];
+    let mut all = vec![vec![vec![Some(Vec::new()); methods.len()]; cells(options).len()]; SAMPLINGS.len()];
     for solid in &solids(options)? {
         for (s, (sampling, jitter)) in SAMPLINGS.into_iter().enumerate() {
             let mut tables = [(); 2].map(|()| Table::new(&HEAD));
-            for (c, cell) in CELLS.into_iter().enumerate() {
+            for (c, cell) in cells(options).iter().copied().enumerate() {
                 for (m, method) in methods.iter().enumerate() {
                     let lattices = [places(options, cell, jitter), turns(options, cell, jitter)];
                     for (table, lattices) in tables.iter_mut().zip(lattices) {
@@ -136,12 +140,12 @@ pub fn run(options: &Options) -> Outcome<()> {
             by_turn.print(&format!("{what} over turns of the lattice"));
         }
     }
-    summary(methods, &all);
+    summary(options, methods, &all);
     Ok(())
 }
 
 /// Which method is nearest, of all solids, places and turns.
-fn summary(methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
+fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
     let figures: [(&str, fn(&Errors) -> f64); 2] =
         [("mean distance", |e| e.mean), ("Hausdorff distance", |e| e.hausdorff)];
     for (what, of) in figures {
@@ -149,8 +153,8 @@ fn summary(methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
         let head: Vec<&str> =
             ["sampling", "cell / spacing"].into_iter().chain(names.iter().map(|n| &**n)).collect();
         let mut table = Table::new(&head);
-        for ((sampling, _), cells) in SAMPLINGS.iter().zip(all) {
-            for (cell, by_method) in CELLS.iter().zip(cells) {
+        for ((sampling, _), by_cell) in SAMPLINGS.iter().zip(all) {
+            for (cell, by_method) in cells(options).iter().zip(by_cell) {
                 let of_all = |errors: &Vec<Errors>| mean(errors.iter().map(of));
                 let means: Vec<_> = by_method.iter().map(|errors| errors.as_ref().map(of_all)).collect();
                 let least = means.iter().flatten().copied().fold(f64::INFINITY, f64::min);

@@ -1,0 +1,206 @@
+//! Which rule for the isovalue places the surface best, whatever way a lattice of particles falls on the grid.
+//!
+//! Along the diagonal of a cell a lattice's indicator goes through all that it can be, for symmetry from 1 in the
+//! cells' centres to 0 on their corners.
+
+use glam::{DQuat, DVec3, IVec3};
+use meniscus::frame::{Frame, FrameError};
+use meniscus::grid::Grid;
+use meniscus::laps::Laps;
+use meniscus::lattice::sound_origin;
+use meniscus::plateau::Plateau;
+use meniscus::recipe::Recipe;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{FULL, Isovalue};
+use rayon::prelude::*;
+
+use crate::accuracy::{CELLS, Errors, SAMPLINGS};
+use crate::methods::{COUNTING, grid, indicator_name, sampling, surfacing};
+use crate::sample::{Lattice, fill, place};
+use crate::shapes::{Solid, solids};
+use crate::tables::{Table, figure, mean, signed, worst};
+use crate::{Options, Outcome};
+
+/// How c is found.
+#[derive(Debug, Clone, Copy)]
+enum Rule {
+    /// A share of the interior's median.
+    Median(f64),
+    /// A share of the interior's mean.
+    Mean(f64),
+    /// As many cells lie above it as the particles' volume fills.
+    Volume,
+    /// Half of the median, on a grid that was moved to suit a lattice.
+    Moved,
+}
+
+const RULES: [Rule; 9] = [
+    Rule::Median(0.4),
+    Rule::Median(0.45),
+    Rule::Median(0.5),
+    Rule::Median(0.55),
+    Rule::Median(0.6),
+    Rule::Mean(0.5),
+    Rule::Mean(0.55),
+    Rule::Volume,
+    Rule::Moved,
+];
+
+impl Rule {
+    fn name(self) -> String {
+        match self {
+            Self::Median(share) => format!("{share} median"),
+            Self::Mean(share) => format!("{share} mean"),
+            Self::Volume => "volume".into(),
+            Self::Moved => "0.5 median, grid moved".into(),
+        }
+    }
+}
+
+/// A plateau, and the errors of each rule; none where it finds no surface.
+struct Found {
+    plateau: f64,
+    errors: Vec<Option<Errors>>,
+}
+
+pub fn run(options: &Options) -> Outcome<()> {
+    let names: Vec<String> = RULES.into_iter().map(Rule::name).collect();
+    let solids = solids(options)?;
+    let head = |first: &[&'static str]| -> Vec<String> {
+        first.iter().map(|&text| text.to_owned()).chain(names.iter().cloned()).collect()
+    };
+    let table =
+        |first: &[&'static str]| Table::new(&head(first).iter().map(|text| &**text).collect::<Vec<_>>());
+    let mut averages = table(&["indicator", "sampling", "cell / spacing", "lattices"]);
+    let mut along = table(&["indicator", "cell / spacing", "place", "plateau"]);
+    let cells = options.choose(&CELLS[..], &CELLS[2..3]);
+    for indicator in [Indicator::Symmetry, COUNTING] {
+        for (sampling, jitter) in SAMPLINGS {
+            for &cell in cells {
+                let measure = |lattices: &[Lattice]| -> Outcome<Vec<Vec<Found>>> {
+                    let of = |solid| lattices.par_iter().map(|l| found(solid, indicator, cell, l)).collect();
+                    solids.iter().map(of).collect()
+                };
+                let lattice =
+                    |shift| Lattice { shift, turn: DQuat::IDENTITY, jitter, inset: options.inset, seed: 3 };
+                let about = [indicator_name(indicator).into(), sampling.into(), cell.to_string()];
+                let count = options.choose(8, 2);
+                if jitter == 0.0 {
+                    let diagonal: Vec<Lattice> = (0..count)
+                        .map(|n| lattice(DVec3::splat(cell * (n as f64 + 0.5) / count as f64) - 0.5))
+                        .collect();
+                    let found = measure(&diagonal)?;
+                    for n in 0..count {
+                        let here: Vec<&Found> = found.iter().map(|solid| &solid[n]).collect();
+                        let place = (n as f64 + 0.5) / count as f64;
+                        let first = [
+                            about[0].clone(),
+                            about[2].clone(),
+                            format!("{place:.2}"),
+                            figure(here[0].plateau),
+                        ];
+                        along.row(first.into_iter().chain(per_rule(&here)));
+                    }
+                    let all: Vec<&Found> = found.iter().flatten().collect();
+                    let first = about.iter().cloned().chain(["on the diagonal".into()]);
+                    averages.row(first.chain(per_rule(&all)));
+                }
+                let anywhere: Vec<Lattice> = (0..count).map(|n| lattice(cell * place(n))).collect();
+                let found = measure(&anywhere)?;
+                let all: Vec<&Found> = found.iter().flatten().collect();
+                averages.row(about.into_iter().chain(["anywhere".into()]).chain(per_rule(&all)));
+            }
+        }
+    }
+    let what = "rules for c, sigma 1: mean distance, mean bias, greatest bias, in spacings";
+    along.print(&format!(
+        "{what}; of all bodies, regular, by the lattice's place along the diagonal of a cell"
+    ));
+    averages.print(&format!("{what}; over places of the lattice in a cell, of all bodies"));
+    Ok(())
+}
+
+fn per_rule(found: &[&Found]) -> Vec<String> {
+    let text = |rule: usize| {
+        let errors: Vec<Errors> = found.iter().filter_map(|found| found.errors[rule]).collect();
+        if errors.len() < found.len() {
+            return "none".into();
+        }
+        let biases = || errors.iter().map(|e| e.bias);
+        format!(
+            "{} {} {}",
+            figure(mean(errors.iter().map(|e| e.mean))),
+            signed(mean(biases())),
+            signed(worst(biases()))
+        )
+    };
+    (0..RULES.len()).map(text).collect()
+}
+
+fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> Outcome<Found> {
+    let particles = fill(solid, lattice);
+    let sample =
+        |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
+    let frame = sample(grid(cell)?)?;
+    let (recipe, plateau) = frame.recipe(&surfacing(1.0, None));
+    let (Plateau::Interior { median, .. } | Plateau::Shallow { greatest: median }) = plateau;
+    let median = f64::from(median) / f64::from(FULL);
+    let values = Values::of(&frame, &recipe, solid);
+    let error = |rule: &Rule| match *rule {
+        Rule::Median(share) => error_at(solid, &frame, Some(share * median)),
+        Rule::Mean(share) => match values.interior_mean {
+            Some(mean) => error_at(solid, &frame, Some(share * mean)),
+            None => Ok(None),
+        },
+        Rule::Volume => error_at(solid, &frame, Some(values.above(particles.len() as f64 / cell.powi(3)))),
+        Rule::Moved => {
+            let origin = sound_origin(&particles[..], DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
+            error_at(solid, &sample(Grid::new(origin, cell)?)?, None)
+        }
+    };
+    let errors: Outcome<Vec<_>> = RULES.iter().map(error).collect();
+    Ok(Found { plateau: median, errors: errors? })
+}
+
+fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Errors>> {
+    let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
+    match frame.surface(&surfacing(1.0, iso), &mut Laps::default()) {
+        Err(FrameError::NoSurface { .. }) => Ok(None),
+        surface => Errors::of(solid, &surface?.mesh.to_mesh()?).map(Some),
+    }
+}
+
+/// What the smoothed field is like.
+struct Values {
+    /// From the greatest down.
+    sorted: Vec<u16>,
+    /// Over cells whose filters see nothing but fluid, by the truth; in small bodies there are none.
+    interior_mean: Option<f64>,
+}
+
+impl Values {
+    fn of(frame: &Frame, recipe: &Recipe, solid: &Solid) -> Self {
+        let grid = frame.facts().grid;
+        let reach = recipe.reach();
+        let deep = (f64::from(reach) + 0.5) * grid.cell_size() * 3_f64.sqrt();
+        let (mut sorted, mut interior) = (Vec::new(), Vec::new());
+        for cells in frame.dif().regions(reach, reach) {
+            let field = frame.field(recipe, cells);
+            sorted.extend_from_slice(field.samples());
+            // A part of the cells tells enough.
+            for ([y, z], row) in field.rows(cells).filter(|([y, z], _)| y % 2 == 0 && z % 2 == 0) {
+                let centre = |x| grid.world_from_cells(IVec3::new(x, y, z).as_dvec3() + 0.5);
+                let deep = row.iter().zip(cells.lo.x..).filter(|&(_, x)| solid.depth(centre(x)) > deep);
+                interior.extend(deep.map(|(&value, _)| f64::from(value) / f64::from(FULL)));
+            }
+        }
+        sorted.sort_unstable_by(|a, b| b.cmp(a));
+        Self { sorted, interior_mean: (!interior.is_empty()).then(|| mean(interior)) }
+    }
+
+    /// The value that so many cells exceed.
+    fn above(&self, cells: f64) -> f64 {
+        let last = self.sorted.len() - 1;
+        f64::from(self.sorted[(cells as usize).min(last)]) / f64::from(FULL)
+    }
+}

@@ -1,0 +1,171 @@
+//! A picture of every method through one camera, and meshes coloured by their distance from the truth.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use glam::{DQuat, DVec3, Vec3};
+use meniscus::frame::Normals;
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::open_particles;
+use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
+use meniscus::particles::{Particles, bounds};
+use meniscus::spacing;
+use rayon::prelude::*;
+
+use crate::methods::{Iso, Method, grid};
+use crate::render::{Camera, Picture, bytes};
+use crate::sample::{Lattice, fill, place};
+use crate::scene::splash;
+use crate::shapes::{Solid, solids};
+use crate::{Options, Outcome};
+
+const SIZE: [usize; 2] = [960, 720];
+/// Of a picture on the contact sheet.
+const SMALL: [usize; 2] = [400, 300];
+const JITTER: f64 = 0.3;
+/// Distances from the truth in spacings that are coloured to the full.
+const FULL_COLOUR: f64 = 0.5;
+const SIGMAS: [f64; 4] = [0.8, 1.0, 1.2, 1.5];
+const ISOS: [Iso; 5] = [Iso::At(0.02), Iso::At(0.05), Iso::At(0.1), Iso::At(0.2), Iso::Auto];
+
+/// The particles to look at: a file's, or a splash.
+struct Scene {
+    particles: Box<dyn Particles>,
+    spacing: f64,
+    camera: Camera,
+}
+
+/// The splash, as particles of their own.
+struct Splash(Vec<[f32; 3]>);
+
+impl Particles for Splash {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.0[..].positions(first, out);
+    }
+}
+
+impl Scene {
+    fn new(options: &Options) -> Outcome<Self> {
+        let (particles, known): (Box<dyn Particles>, _) = match &options.frame {
+            None => (Box::new(Splash(splash(options.choose(300_000, 10_000), 1))), Some(1.0)),
+            Some(path) => {
+                let file = open_particles(path, Unpacking::in_memory())?;
+                (Box::new(file.particles), file.spacing)
+            }
+        };
+        let spacing =
+            known.or_else(|| spacing::estimate(&*particles)).ok_or("the spacing is not to be found")?;
+        let bounds = bounds(&*particles).ok_or("there are no particles")?;
+        Ok(Self { particles, spacing, camera: Camera::of([bounds.lo, bounds.hi]) })
+    }
+
+    fn picture(&self, method: &Method, size: [usize; 2]) -> Outcome<Picture> {
+        let surface = method.surface(
+            &*self.particles,
+            grid(self.spacing)?,
+            self.spacing,
+            Normals::None,
+            &mut Laps::default(),
+        )?;
+        Ok(Picture::of(&surface.to_mesh()?, None, &self.camera, size))
+    }
+}
+
+pub fn run(options: &Options) -> Outcome<()> {
+    fs::create_dir_all(&options.out)?;
+    let scene = Scene::new(options)?;
+    println!("pictures in {}:\n", options.out.display());
+    for method in Method::ALL {
+        let file = options.out.join(format!("frame-{}.png", method.slug()));
+        scene.picture(method, SIZE)?.write(&file)?;
+        println!("- {}: {}", file.display(), method.name());
+    }
+    for solid in &solids(options)? {
+        for method in Method::ALL {
+            truth(options, solid, method)?;
+        }
+    }
+    println!();
+    Ok(())
+}
+
+/// A body's surface, blue where it lies inside of the truth and red where it lies outside.
+fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
+    let lattice =
+        Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: options.inset, seed: 1 };
+    let particles = fill(solid, &lattice);
+    let surface = method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Laps::default())?;
+    let mesh = surface.to_mesh()?;
+    let colours: Vec<Vec3> =
+        mesh.positions.par_iter().map(|&p| colour(-solid.depth(p.into()) / FULL_COLOUR)).collect();
+    let stem = format!("{}-{}", solid.name, method.slug());
+    let (ply, png) = (options.out.join(format!("{stem}.ply")), options.out.join(format!("{stem}.png")));
+    write_coloured(&mesh, &colours, &ply)?;
+    let reach = DVec3::splat(solid.radius / 3_f64.sqrt());
+    let camera = Camera::of([solid.centre - reach, solid.centre + reach]);
+    Picture::of(&mesh, Some(&colours), &camera, SIZE).write(&png)?;
+    println!(
+        "- {}, {}: {} by {}, blue {FULL_COLOUR} spacings inside of the truth to red as far outside",
+        png.display(),
+        ply.display(),
+        solid.name,
+        method.name()
+    );
+    Ok(())
+}
+
+/// From blue over white to red for -1 to 1.
+fn colour(share: f64) -> Vec3 {
+    let share = share.clamp(-1.0, 1.0) as f32;
+    let end = if share < 0.0 { Vec3::new(0.1, 0.25, 0.9) } else { Vec3::new(0.9, 0.15, 0.1) };
+    Vec3::ONE.lerp(end, share.abs())
+}
+
+/// As .ply with red, green, blue, which programs show without being asked.
+fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
+    let mut out = BufWriter::new(File::create(path)?);
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
+         property float x\nproperty float y\nproperty float z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\n\
+         element face {}\nproperty list uchar int vertex_indices\nend_header\n",
+        mesh.positions.len(),
+        mesh.triangles.len()
+    )?;
+    for (position, &colour) in mesh.positions.iter().zip(colours) {
+        out.write_all(position.map(|x| (x as f32).to_le_bytes()).as_flattened())?;
+        out.write_all(&bytes(colour))?;
+    }
+    for triangle in &mesh.triangles {
+        out.write_all(&[3])?;
+        out.write_all(triangle.map(u32::to_le_bytes).as_flattened())?;
+    }
+    Ok(out.flush()?)
+}
+
+/// Contact sheets of sigma and c (the paper's figure 7).
+pub fn parameters(options: &Options) -> Outcome<()> {
+    fs::create_dir_all(&options.out)?;
+    let scene = Scene::new(options)?;
+    println!(
+        "contact sheets: a row for each sigma of {SIGMAS:?}, a column for each c of 0.02, 0.05, 0.1, 0.2, auto:\n"
+    );
+    for (name, of) in
+        [("symmetry", Method::symmetry as fn(f64, Iso) -> Method), ("counting", Method::counting)]
+    {
+        let all = SIGMAS.into_iter().flat_map(|sigma| ISOS.map(|iso| of(sigma, iso)));
+        let pictures: Outcome<Vec<Picture>> = all.map(|method| scene.picture(&method, SMALL)).collect();
+        let file = options.out.join(format!("parameters-{name}.png"));
+        Picture::sheet(&pictures?, ISOS.len()).write(&file)?;
+        println!("- {}", file.display());
+    }
+    println!();
+    Ok(())
+}

@@ -1,0 +1,161 @@
+//! Stage times by resolution (the paper's figure 14), on the processor and on a Vulkan device where there is one, and
+//! what recovering details costs and brings (its figure 15).
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use meniscus::backend::{Surfaces, Vulkan};
+use meniscus::frame::{Detail, Frame, Normals, Surfacing};
+use meniscus::laps::Laps;
+use meniscus::mesh::measure::measure;
+use meniscus::mesh::source::MeshSource;
+use meniscus::mesh::spool::Spool;
+use meniscus::stage::dual_mc::contour;
+use meniscus::stitch::Stitched;
+use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
+use rayon::prelude::*;
+
+use crate::methods::{COUNTING, Iso, grid, sampling, surfacing};
+use crate::scene::splash;
+use crate::speed::longest_side;
+use crate::tables::Table;
+use crate::{Options, Outcome};
+
+const CELLS: [u32; 4] = [128, 256, 384, 512];
+/// The paper's stages, and the names that their parts have on a device.
+const STAGES: [(&str, &[&str]); 4] = [
+    ("DIF", &["upload", "indicate"]),
+    ("smoothing", &["gather", "blur", "detail"]),
+    ("isosurface", &["dual marching cubes"]),
+    ("transfer", &["download"]),
+];
+
+pub fn run(options: &Options) -> Outcome<()> {
+    let particles = splash(options.choose(1_000_000, 20_000), 1);
+    let side = longest_side(&particles);
+    let mut table = Table::new(&[
+        "cells",
+        "on",
+        "DIF",
+        "smoothing",
+        "isosurface",
+        "transfer",
+        "whole frame",
+        "triangles",
+    ]);
+    let vulkan = vulkan();
+    if let Err(fault) = &vulkan {
+        eprintln!("evaluate: no Vulkan device: {fault}");
+    }
+    for &cells in options.choose(&CELLS[..], &CELLS[..1]) {
+        let cell = side / f64::from(cells);
+        let mut row = |on: String, (stages, whole, triangles): Figures| {
+            let ms = |seconds: Option<f64>| seconds.map_or("-".into(), |s| format!("{:.1}", s * 1e3));
+            let stages = stages.into_iter().map(ms);
+            let about = [format!("{cells}^3"), on].into_iter();
+            table.row(about.chain(stages).chain([ms(Some(whole)), triangles.to_string()]));
+        };
+        row(format!("CPU, {} threads", rayon::current_num_threads()), on_cpu(&particles, cell)?);
+        if let Ok(vulkan) = &vulkan {
+            row(vulkan.device().name().to_string(), on_device(vulkan, &particles, cell)?);
+        }
+    }
+    table.print(&format!(
+        "milliseconds a stage, {} particles of a splash, counting; stages of the CPU one by one, the whole frame as it \
+         runs",
+        particles.len()
+    ));
+    detail(options, &particles, side)
+}
+
+fn vulkan() -> Result<Arc<Vulkan>, VulkanError> {
+    let device = Device::open(&Instance::connect(false)?, &DeviceChoice::Best, &DeviceOptions::default())?;
+    Ok(Arc::new(Vulkan::new(device)?))
+}
+
+/// Seconds of each of [`STAGES`] and of the whole frame, and triangles.
+type Figures = ([Option<f64>; 4], f64, u64);
+
+fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
+    let (sampling, surfacing) = (sampling(grid(cell)?, 1.0, COUNTING), surfacing(1.0, Iso::Auto.value()));
+    Frame::sample(particles, &sampling, &mut Laps::default())?;
+    let start = Instant::now();
+    let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
+    let dif = start.elapsed().as_secs_f64();
+    let surface = frame.surface(&surfacing, &mut Laps::default())?.mesh.to_mesh()?;
+    let whole = start.elapsed().as_secs_f64();
+
+    let start = Instant::now();
+    let (recipe, _) = frame.recipe(&surfacing);
+    let surfaces = Surfaces { dif: frame.dif(), recipe: &recipe, domain: None, normals: Normals::None };
+    let regions = surfaces.regions();
+    let field = |&cells: &_| frame.field(&recipe, meniscus::grid::CellBox::tiled(&cells).grown(0, 1));
+    let fields: Vec<_> = regions.par_iter().map(field).collect();
+    let smoothing = start.elapsed().as_secs_f64();
+
+    let start = Instant::now();
+    let blocks: Vec<_> = fields
+        .par_iter()
+        .zip(&regions)
+        .map(|(field, &cells)| contour(field, cells, recipe.iso, None))
+        .collect();
+    let mut spool = Spool::in_memory(false, Vec::new());
+    blocks.into_iter().try_for_each(|block| spool.push(block))?;
+    let mesh = Stitched::new(spool, grid(cell)?, None, recipe.iso, Vec::new()).to_mesh()?;
+    let isosurface = start.elapsed().as_secs_f64();
+    assert_eq!(mesh.triangles.len(), surface.triangles.len());
+    Ok(([Some(dif), Some(smoothing), Some(isosurface), None], whole, surface.triangles.len() as u64))
+}
+
+fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
+    let mut sampling = sampling(grid(cell)?, 1.0, COUNTING);
+    sampling.resources.backend = Arc::clone(vulkan) as _;
+    let surfacing = surfacing(1.0, Iso::Auto.value());
+    let run = || -> Outcome<(f64, u64)> {
+        let start = Instant::now();
+        let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
+        let mesh = frame.surface(&surfacing, &mut Laps::default())?.mesh;
+        mesh.to_mesh()?;
+        Ok((start.elapsed().as_secs_f64(), mesh.triangle_count()))
+    };
+    // The first run compiles kernels and takes memory.
+    run()?;
+    drop(vulkan.device().take_timings());
+    let (whole, triangles) = run()?;
+    let timings = vulkan.device().take_timings();
+    let seconds = |parts: &[&str]| {
+        timings.iter().filter(|t| parts.contains(&&*t.stage)).map(|t| t.seconds).sum::<f64>()
+    };
+    Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))
+}
+
+/// With the paper's parameters: c = 0.2, sigma = 1.2, counting, 256 cells.
+fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
+    let mut table = Table::new(&["surface", "seconds", "components", "volume", "triangles"]);
+    let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);
+    for (name, detail) in [("smoothed", Detail::Smoothed), ("details recovered", Detail::Recovered)] {
+        let surfacing = Surfacing { detail, ..surfacing(1.2, Iso::At(0.2).value()) };
+        let run = || -> Outcome<_> {
+            let start = Instant::now();
+            let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
+            let mesh = frame.surface(&surfacing, &mut Laps::default())?.mesh.to_mesh()?;
+            Ok((start.elapsed().as_secs_f64(), mesh))
+        };
+        run()?;
+        let (seconds, mesh) = run()?;
+        let measures = measure(&mesh);
+        table.row([
+            name.into(),
+            format!("{seconds:.3}"),
+            measures.components.to_string(),
+            format!("{:.0}", measures.volume.unwrap_or(f64::NAN)),
+            mesh.triangles.len().to_string(),
+        ]);
+    }
+    table.print(&format!(
+        "recovering details: counting, sigma 1.2, c 0.2, {} cells along the longest side, {} particles at spacing 1",
+        options.choose(256, 64),
+        particles.len()
+    ));
+    Ok(())
+}
