@@ -2,10 +2,11 @@
 
 use glam::DVec3;
 use meniscus::brick::{BrickSide, InvalidParticles};
-use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing, rival_surface};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
+use meniscus::rivals::Method as Rival;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
@@ -16,7 +17,9 @@ use crate::Outcome;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// By a discrete indicator function.
-    Dif { indicator: Indicator, sigma: f64, iso: Iso },
+    Dif { indicator: Indicator, sigma: f64, iso: Iso, detail: Detail },
+    /// By kernels.
+    Rival(Rival),
 }
 
 /// Where the surface is in the smoothed field.
@@ -33,37 +36,63 @@ pub const COUNTING: Indicator = Indicator::Counting { mean: None };
 impl Method {
     pub const SYMMETRY: Self = Self::symmetry(1.0, Iso::Auto);
     pub const COUNTING: Self = Self::counting(1.0, Iso::Auto);
-    /// The paper's methods as they are meant to be used, ours by default.
-    pub const ALL: &[Self] = &[Self::SYMMETRY, Self::COUNTING];
+    pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
+    pub const ZHU_BRIDSON: Self = Self::Rival(Rival::ZhuBridson);
+    pub const YU_TURK: Self = Self::Rival(Rival::YuTurk { iso: Rival::HALF });
+    /// The paper's five, with the surface half-way between inside and outside; ours by default first.
+    pub const ALL: &[Self] =
+        &[Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
     /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
     pub const WITH_OTHER_ISOVALUES: &[Self] = &[
         Self::SYMMETRY,
         Self::COUNTING,
+        Self::MUELLER,
+        Self::ZHU_BRIDSON,
+        Self::YU_TURK,
         Self::symmetry(1.0, Iso::At(0.1)),
         Self::counting(1.0, Iso::At(0.1)),
+        Self::Rival(Rival::Mueller { iso: 0.65 }),
+        Self::Rival(Rival::YuTurk { iso: 0.2 }),
     ];
 
     pub const fn symmetry(sigma: f64, iso: Iso) -> Self {
-        Self::Dif { indicator: Indicator::Symmetry, sigma, iso }
+        Self::Dif { indicator: Indicator::Symmetry, sigma, iso, detail: Detail::Smoothed }
     }
 
     pub const fn counting(sigma: f64, iso: Iso) -> Self {
-        Self::Dif { indicator: COUNTING, sigma, iso }
+        Self::Dif { indicator: COUNTING, sigma, iso, detail: Detail::Smoothed }
+    }
+
+    /// The same with details recovered, where there is such a thing.
+    pub fn detailed(self) -> Option<Self> {
+        match self {
+            Self::Dif { indicator, sigma, iso, .. } => {
+                Some(Self::Dif { indicator, sigma, iso, detail: Detail::Recovered })
+            }
+            Self::Rival(_) => None,
+        }
     }
 
     /// What it is called in tables.
     pub fn name(&self) -> String {
-        match self {
-            Self::Dif { indicator, iso: Iso::Auto, .. } => indicator_name(*indicator).into(),
-            Self::Dif { indicator, iso: Iso::At(c), .. } => {
-                format!("{}, c {c}", indicator_name(*indicator))
+        match *self {
+            Self::Dif { indicator, iso, detail, .. } => {
+                let at = match iso {
+                    Iso::Auto => String::new(),
+                    Iso::At(c) => format!(", c {c}"),
+                };
+                let detail = if detail == Detail::Recovered { ", details" } else { "" };
+                format!("{}{at}{detail}", indicator_name(indicator))
             }
+            Self::Rival(Rival::Mueller { iso }) => format!("Mueller, iso {iso}"),
+            Self::Rival(Rival::ZhuBridson) => "Zhu-Bridson".into(),
+            Self::Rival(Rival::YuTurk { iso }) => format!("Yu-Turk, iso {iso}"),
         }
     }
 
     /// What it is called in file names.
     pub fn slug(&self) -> String {
-        self.name().replace(", ", "-").replace(' ', "")
+        self.name().to_lowercase().replace(", ", "-").replace(' ', "-")
     }
 
     /// The surface of particles `spacing` apart.
@@ -76,10 +105,13 @@ impl Method {
         laps: &mut Laps,
     ) -> Result<Stitched, FrameError> {
         match *self {
-            Self::Dif { indicator, sigma, iso } => {
+            Self::Dif { indicator, sigma, iso, detail } => {
                 let frame = Frame::sample(particles, &sampling(grid, spacing, indicator), laps)?;
-                let surfacing = Surfacing { normals, ..surfacing(sigma, iso.value()) };
+                let surfacing = Surfacing { detail, normals, ..surfacing(sigma, iso.value()) };
                 Ok(frame.surface(&surfacing, laps)?.mesh)
+            }
+            Self::Rival(rival) => {
+                rival_surface(particles, &sampling(grid, spacing, COUNTING), rival, normals, laps)
             }
         }
     }

@@ -32,7 +32,7 @@ impl Camera {
         Self { centre: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
     }
 
-    /// Where a point is on a picture one wide with its middle at 0, y down, and how far away.
+    /// Where a point is on a picture one high with its middle at 0, y down, and how far away.
     fn project(&self, point: DVec3) -> (DVec2, f64) {
         let back = TOWARDS.normalize();
         let right = DVec3::Y.cross(back).normalize();
@@ -61,7 +61,7 @@ impl Picture {
             .positions
             .iter()
             .map(|&point| camera.project(point.into()))
-            .map(|(at, depth)| (at * fine.width as f64 + half, depth))
+            .map(|(at, depth)| (at * fine.height as f64 + half, depth))
             .collect();
         let shades: Vec<Vec3> = normals(mesh)
             .into_iter()
@@ -171,7 +171,7 @@ mod tests {
         let camera = Camera { centre: DVec3::ZERO, radius: 2.0 };
         let picture = Picture::of(&ball, None, &camera, [200, 200]);
         let covered = picture.pixels.iter().filter(|&&pixel| pixel != BACKGROUND).count() as f64;
-        // From so far, the ball's radius on a picture one wide is a quarter.
+        // From so far, the ball's radius on a picture one high is a quarter.
         let expected = std::f64::consts::PI * 50.0 * 50.0;
         assert!((covered / expected - 1.0).abs() < 0.05, "{covered} pixels, not {expected}");
         let front = picture.pixels[100 * 200 + 100];

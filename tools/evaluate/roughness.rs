@@ -30,7 +30,8 @@ pub fn run(options: &Options) -> Outcome<()> {
     let mut drops = Table::new(&["cell / spacing", "method", "1 particle", "2 particles", "8 particles"]);
     let ball = Solid::new("ball", sphere(1.0, 5), options.choose(30_000, 5_000))?;
     for &cell in options.choose(&CELLS[..], &CELLS[1..2]) {
-        for method in Method::ALL {
+        let detailed = Method::ALL.iter().filter_map(|method| method.detailed());
+        for method in &Method::ALL.iter().copied().chain(detailed).collect::<Vec<_>>() {
             let about = || [cell.to_string(), method.name()].into_iter();
             let of_pool = pool(method, cell)?;
             let of_ball = around(method, &ball, cell)?;
