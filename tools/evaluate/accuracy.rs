@@ -76,7 +76,7 @@ pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     (0..options.choose(8, 1)).map(at).collect()
 }
 
-fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
+pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     let axes = [(DVec3::new(1.0, 2.0, 3.0), 0.4), (DVec3::X, 0.785), (DVec3::new(3.0, -1.0, 2.0), 1.1)];
     let turned = axes.map(|(axis, angle)| DQuat::from_axis_angle(axis.normalize(), angle));
     let straight = places(options, cell, jitter);
@@ -84,7 +84,12 @@ fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
 }
 
 /// None where a method finds no surface: a narrow filter at a high isovalue sees single particles only.
-fn errors(solid: &Solid, method: &Method, cell: f64, lattices: &[Lattice]) -> Outcome<Option<Vec<Errors>>> {
+pub fn errors(
+    solid: &Solid,
+    method: &Method,
+    cell: f64,
+    lattices: &[Lattice],
+) -> Outcome<Option<Vec<Errors>>> {
     let of = |lattice: &Lattice| {
         let particles = fill(solid, lattice);
         let surface = method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Laps::default());
@@ -144,9 +149,11 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
+type Figure = fn(&Errors) -> f64;
+
 /// Which method is nearest, of all solids, places and turns.
 fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Errors>>>>]) {
-    let figures: [(&str, fn(&Errors) -> f64); 2] =
+    let figures: [(&str, Figure); 2] =
         [("mean distance", |e| e.mean), ("Hausdorff distance", |e| e.hausdorff)];
     for (what, of) in figures {
         let names: Vec<String> = methods.iter().map(Method::name).collect();

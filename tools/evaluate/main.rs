@@ -4,6 +4,7 @@
 //! `cargo run --release --example evaluate -- [TOPIC] [--out DIR] [--quick] [MESH...]`
 
 mod accuracy;
+mod defaults;
 mod isovalue;
 #[path = "../../tests/common/shapes.rs"]
 mod meshes;
@@ -66,7 +67,9 @@ enum Topic {
     Pictures,
     /// Rules for the isovalue, by how a lattice falls on the grid.
     Isovalue,
-    /// All but the last.
+    /// Cell, sigma and indicator: error against cost.
+    Defaults,
+    /// All of these.
     All,
 }
 
@@ -77,28 +80,37 @@ impl Options {
     }
 
     fn particles(&self) -> usize {
-        self.particles.unwrap_or(self.choose(100_000, 3_000))
+        self.particles.unwrap_or(self.choose(50_000, 3_000))
     }
 }
 
 fn main() -> ExitCode {
     let options = Options::parse();
-    let topics: [(Topic, fn(&Options) -> Outcome<()>); 7] = [
-        (Topic::Accuracy, accuracy::run),
-        (Topic::Roughness, roughness::run),
-        (Topic::Speed, speed::run),
-        (Topic::Resolution, resolution::run),
-        (Topic::Parameters, pictures::parameters),
-        (Topic::Pictures, pictures::run),
-        (Topic::Isovalue, isovalue::run),
-    ];
-    for (topic, run) in topics {
-        if options.topic == topic || options.topic == Topic::All {
-            if let Err(fault) = run(&options) {
-                eprintln!("evaluate: {fault}");
-                return ExitCode::FAILURE;
-            }
+    let run: &[fn(&Options) -> Outcome<()>] = match options.topic {
+        Topic::Accuracy => &[accuracy::run],
+        Topic::Roughness => &[roughness::run],
+        Topic::Speed => &[speed::run],
+        Topic::Resolution => &[resolution::run],
+        Topic::Parameters => &[pictures::parameters],
+        Topic::Pictures => &[pictures::run],
+        Topic::Isovalue => &[isovalue::run],
+        Topic::Defaults => &[defaults::run],
+        Topic::All => &[
+            accuracy::run,
+            roughness::run,
+            speed::run,
+            resolution::run,
+            pictures::parameters,
+            pictures::run,
+            isovalue::run,
+            defaults::run,
+        ],
+    };
+    match run.iter().try_for_each(|run| run(&options)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(fault) => {
+            eprintln!("evaluate: {fault}");
+            ExitCode::FAILURE
         }
     }
-    ExitCode::SUCCESS
 }

@@ -123,9 +123,8 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
     drop(vulkan.device().take_timings());
     let (whole, triangles) = run()?;
     let timings = vulkan.device().take_timings();
-    let seconds = |parts: &[&str]| {
-        timings.iter().filter(|t| parts.contains(&&*t.stage)).map(|t| t.seconds).sum::<f64>()
-    };
+    let seconds =
+        |parts: &[&str]| timings.iter().filter(|t| parts.contains(&t.stage)).map(|t| t.seconds).sum::<f64>();
     Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))
 }
 

@@ -56,9 +56,9 @@ pub fn run(options: &Options) -> Outcome<()> {
 }
 
 /// Signed distances of vertices from where they ought to be.
-struct Deviation {
-    bias: f64,
-    rms: f64,
+pub struct Deviation {
+    pub bias: f64,
+    pub rms: f64,
 }
 
 impl Deviation {
@@ -88,7 +88,7 @@ fn shifted(particles: Vec<[f64; 3]>, cell: f64, number: usize) -> Vec<[f64; 3]> 
 }
 
 /// The surface of a pool whose layers are level, at several heights of the pool in a cell.
-fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
+pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
     let mut deviations = Vec::new();
     for number in 0..4 {
         let mut random = Random::new(number as u64);

@@ -63,7 +63,7 @@ impl Solid {
 /// The sphere, the torus, and the meshes of files.
 pub fn solids(options: &Options) -> Outcome<Vec<Solid>> {
     let particles = options.particles();
-    let (depth, across) = options.choose((6, 128), (4, 32));
+    let (depth, across) = options.choose((5, 64), (4, 32));
     let mut solids = vec![
         Solid::new("sphere", sphere(1.0, depth), particles)?,
         Solid::new("torus", torus(2 * across, across), particles)?,

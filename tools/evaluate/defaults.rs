@@ -1,0 +1,84 @@
+//! What cells, sigma and indicator give for what they cost.
+
+use std::time::Instant;
+
+use meniscus::frame::Normals;
+use meniscus::laps::Laps;
+
+use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
+use crate::methods::{Iso, Method, grid};
+use crate::roughness::pool;
+use crate::scene::splash;
+use crate::shapes::solids;
+use crate::tables::{Table, figure, mean, signed, worst};
+use crate::{Options, Outcome};
+
+const SIGMAS: [f64; 3] = [0.8, 1.0, 1.2];
+/// The least of so many runs is what a frame costs.
+const RUNS: usize = 3;
+
+pub fn run(options: &Options) -> Outcome<()> {
+    let solids = solids(options)?;
+    let frame = splash(options.choose(1_000_000, 20_000), 1);
+    let mut table = Table::new(&[
+        "cell / spacing",
+        "indicator",
+        "sigma",
+        "mean, regular",
+        "mean, jittered",
+        "bias",
+        "worst bias",
+        "Hausdorff",
+        "pool: RMS",
+        "M triangles",
+        "seconds",
+    ]);
+    for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
+        for of in [Method::symmetry as fn(f64, Iso) -> Method, Method::counting] {
+            for sigma in SIGMAS {
+                let method = of(sigma, Iso::Auto);
+                let mut found: [Vec<Errors>; 2] = Default::default();
+                for solid in &solids {
+                    for (found, (_, jitter)) in found.iter_mut().zip(SAMPLINGS) {
+                        let lattices = [places(options, cell, jitter), turns(options, cell, jitter)].concat();
+                        found.extend(errors(solid, &method, cell, &lattices)?.unwrap_or_default());
+                    }
+                }
+                let [regular, jittered] = found.each_ref().map(|found| mean(found.iter().map(|e| e.mean)));
+                let all = || found.iter().flatten();
+                let (seconds, triangles) = cost(&method, &frame, cell)?;
+                table.row([
+                    cell.to_string(),
+                    method.name(),
+                    sigma.to_string(),
+                    figure(regular),
+                    figure(jittered),
+                    signed(mean(all().map(|e| e.bias))),
+                    signed(worst(all().map(|e| e.bias))),
+                    figure(mean(all().map(|e| e.hausdorff))),
+                    figure(pool(&method, cell)?.rms),
+                    format!("{:.2}", triangles as f64 / 1e6),
+                    figure(seconds),
+                ]);
+            }
+        }
+    }
+    table.print(&format!(
+        "c at half of the plateau: distances in spacings over all bodies, places and turns; seconds and triangles of a \
+         splash of {} particles, {} threads",
+        frame.len(),
+        rayon::current_num_threads()
+    ));
+    Ok(())
+}
+
+fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)> {
+    let mut least = (f64::INFINITY, 0);
+    for _ in 0..RUNS {
+        let start = Instant::now();
+        let surface = method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Laps::default())?;
+        let triangles = surface.to_mesh()?.triangles.len();
+        least = (start.elapsed().as_secs_f64().min(least.0), triangles);
+    }
+    Ok(least)
+}
