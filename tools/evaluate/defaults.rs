@@ -13,6 +13,9 @@ use crate::shapes::solids;
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
 
+type Dif = fn(f64, Iso) -> Method;
+
+const DIFS: [(&str, Dif); 2] = [("symmetry", Method::symmetry), ("counting", Method::counting)];
 const SIGMAS: [f64; 3] = [0.8, 1.0, 1.2];
 /// The least of so many runs is what a frame costs.
 const RUNS: usize = 3;
@@ -34,7 +37,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         "seconds",
     ]);
     for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
-        for of in [Method::symmetry as fn(f64, Iso) -> Method, Method::counting] {
+        for (name, of) in DIFS {
             for sigma in SIGMAS {
                 let method = of(sigma, Iso::Auto);
                 let mut found: [Vec<Errors>; 2] = Default::default();
@@ -49,7 +52,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                 let (seconds, triangles) = cost(&method, &frame, cell)?;
                 table.row([
                     cell.to_string(),
-                    method.name(),
+                    name.to_owned(),
                     sigma.to_string(),
                     figure(regular),
                     figure(jittered),

@@ -76,13 +76,14 @@ impl Method {
     /// What it is called in tables.
     pub fn name(&self) -> String {
         match *self {
-            Self::Dif { indicator, iso, detail, .. } => {
+            Self::Dif { indicator, sigma, iso, detail } => {
+                let filter = if sigma == 1.0 { String::new() } else { format!(", sigma {sigma}") };
                 let at = match iso {
                     Iso::Auto => String::new(),
                     Iso::At(c) => format!(", c {c}"),
                 };
                 let detail = if detail == Detail::Recovered { ", details" } else { "" };
-                format!("{}{at}{detail}", indicator_name(indicator))
+                format!("{}{filter}{at}{detail}", indicator_name(indicator))
             }
             Self::Rival(Rival::Mueller { iso }) => format!("Mueller, iso {iso}"),
             Self::Rival(Rival::ZhuBridson) => "Zhu-Bridson".into(),

@@ -7,7 +7,7 @@ use meniscus::mesh::Mesh;
 use meniscus::mesh::measure::measure;
 
 use crate::meshes::sphere;
-use crate::methods::{Method, grid};
+use crate::methods::{Iso, Method, grid};
 use crate::sample::{Lattice, cuboid, fill, place};
 use crate::scene::Random;
 use crate::shapes::Solid;
@@ -19,19 +19,32 @@ const JITTER: f64 = 0.3;
 /// Edge of pools and sheets, in spacings; what is within `MARGIN` of their ends is not looked at.
 const WIDTH: i32 = 48;
 const MARGIN: f64 = 12.0;
+/// What lies deeper, in spacings, is no part of the surface.
+const NEAR: f64 = 2.0;
 /// Drops of each kind along either axis of the pool, and the steps between them.
 const DROPS: i32 = 7;
 const STEP: i32 = 10;
 
 pub fn run(options: &Options) -> Outcome<()> {
-    let mut surfaces =
-        Table::new(&["cell / spacing", "method", "pool: bias", "pool: RMS", "ball: bias", "ball: RMS"]);
+    let mut surfaces = Table::new(&[
+        "cell / spacing",
+        "method",
+        "pool: bias",
+        "pool: RMS",
+        "pool: within",
+        "ball: bias",
+        "ball: RMS",
+        "ball: within",
+    ]);
     let mut sheets = Table::new(&["cell / spacing", "method", "1 layer", "2 layers", "3 layers"]);
     let mut drops = Table::new(&["cell / spacing", "method", "1 particle", "2 particles", "8 particles"]);
     let ball = Solid::new("ball", sphere(1.0, 5), options.choose(30_000, 5_000))?;
     for &cell in options.choose(&CELLS[..], &CELLS[1..2]) {
+        let narrower = [Method::symmetry(0.8, Iso::Auto), Method::counting(0.8, Iso::Auto)];
+        let lower = [Method::symmetry(1.0, Iso::At(0.1)), Method::counting(1.0, Iso::At(0.1))];
         let detailed = Method::ALL.iter().filter_map(|method| method.detailed());
-        for method in &Method::ALL.iter().copied().chain(detailed).collect::<Vec<_>>() {
+        let methods = Method::ALL.iter().copied().chain(narrower).chain(lower).chain(detailed);
+        for method in &methods.collect::<Vec<_>>() {
             let about = || [cell.to_string(), method.name()].into_iter();
             let of_pool = pool(method, cell)?;
             let of_ball = around(method, &ball, cell)?;
@@ -46,30 +59,38 @@ pub fn run(options: &Options) -> Outcome<()> {
     }
     surfaces.print(
         "deviation from the true surface, in spacings, of a level pool and a ball, jittered by 0.3: \
-         its mean, and its RMS about the mean",
+         its mean, and its RMS about the mean; bubbles, crumbs and handles (of four pools, and the ball)",
     );
     sheets.print(
         "sheets of jittered particles above a pool: pieces, holes in them, mean thickness in spacings",
     );
-    drops.print(&format!("drops kept of {} above a pool", DROPS * DROPS));
+    drops.print(&format!(
+        "components above a pool of {} drops: fewer are lost, more are in pieces",
+        DROPS * DROPS
+    ));
     Ok(())
 }
 
-/// Signed distances of vertices from where they ought to be.
+/// How a surface lies about where it ought to be.
 pub struct Deviation {
     pub bias: f64,
     pub rms: f64,
+    /// Bubbles, crumbs and tunnels: components beyond the first, and handles.
+    within: i64,
 }
 
 impl Deviation {
-    fn of(distances: &[f64]) -> Self {
-        let bias = mean(distances.iter().copied());
-        let rms = mean(distances.iter().map(|distance| (distance - bias).powi(2))).sqrt();
-        Self { bias, rms }
+    /// From the signed distances of vertices. Those that lie deep are of bubbles, and tell nothing of roughness.
+    fn of(mesh: &Mesh, distances: impl Iterator<Item = f64>) -> Self {
+        let near: Vec<f64> = distances.filter(|&distance| distance > -NEAR).collect();
+        let bias = mean(near.iter().copied());
+        let rms = mean(near.iter().map(|distance| (distance - bias).powi(2))).sqrt();
+        let measures = measure(mesh);
+        Self { bias, rms, within: measures.components as i64 - 1 + measures.genus.unwrap_or(0) }
     }
 
-    fn text(self) -> [String; 2] {
-        [signed(self.bias), figure(self.rms)]
+    fn text(self) -> [String; 3] {
+        [signed(self.bias), figure(self.rms), self.within.to_string()]
     }
 }
 
@@ -89,18 +110,19 @@ fn shifted(particles: Vec<[f64; 3]>, cell: f64, number: usize) -> Vec<[f64; 3]> 
 
 /// The surface of a pool whose layers are level, at several heights of the pool in a cell.
 pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
-    let mut deviations = Vec::new();
-    for number in 0..4 {
+    let at_height = |number: usize| -> Outcome<Deviation> {
         let mut random = Random::new(number as u64);
-        let box_ = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), JITTER, &mut random);
-        let mesh = mesh(method, &shifted(box_, cell, number), cell)?;
+        let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), JITTER, &mut random);
+        let mesh = mesh(method, &shifted(pool, cell, number), cell)?;
         let top = cell * place(number).y;
-        let on_top = mesh.positions.iter().filter(|p| is_central(p) && p[1] > top - 6.0);
-        deviations.push(Deviation::of(&on_top.map(|p| p[1] - top).collect::<Vec<_>>()));
-    }
+        let central = mesh.positions.iter().filter(|p| is_central(p));
+        Ok(Deviation::of(&mesh, central.map(|p| p[1] - top)))
+    };
+    let all = (0..4).map(at_height).collect::<Outcome<Vec<_>>>()?;
     Ok(Deviation {
-        bias: mean(deviations.iter().map(|d| d.bias)),
-        rms: mean(deviations.iter().map(|d| d.rms)),
+        bias: mean(all.iter().map(|d| d.bias)),
+        rms: mean(all.iter().map(|d| d.rms)),
+        within: all.iter().map(|d| d.within).sum(),
     })
 }
 
@@ -112,9 +134,7 @@ fn is_central(p: &[f64; 3]) -> bool {
 fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
     let lattice = Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: 0.0, seed: 1 };
     let mesh = mesh(method, &fill(ball, &lattice), cell)?;
-    let outside = mesh.positions.iter().map(|&p| -ball.depth(p.into()));
-    // What is deep inside is a bubble, and no roughness.
-    Ok(Deviation::of(&outside.filter(|distance| distance.abs() < 4.0).collect::<Vec<_>>()))
+    Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }
 
 /// The pieces, holes and thickness of a sheet above a pool, which is there for its plateau.
