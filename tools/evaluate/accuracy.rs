@@ -179,3 +179,30 @@ fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Erro
             .print(&format!("{what} in spacings, mean over all bodies, places and turns, the least in bold"));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::meshes::sphere;
+
+    #[test]
+    fn a_ball_that_is_too_large_lies_outside_by_so_much_and_holds_so_much_more() {
+        let ball = Solid::new("ball", sphere(1.0, 5), 10_000).unwrap();
+        let radius = ball.depth(ball.centre);
+        let mut larger = ball.mesh.clone();
+        for position in &mut larger.positions {
+            let off = DVec3::from(*position) - ball.centre;
+            *position = (ball.centre + off * (1.0 + 0.25 / radius)).into();
+        }
+        let errors = Errors::of(&ball, &larger).unwrap();
+        for (found, expected) in [
+            (errors.hausdorff, 0.25),
+            (errors.mean, 0.25),
+            (errors.rms, 0.25),
+            (errors.bias, 0.25),
+            (errors.volume, (1.0 + 0.25 / radius).powi(3) - 1.0),
+        ] {
+            assert!((found / expected - 1.0).abs() < 0.01, "{found} instead of {expected}");
+        }
+    }
+}

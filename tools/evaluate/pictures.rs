@@ -81,9 +81,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     fs::create_dir_all(&options.out)?;
     let scene = Scene::new(options)?;
     println!("pictures in {}:\n", options.out.display());
-    for method in Method::ALL {
+    for method in Method::ALL.iter().copied().chain(Method::SYMMETRY.detailed()) {
         let file = options.out.join(format!("frame-{}.png", method.slug()));
-        scene.picture(method, SIZE)?.write(&file)?;
+        scene.picture(&method, SIZE)?.write(&file)?;
         println!("- {}: {}", file.display(), method.name());
     }
     for solid in &solids(options)? {
