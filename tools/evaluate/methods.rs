@@ -63,14 +63,14 @@ impl Method {
         Self::Dif { indicator: COUNTING, sigma, iso, detail: Detail::Smoothed }
     }
 
-    /// The same with details recovered, where there is such a thing.
-    pub fn detailed(self) -> Option<Self> {
-        match self {
-            Self::Dif { indicator, sigma, iso, .. } => {
-                Some(Self::Dif { indicator, sigma, iso, detail: Detail::Recovered })
-            }
-            Self::Rival(_) => None,
-        }
+    /// Ours by default, with what smoothing loses treated otherwise.
+    pub fn detailed(detail: Detail) -> [Self; 2] {
+        [Indicator::Symmetry, COUNTING].map(|indicator| Self::Dif {
+            indicator,
+            sigma: 1.0,
+            iso: Iso::Auto,
+            detail,
+        })
     }
 
     /// What it is called in tables.
@@ -82,7 +82,11 @@ impl Method {
                     Iso::Auto => String::new(),
                     Iso::At(c) => format!(", c {c}"),
                 };
-                let detail = if detail == Detail::Recovered { ", details" } else { "" };
+                let detail = match detail {
+                    Detail::Smoothed => "",
+                    Detail::Recovered => ", details recovered",
+                    Detail::Spared => ", details spared",
+                };
                 format!("{}{filter}{at}{detail}", indicator_name(indicator))
             }
             Self::Rival(Rival::Mueller { iso }) => format!("Mueller, iso {iso}"),
@@ -112,7 +116,8 @@ impl Method {
                 Ok(frame.surface(&surfacing, laps)?.mesh)
             }
             Self::Rival(rival) => {
-                rival_surface(particles, &sampling(grid, spacing, COUNTING), rival, normals, laps)
+                let sampling = sampling(grid, spacing, COUNTING);
+                Ok(rival_surface(particles, &sampling, rival, normals, laps)?.mesh)
             }
         }
     }

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
-use meniscus::frame::Normals;
+use meniscus::frame::{Detail, Normals};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
@@ -81,7 +81,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     fs::create_dir_all(&options.out)?;
     let scene = Scene::new(options)?;
     println!("pictures in {}:\n", options.out.display());
-    for method in Method::ALL.iter().copied().chain(Method::SYMMETRY.detailed()) {
+    for method in Method::ALL.iter().copied().chain(Method::detailed(Detail::Spared)) {
         let file = options.out.join(format!("frame-{}.png", method.slug()));
         scene.picture(&method, SIZE)?.write(&file)?;
         println!("- {}: {}", file.display(), method.name());

@@ -132,7 +132,12 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
 fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let mut table = Table::new(&["surface", "seconds", "components", "volume", "triangles"]);
     let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);
-    for (name, detail) in [("smoothed", Detail::Smoothed), ("details recovered", Detail::Recovered)] {
+    let kinds = [
+        ("smoothed", Detail::Smoothed),
+        ("details recovered", Detail::Recovered),
+        ("details spared", Detail::Spared),
+    ];
+    for (name, detail) in kinds {
         let surfacing = Surfacing { detail, ..surfacing(1.2, Iso::At(0.2).value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();

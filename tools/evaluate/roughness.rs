@@ -1,7 +1,7 @@
 //! How smooth surfaces of jittered particles are, and what of thin sheets and drops is left.
 
 use glam::{DQuat, DVec3, IVec3};
-use meniscus::frame::{FrameError, Normals};
+use meniscus::frame::{Detail, FrameError, Normals};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::mesh::measure::measure;
@@ -42,7 +42,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     for &cell in options.choose(&CELLS[..], &CELLS[1..2]) {
         let narrower = [Method::symmetry(0.8, Iso::Auto), Method::counting(0.8, Iso::Auto)];
         let lower = [Method::symmetry(1.0, Iso::At(0.1)), Method::counting(1.0, Iso::At(0.1))];
-        let detailed = Method::ALL.iter().filter_map(|method| method.detailed());
+        let detailed = [Detail::Recovered, Detail::Spared].into_iter().flat_map(Method::detailed);
         let methods = Method::ALL.iter().copied().chain(narrower).chain(lower).chain(detailed);
         for method in &methods.collect::<Vec<_>>() {
             let about = || [cell.to_string(), method.name()].into_iter();
