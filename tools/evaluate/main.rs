@@ -80,7 +80,7 @@ impl Options {
     }
 
     fn particles(&self) -> usize {
-        self.particles.unwrap_or(self.choose(50_000, 3_000))
+        self.particles.unwrap_or(self.choose(20_000, 3_000))
     }
 }
 

@@ -156,7 +156,8 @@ fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
 fn drops_kept(method: &Method, cell: f64, size: IVec3) -> Outcome<String> {
     let mut random = Random::new(2);
     let width = DROPS * STEP;
-    let mut particles = cuboid(IVec3::new(0, -12, 0), IVec3::new(width, 0, width), JITTER, &mut random);
+    let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(width, 0, width), JITTER, &mut random);
+    let mut particles = shifted(pool, cell, 1);
     for number in 0..DROPS * DROPS {
         let corner = IVec3::new(number % DROPS, 1, number / DROPS) * STEP;
         let drop = cuboid(corner, corner + size, JITTER, &mut random);
