@@ -128,17 +128,19 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
     Ok((STAGES.map(|(_, parts)| Some(seconds(parts))), whole, triangles))
 }
 
-/// With the paper's parameters: c = 0.2, sigma = 1.2, counting, 256 cells.
+/// With the paper's parameters, c = 0.2, sigma = 1.2, counting, 256 cells.
 fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
-    let mut table = Table::new(&["surface", "seconds", "components", "volume", "triangles"]);
+    let mut table = Table::new(&["c", "surface", "seconds", "components", "volume", "triangles"]);
     let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);
     let kinds = [
         ("smoothed", Detail::Smoothed),
         ("details recovered", Detail::Recovered),
         ("details spared", Detail::Spared),
     ];
-    for (name, detail) in kinds {
-        let surfacing = Surfacing { detail, ..surfacing(1.2, Iso::At(0.2).value()) };
+    let all =
+        [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)].into_iter().flat_map(|c| kinds.map(|kind| (c, kind)));
+    for ((c, iso), (name, detail)) in all {
+        let surfacing = Surfacing { detail, ..surfacing(1.2, iso.value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();
             let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
@@ -149,6 +151,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         let (seconds, mesh) = run()?;
         let measures = measure(&mesh);
         table.row([
+            c.into(),
             name.into(),
             format!("{seconds:.3}"),
             measures.components.to_string(),
@@ -157,7 +160,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         ]);
     }
     table.print(&format!(
-        "recovering details: counting, sigma 1.2, c 0.2, {} cells along the longest side, {} particles at spacing 1",
+        "recovering details: counting, sigma 1.2, {} cells along the longest side, {} particles at spacing 1",
         options.choose(256, 64),
         particles.len()
     ));
