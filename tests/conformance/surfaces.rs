@@ -160,7 +160,9 @@ fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_i
         let found = measure(&spared);
         assert_eq!((found.components, found.genus), (1 + 27 + 1, Some(0)), "{indicator:?}");
         assert!(measure(&plain).components < 3, "{indicator:?}: without, they are lost");
-        assert_ne!(measure(&recovered).components, 29, "{indicator:?}: section 6.2 loses or tears some");
+        if indicator == Indicator::Symmetry {
+            assert_ne!(measure(&recovered).components, 29, "section 6.2 loses some, or tears the sheet");
+        }
         let top = |mesh: &Mesh| -> Vec<[f64; 3]> {
             let near = |p: &&[f64; 3]| p[0].abs() < 10.0 && p[1].abs() < 10.0 && p[2].abs() < 3.0;
             mesh.positions.iter().filter(near).copied().collect()

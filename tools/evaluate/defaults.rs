@@ -67,7 +67,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "c at half of the plateau: distances in spacings over all bodies, places and turns; seconds and triangles of a \
+        "c by the plateau: distances in spacings over all bodies, places and turns; seconds and triangles of a \
          splash of {} particles, {} threads",
         frame.len(),
         rayon::current_num_threads()

@@ -30,13 +30,14 @@ enum Rule {
     Mean(f64),
     /// As many cells lie above it as the particles' volume fills.
     Volume,
-    /// Half of the median, on a grid that was moved to suit a lattice.
+    /// The default share of the median, on a grid that was moved to suit a lattice.
     Moved,
 }
 
-const RULES: [Rule; 8] = [
+const RULES: [Rule; 9] = [
     Rule::Median(0.4),
     Rule::Median(0.45),
+    Rule::Median(0.47),
     Rule::Median(0.5),
     Rule::Median(0.55),
     Rule::Median(0.6),
@@ -51,7 +52,7 @@ impl Rule {
             Self::Median(share) => format!("{share} median"),
             Self::Mean(share) => format!("{share} mean"),
             Self::Volume => "volume".into(),
-            Self::Moved => "0.5 median, grid moved".into(),
+            Self::Moved => "default, grid moved".into(),
         }
     }
 }

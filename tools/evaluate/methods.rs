@@ -25,7 +25,7 @@ pub enum Method {
 /// Where the surface is in the smoothed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Iso {
-    /// At half of its interior plateau.
+    /// At its share of the interior plateau.
     Auto,
     /// At a value.
     At(f64),
