@@ -6,7 +6,7 @@ use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
-pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them";
+pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf5, .npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them";
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -16,11 +16,38 @@ pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .npy, .npz, .ply, .txt, 
 /// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let reader = reader_for(path).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
-    let bytes = open_bytes_within(path, unpacking)?;
+    let (file, step) = file_and_step(path);
+    let reader = reader_for(file).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
+    let bytes = open_bytes_within(file, unpacking)?;
     match reader {
+        Reader::Steps(read) => read(bytes, step, unpacking).map_err(fail),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Pieces(open) => open(path, bytes, unpacking),
+    }
+}
+
+/// The file, and which of the frames in it, where it holds several: `sim.h5part#12`.
+#[must_use]
+pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
+    let cut = path.to_str().and_then(|text| {
+        let (file, step) = text.rsplit_once('#')?;
+        let holds_steps = matches!(reader_for(Path::new(file)), Some(Reader::Steps(_)));
+        Some((Path::new(file), step.parse().ok().filter(|_| holds_steps)?))
+    });
+    cut.map_or((path, None), |(file, step)| (file, Some(step)))
+}
+
+/// The numbers of the frames in a file, in order; none where it is one frame.
+///
+/// # Errors
+/// [`ReadError`] where the file may hold several and cannot be read.
+pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
+    match reader_for(path) {
+        #[cfg(feature = "hdf5")]
+        Some(Reader::Steps(_)) => {
+            super::h5::steps(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
+        }
+        _ => Ok(Vec::new()),
     }
 }
 
@@ -55,9 +82,18 @@ fn extension(path: &Path) -> Option<String> {
 
 enum Reader {
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
+    /// Frame by frame, or all of a file that is one.
+    Steps(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// The file may be one of several.
     Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
 }
+
+#[cfg(feature = "hdf5")]
+const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = super::h5::read_particles;
+#[cfg(not(feature = "hdf5"))]
+const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = |_, _, _| {
+    Err(ReadFault::Unsupported("HDF5 is read by a meniscus built with `--features hdf5`".to_owned()))
+};
 
 fn reader_for(path: &Path) -> Option<Reader> {
     Some(Reader::OneFile(match extension(path)?.as_str() {
@@ -65,6 +101,7 @@ fn reader_for(path: &Path) -> Option<Reader> {
         "bgeo" | "bhclassic" | "sc" => |bytes, _| bgeo::read_particles(bytes),
         "bi4" => return Some(Reader::Pieces(bi4::open_particles)),
         "csv" | "txt" => xyz::read_text,
+        "h5" | "h5part" | "hdf5" => return Some(Reader::Steps(HDF5)),
         "npy" => |bytes, _| npy::read_particles(bytes),
         "npz" => npz::read_particles,
         "ply" => ply::read_particles,

@@ -7,6 +7,8 @@ pub mod columns;
 pub mod cursor;
 pub mod encode;
 pub mod glb;
+#[cfg(feature = "hdf5")]
+pub mod h5;
 pub mod input;
 pub mod mnf;
 pub mod names;

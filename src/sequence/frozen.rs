@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{Frame, FrameError, Sampling, Surfacing};
 use crate::grid::{Domain, Grid};
+use crate::io::input::file_and_step;
 use crate::laps::Laps;
 use crate::lattice::sound_origin;
 use crate::particles::Particles;
@@ -26,12 +27,12 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// Of the file as it is now.
+    /// Of the file as it is now, with all frames that it may hold.
     ///
     /// # Errors
     /// Where the system has none.
     pub fn of(path: &Path) -> io::Result<Self> {
-        let metadata = path.metadata()?;
+        let metadata = file_and_step(path).0.metadata()?;
         let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
         Ok(Self { bytes: metadata.len(), modified: since.as_nanos() as u64 })
     }

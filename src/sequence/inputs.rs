@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
-use crate::io::input::is_known;
+use crate::io::input::{is_known, steps};
 
 use super::SequenceError;
 
@@ -36,6 +36,8 @@ pub enum Inputs {
         /// What tells them from others.
         family: Family,
     },
+    /// Those in one file.
+    Steps(PathBuf),
     /// What a shell would expand.
     Glob(String),
     /// As they are.
@@ -123,7 +125,9 @@ impl Inputs {
     pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SequenceError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
-            return Ok(None);
+            // A file that cannot be read is told of as a single frame.
+            let several = steps(path).is_ok_and(|steps| steps.len() > 1);
+            return Ok(several.then(|| Self::Steps(path.clone())));
         }
         if path.is_dir() {
             return Ok(Some(Self::Folder(path.clone())));
@@ -144,6 +148,7 @@ impl Inputs {
             }
             Self::Folder(folder) => folder.display().to_string(),
             Self::Part { folder, family } => folder.join(family.to_string()).display().to_string(),
+            Self::Steps(file) => file.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
         }
@@ -188,10 +193,10 @@ impl Inputs {
         Ok(families.into_iter().map(part).collect())
     }
 
-    /// The files of each sequence. A pattern says itself what belongs together.
+    /// The files of each sequence. A pattern, or a file of steps, says itself what belongs together.
     fn families(&self, frames: &[FrameFile]) -> BTreeMap<Family, Vec<PathBuf>> {
         let mut families: BTreeMap<Family, Vec<PathBuf>> = BTreeMap::new();
-        for frame in frames.iter().filter(|_| !matches!(self, Self::Pattern(_))) {
+        for frame in frames.iter().filter(|_| !matches!(self, Self::Pattern(_) | Self::Steps(_))) {
             families.entry(frame.family()).or_default().push(frame.path.clone());
         }
         families
@@ -223,6 +228,15 @@ impl Inputs {
                 let mut frames = Self::Folder(folder.clone()).found()?;
                 frames.retain(|frame| frame.family() == *family);
                 frames
+            }
+            Self::Steps(file) => {
+                let frame = |number: u64| FrameFile {
+                    number,
+                    digits: number.to_string(),
+                    path: PathBuf::from(format!("{}#{number}", file.display())),
+                };
+                let steps = steps(file).map_err(|e| SequenceError::Names(e.to_string()))?;
+                steps.into_iter().map(frame).collect()
             }
             Self::Glob(pattern) => {
                 let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));

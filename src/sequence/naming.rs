@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::io::input::file_and_step;
 use crate::io::output::MeshFormat;
 
 use super::SequenceError;
@@ -72,6 +73,9 @@ impl Naming {
 
 /// The name of a frame before its number.
 fn stem(frame: &FrameFile) -> String {
+    if let (file, Some(_)) = file_and_step(&frame.path) {
+        return format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy());
+    }
     let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
     let stem = match split_number(&name) {
         Some((stem, digits, _)) if digits == frame.digits => stem,

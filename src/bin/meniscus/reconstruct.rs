@@ -40,7 +40,7 @@ use crate::up::{Orientation, UpOptions};
 #[derive(Args)]
 pub struct Options {
     /// The particles: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not; or a .mnf that `pack` made. The
-    /// frames of a simulation: files, a folder, a glob, or a name with {} for the number.
+    /// frames of a simulation: files, a folder, a glob, a name with {} for the number, or a .h5part of several steps.
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// The mesh: .ply, .obj, .vtk, .vtp, .stl, .usdc or .glb. Of a simulation: a name with {} or {:04} for the number, or a folder.

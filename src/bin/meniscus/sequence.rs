@@ -53,6 +53,12 @@ struct Setup<'a> {
 /// Runs the command, for each sequence that is there.
 pub fn run(options: &Options, inputs: &Inputs, naming: &Naming) -> Result<Verdict, Error> {
     options.sequence.validate()?;
+    if matches!(inputs, Inputs::Steps(_)) && options.sequence.watch.is_some() {
+        return Err(Error::Request(format!(
+            "{}: --watch follows files, not the steps of one",
+            inputs.describe()
+        )));
+    }
     let sequences = inputs.sequences()?;
     if sequences.len() > 1 && (options.sequence.takes_one() || !told_apart(&sequences, naming)?) {
         // Says which there are.

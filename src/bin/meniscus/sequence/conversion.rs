@@ -9,7 +9,7 @@ use meniscus::error::Error;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::state::{Record, State, Store};
+use meniscus::sequence::state::{Record, Stamp, State, Store};
 
 use crate::Verdict;
 use crate::lanes::{Division, Gate};
@@ -178,6 +178,7 @@ impl<'a> Conversion<'a> {
     }
 }
 
+/// What is left to do is told by this.
 fn size(frame: &FrameFile) -> u64 {
-    frame.path.metadata().map_or(0, |m| m.len())
+    Stamp::of(&frame.path).map_or(0, |stamp| stamp.bytes)
 }

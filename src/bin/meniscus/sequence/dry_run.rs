@@ -12,7 +12,7 @@ use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
 use meniscus::plateau::recipe_at;
 use meniscus::sequence::inputs::{FrameFile, gaps};
-use meniscus::sequence::state::{State, Store};
+use meniscus::sequence::state::{Stamp, State, Store};
 
 use crate::Verdict;
 use crate::reconstruct::is_frame;
@@ -56,7 +56,7 @@ impl Setup<'_> {
         }
         let _ = write!(text, "\n{}", describe(&frozen));
         // The largest file tells what the budget has to hold, and about what each frame takes.
-        let size = |frame: &FrameFile| frame.path.metadata().map_or(0, |m| m.len());
+        let size = |frame: &FrameFile| Stamp::of(&frame.path).map_or(0, |stamp| stamp.bytes);
         let total: u64 = wanted.iter().map(|frame| size(frame)).sum();
         if let Some(largest) = wanted.iter().max_by_key(|frame| size(frame)).filter(|f| !is_frame(&f.path)) {
             let unpacking =
