@@ -162,6 +162,22 @@ fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
 }
 
 #[test]
+fn cells_smaller_than_the_spacing_are_counted_unless_asked_otherwise() {
+    let folder = folder_with_ball();
+    let symmetry = ["--indicator", "symmetry"];
+    for (cell, more, expected) in
+        [("1", &[][..], "symmetry"), ("0.6", &[][..], "counting"), ("0.6", &symmetry[..], "symmetry")]
+    {
+        let given =
+            ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl", "--cell", cell];
+        assert!(meniscus(folder.path(), &[&given[..], more].concat()).status.success());
+        let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        assert_eq!(record["indicator"], expected, "--cell {cell}");
+    }
+}
+
+#[test]
 fn an_existing_output_is_replaced_only_when_allowed() {
     let folder = folder_with_ball();
     let out = folder.path().join("out.ply");

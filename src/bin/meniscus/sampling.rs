@@ -37,7 +37,8 @@ pub struct SamplingOptions {
     /// A tank with walls; particles outside are not counted [default: unbounded].
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true)]
     domain: Option<[f64; 6]>,
-    /// How a cell's share of fluid is told from its particles [default: symmetry].
+    /// How a cell's share of fluid is told from its particles [default: symmetry; counting where cells are known to be
+    /// smaller than 0.9 spacings].
     #[arg(long, value_enum)]
     indicator: Option<IndicatorName>,
     /// Mean number of particles in a full cell, for counting [default: measured].
@@ -62,7 +63,8 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 
 /// What the options ask for, as far as it can be known without the particles.
 pub struct SamplingRequest {
-    pub indicator: Indicator,
+    /// As the cells want it where it is `None`.
+    indicator: Option<Indicator>,
     invalid: InvalidParticles,
     origin: DVec3,
     walls: Option<[DVec3; 2]>,
@@ -99,8 +101,9 @@ impl SamplingOptions {
     /// What was asked for, by the options' names.
     pub fn settings(&self) -> serde_json::Map<String, serde_json::Value> {
         let indicator = match self.indicator {
+            None => "auto",
+            Some(IndicatorName::Symmetry) => "symmetry",
             Some(IndicatorName::Counting) => "counting",
-            _ => "symmetry",
         };
         let settings = serde_json::json!({
             "spacing": self.spacing.or(self.radius.map(|radius| 2.0 * radius)),
@@ -130,12 +133,13 @@ impl SamplingOptions {
 
     /// Refuses what is wrong whatever the particles are.
     pub fn validate(&self) -> Result<SamplingRequest, Error> {
-        let indicator = match (self.indicator.unwrap_or(IndicatorName::Symmetry), self.mu0) {
-            (IndicatorName::Counting, mu0) => {
-                Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? }
+        let indicator = match (self.indicator, self.mu0) {
+            (Some(IndicatorName::Counting), mu0) => {
+                Some(Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? })
             }
-            (IndicatorName::Symmetry, None) => Indicator::Symmetry,
-            (IndicatorName::Symmetry, Some(_)) => {
+            (Some(IndicatorName::Symmetry), None) => Some(Indicator::Symmetry),
+            (None, None) => None,
+            (_, Some(_)) => {
                 return Err(Error::Request("--mu0 goes with --indicator counting".into()));
             }
         };
@@ -179,7 +183,17 @@ impl Cells {
     }
 }
 
+/// Cells smaller than so many spacings hold no particle too often for their symmetry to tell much: the interior fills
+/// with bubbles.
+const LEAST_FOR_SYMMETRY: f64 = 0.9;
+
 impl SamplingRequest {
+    /// The indicator that was asked for, else the one that suits cells of some size.
+    pub fn indicator(&self, cell: f64, spacing: Option<f64>) -> Indicator {
+        let fine = spacing.is_some_and(|spacing| cell < LEAST_FOR_SYMMETRY * spacing);
+        self.indicator.unwrap_or(if fine { Indicator::Counting { mean: None } } else { Indicator::Symmetry })
+    }
+
     /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices.
     pub fn sampling(
         &self,
@@ -213,7 +227,11 @@ impl SamplingRequest {
     ) -> Result<Sampling, Error> {
         cells.describe().iter().for_each(|text| notes.say(text));
         let grid = Grid::new(self.origin, cells.size)?;
-        self.sampling_on(grid, self.indicator, cells.spacing, carried, resources)
+        let indicator = self.indicator(cells.size, cells.spacing);
+        if self.indicator.is_none() && indicator != Indicator::Symmetry {
+            notes.say("indicator counting: the cells are smaller than the spacing");
+        }
+        self.sampling_on(grid, indicator, cells.spacing, carried, resources)
     }
 
     /// The same on a grid that is known.

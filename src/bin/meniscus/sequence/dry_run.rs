@@ -62,7 +62,7 @@ impl Setup<'_> {
             let unpacking =
                 Unpacking { in_memory: self.resources.budget.0 / 8, scratch: &self.resources.scratch };
             let file = open_particles(&largest.path, unpacking)?;
-            let indicator = frozen.indicator(self.request.indicator)?;
+            let indicator = frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?;
             let carried = self.options.carried(&largest.path, &file, self.format(largest)?)?;
             let sampling = self.request.sampling_on(
                 frozen.grid()?,

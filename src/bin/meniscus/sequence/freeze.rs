@@ -115,8 +115,10 @@ impl Setup<'_> {
         let file = open_particles(path, Unpacking { in_memory: budget, scratch: &self.resources.scratch })?;
         let cells = self.request.cells(path, &file)?;
         let (grid, indicator) = match lattice {
-            Some((frozen, _)) => (frozen.grid()?, frozen.indicator(self.request.indicator)?),
-            None => (self.request.grid(cells.size)?, self.request.indicator),
+            Some((frozen, _)) => {
+                (frozen.grid()?, frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?)
+            }
+            None => (self.request.grid(cells.size)?, self.request.indicator(cells.size, cells.spacing)),
         };
         let sampling =
             self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), self.resources.clone())?;

@@ -172,7 +172,7 @@ impl Conversion<'_> {
 
     fn sampling(&self, carried: Vec<usize>, resources: Resources) -> Result<Sampling, Error> {
         let frozen = &self.state.frozen;
-        let indicator = frozen.indicator(self.setup.request.indicator)?;
+        let indicator = frozen.indicator(self.setup.request.indicator(frozen.cell_size, frozen.spacing))?;
         self.setup.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
     }
 
