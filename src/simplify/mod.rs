@@ -108,10 +108,12 @@ pub fn simplify(
     let mut between = Lists::in_memory();
     // For each list its shifted chunk, and what is to be done with it.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
+    let mut left = VertexSet::none_of(surface.vertex_count());
     for chunks in aligned.chunks(batch) {
         let done: Vec<_> =
             chunks.par_iter().map(|(_, pieces)| passes.first(pieces)).collect::<io::Result<_>>()?;
         for ((home, fate), list) in done.into_iter().flatten() {
+            list.as_flattened().iter().for_each(|&vertex| left.insert(vertex));
             homes.push((home, fate, between.len()));
             between.push(list)?;
         }
@@ -130,7 +132,7 @@ pub fn simplify(
             .map(|(home, pieces)| {
                 let start = homes.partition_point(|(other, ..)| other < home);
                 let lists = homes[start..].iter().take_while(|(other, ..)| other == home);
-                passes.second(pieces, &between, lists.map(|&(_, fate, list)| (fate, list)))
+                passes.second(pieces, &between, &left, lists.map(|&(_, fate, list)| (fate, list)))
             })
             .collect::<io::Result<_>>()?;
         for list in done {
@@ -227,6 +229,7 @@ impl Passes<'_> {
             positions: &chunk.positions,
             reference: &inside,
             triangles: &inside,
+            is_free: &|_| false,
             pinned: &chunk.pins(),
             outside: Outside::DualCells,
         };
@@ -254,6 +257,7 @@ impl Passes<'_> {
         &self,
         pieces: &[usize],
         between: &Lists<[u64; 3]>,
+        left_vertices: &VertexSet,
         lists: impl Iterator<Item = (Fate, usize)>,
     ) -> io::Result<Triangles> {
         let mut result = Triangles::new();
@@ -275,10 +279,18 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |_, triangle| reference.extend(chunk.local(triangle)))?;
         }
+        let mut is_free = vec![false; chunk.positions.len()];
+        reference.as_flattened().iter().for_each(|&vertex| is_free[vertex as usize] = true);
+        for &[first, base, count] in &chunk.ranges {
+            for rank in 0..count {
+                is_free[(base + rank) as usize] &= !left_vertices.contains(first + rank);
+            }
+        }
         let patch = Patch {
             positions: &chunk.positions,
             reference: &reference,
             triangles: &left,
+            is_free: &|vertex| is_free[vertex as usize],
             pinned: &[],
             outside: Outside::Simplified,
         };

@@ -4,20 +4,17 @@
 //! manifold. So what it returns is looked over: where it lies too far off it is mended, and where it does not hang
 //! together it is done again, with the offenders and their neighbours locked.
 
-use std::cell::OnceCell;
-
 use glam::Vec3;
 use meshopt::{SimplifyOptions, VertexDataAdapter, simplify_with_locks};
 
-use super::mend::{Mending, Ridges};
+use super::mend::{Mending, find_homes};
 use super::near::Near;
 use super::surface::Surface;
 use super::topology::{Outside, Topology};
 
-/// The quadric error asked of meshoptimizer, over the distance allowed: where the fewest triangles remain.
-const QUADRIC_SHARE: f32 = 0.75;
-/// How often a patch is tried before it is left as it is.
-const TRIES: usize = 4;
+/// The quadric error asked of meshoptimizer, over the distance allowed: where the fewest triangles remain. For each time
+/// that a patch is tried; the last asks for less, before the patch is left as it is.
+const QUADRIC_SHARES: [f32; 4] = [0.75, 0.75, 0.75, 0.3];
 
 /// A part of a surface. Its border, where other parts go on, stays as it is.
 #[derive(Clone, Copy)]
@@ -28,6 +25,8 @@ pub struct Patch<'a> {
     pub reference: &'a [[u32; 3]],
     /// What is to be simplified.
     pub triangles: &'a [[u32; 3]],
+    /// For each vertex whether it may be used again: it was of the surface, and no triangle has it now.
+    pub is_free: &'a dyn Fn(u32) -> bool,
     /// Vertices that stay, besides those of the border.
     pub pinned: &'a [u32],
     /// What goes on beyond its border.
@@ -45,37 +44,40 @@ impl<'a> Patch<'a> {
         if self.triangles.is_empty() {
             return None;
         }
-        let topology = Topology::of(self.positions, self.triangles, self.outside);
-        let surface =
-            |triangles: &[[u32; 3]]| Surface::new(self.positions, triangles.to_vec(), distance).ok();
+        let surface = |triangles: &[[u32; 3]]| Surface::new(self.positions, triangles.to_vec()).ok();
         let reference = surface(self.reference)?;
-        let lazy = OnceCell::new();
-        let before = || lazy.get_or_init(|| surface(self.triangles).expect("a patch is oriented"));
+        let own = if self.reference == self.triangles { None } else { Some(surface(self.triangles)?) };
+        let before = own.as_ref().unwrap_or(&reference);
+        let topology = Topology::of(before, self.outside);
         let (points, normals) = (Near::points(self.positions), reference.vertex_normals());
-        let ridges = Ridges::of(&reference, distance);
+        let mut homes_before: Vec<u32> =
+            (0..self.positions.len() as u32).map(|vertex| before.at(vertex)).collect();
+        if own.is_some() {
+            find_homes(&reference, before, &normals, distance, &mut homes_before);
+        }
         let mending = Mending {
             topology: &topology,
             reference: &reference,
-            before: &before,
+            before,
+            homes_before: &homes_before,
             points: &points,
             normals: &normals,
-            ridges: &ridges,
+            is_free: self.is_free,
             distance,
         };
-        let mut locked = topology.border().to_vec();
+        let mut locked = topology.border.clone();
         self.pinned.iter().for_each(|&vertex| locked[vertex as usize] = true);
-        for _ in 0..TRIES {
-            let mut collapsed = self.collapsed(&locked, QUADRIC_SHARE * distance);
+        for (rings, share) in (1..).zip(QUADRIC_SHARES) {
+            let mut collapsed = self.collapsed(&locked, share * distance);
             topology.restore_components(self.triangles, &mut collapsed);
-            let mended =
-                Surface::new(self.positions, collapsed, distance).and_then(|surface| mending.mend(surface));
+            let mended = Surface::new(self.positions, collapsed).and_then(|surface| mending.mend(surface));
             let offenders = match &mended {
-                Ok(triangles) => topology.offenders(triangles),
+                Ok(surface) => topology.offenders(before, surface),
                 Err(failed) => failed.clone(),
             };
             match mended {
-                Ok(triangles) if offenders.is_empty() => return Some(triangles),
-                _ => self.lock_rings(&offenders, &mut locked),
+                Ok(surface) if offenders.is_empty() => return Some(surface.triangles),
+                _ => self.lock_rings(&offenders, rings, &mut locked),
             }
         }
         None
@@ -90,15 +92,15 @@ impl<'a> Patch<'a> {
         bytemuck::cast_slice(&corners).to_vec()
     }
 
-    /// Locks `vertices` and those next to them.
-    fn lock_rings(&self, vertices: &[u32], locked: &mut [bool]) {
-        let mut offends = vec![false; self.positions.len()];
-        vertices.iter().for_each(|&vertex| offends[vertex as usize] = true);
-        for triangle in self.triangles {
-            if triangle.iter().any(|&vertex| offends[vertex as usize]) {
-                triangle.iter().for_each(|&vertex| locked[vertex as usize] = true);
-            }
+    /// Locks `vertices` and those around them, so many rings.
+    fn lock_rings(&self, vertices: &[u32], rings: usize, locked: &mut [bool]) {
+        let mut near = vec![false; self.positions.len()];
+        vertices.iter().for_each(|&vertex| near[vertex as usize] = true);
+        for _ in 0..rings {
+            let touched = self.triangles.iter().filter(|triangle| triangle.iter().any(|&v| near[v as usize]));
+            let ring: Vec<u32> = touched.flatten().copied().collect();
+            ring.into_iter().for_each(|vertex| near[vertex as usize] = true);
         }
-        vertices.iter().for_each(|&vertex| locked[vertex as usize] = true);
+        locked.iter_mut().zip(near).for_each(|(locked, near)| *locked |= near);
     }
 }

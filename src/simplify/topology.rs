@@ -8,9 +8,8 @@
 
 use glam::Vec3;
 
-use crate::mesh::stars::Stars;
-
 use super::drops::root;
+use super::surface::{Surface, edges};
 
 /// Two triangles fold back on each other when the cosine between their normals is below this: 170 degrees.
 const FOLD: f32 = -0.985;
@@ -39,76 +38,105 @@ impl Outside {
 }
 
 /// What a patch must keep.
-pub struct Topology<'a> {
-    positions: &'a [Vec3],
-    stars: Stars,
-    border: Vec<bool>,
+pub struct Topology {
+    /// The vertices on the border, which other patches use, too.
+    pub border: Vec<bool>,
     outside: Outside,
+    /// Around each vertex of the border the ends of its open fans, sorted.
+    fans: Vec<Fan>,
     /// For each closed component its vertices: they must not all vanish.
     drops: Drops,
     /// Vertices less half the triangles: with the border, the Euler characteristic.
     euler: i64,
 }
 
-/// The triangles around a vertex, as chains of the vertices across from it.
-#[derive(PartialEq, Eq, Debug)]
-struct Fans {
-    /// The ends of open fans, sorted.
-    open: Vec<[u32; 2]>,
-    closed: usize,
-}
+/// A vertex of the border, and the ends of a chain of triangles around it.
+type Fan = [u32; 3];
 
-impl<'a> Topology<'a> {
+impl Topology {
     /// Of a patch that is oriented, and manifold but for its border.
-    pub fn of(positions: &'a [Vec3], triangles: &[[u32; 3]], outside: Outside) -> Self {
-        let stars = Stars::new(positions.len(), triangles);
-        let border: Vec<bool> = (0..positions.len()).map(|v| is_open(stars.of(v))).collect();
-        let drops = Drops::of(&border, triangles);
-        let euler = euler(positions.len(), triangles);
-        Self { positions, stars, border, outside, drops, euler }
-    }
-
-    /// The vertices on the border, which other patches use, too.
-    pub fn border(&self) -> &[bool] {
-        &self.border
+    pub fn of(patch: &Surface, outside: Outside) -> Self {
+        let mut border = vec![false; patch.positions.len()];
+        let fans = open_fans(patch, |_| ());
+        fans.iter().for_each(|&[vertex, ..]| border[vertex as usize] = true);
+        let drops = Drops::of(&border, &patch.triangles);
+        let euler = euler(patch.positions.len(), &patch.triangles);
+        Self { border, outside, fans, drops, euler }
     }
 
     /// Whether there may be an edge between the two outside of the patch.
-    pub fn is_chord(&self, a: u32, b: u32) -> bool {
-        let [p, q] = [a, b].map(|vertex| self.positions[vertex as usize]);
+    pub fn is_chord(&self, patch: &Surface, a: u32, b: u32) -> bool {
+        let [p, q] = [a, b].map(|vertex| patch.positions[vertex as usize]);
         self.border[a as usize] && self.border[b as usize] && self.outside.may_join(p, q)
     }
 
-    /// Whether the patch had an edge between the two.
-    pub fn has_edge(&self, a: u32, b: u32) -> bool {
-        self.stars.of(a as usize).as_flattened().contains(&b)
+    /// Whether there is an edge between two vertices. Of those inside of the patch all triangles are known.
+    pub fn joined(&self, surface: &Surface, a: u32, b: u32) -> bool {
+        let [inner, other] = if self.border[a as usize] { [b, a] } else { [a, b] };
+        surface.joined(inner, other) || self.border[inner as usize] && surface.joined(other, inner)
     }
 
-    fn has_triangle(&self, [a, b, c]: [u32; 3]) -> bool {
-        self.stars.of(a as usize).contains(&[b, c])
-    }
-
-    /// The vertices at which `simplified` does not hang together as it should, sorted; none where it may take
-    /// the patch's place. Where the fault has no place, all vertices that are left.
-    pub fn offenders(&self, simplified: &[[u32; 3]]) -> Vec<u32> {
-        let stars = Stars::new(self.positions.len(), simplified);
-        let mut offenders = Vec::new();
-        for vertex in 0..self.positions.len() {
-            self.judge(vertex as u32, stars.of(vertex), &mut offenders);
+    /// The vertices at which `simplified` does not hang together as `before`, sorted; none where it may take its
+    /// place. Where the fault has no place, all vertices that are left.
+    pub fn offenders(&self, before: &Surface, simplified: &Surface) -> Vec<u32> {
+        let mut offenders = self.misfits(simplified);
+        for (number, &triangle) in simplified.triangles.iter().enumerate() {
+            for [from, to] in edges(triangle).into_iter().filter(|[from, to]| from < to) {
+                let Some((pair, apexes)) = simplified.at_edge(number as u32, from, to) else { continue };
+                let [m, n] = pair.map(|triangle| simplified.normal(triangle));
+                let is_fold = m.dot(n) < FOLD * m.length() * n.length();
+                let is_old =
+                    |triangle: u32| before.number_of(simplified.triangles[triangle as usize]).is_some();
+                if is_fold && !pair.into_iter().all(is_old)
+                    || self.is_chord(before, from, to) && !self.joined(before, from, to)
+                {
+                    offenders.extend([from, to]);
+                    offenders.extend(apexes);
+                }
+            }
         }
-        if offenders.is_empty() && euler(self.positions.len(), simplified) != self.euler {
-            offenders.extend_from_slice(simplified.as_flattened());
+        if offenders.is_empty() && euler(simplified.positions.len(), &simplified.triangles) != self.euler {
+            offenders.extend_from_slice(simplified.triangles.as_flattened());
         }
         offenders.sort_unstable();
         offenders.dedup();
         offenders
     }
 
+    /// Vertices, and those around them, whose triangles do not form fans as they should.
+    fn misfits(&self, simplified: &Surface) -> Vec<u32> {
+        let mut closed = vec![0; simplified.positions.len()];
+        simplified.triangles.as_flattened().iter().for_each(|&vertex| closed[vertex as usize] += 1);
+        let fans = open_fans(simplified, |vertex| closed[vertex as usize] -= 1);
+        let is_sound = |(vertex, &closed): (u32, &usize)| {
+            closed == 0
+                || !self.border[vertex as usize] && closed > 2 && simplified.star(vertex).count() == closed
+        };
+        let mut is_misfit: Vec<bool> = (0..).zip(&closed).map(|vertex| !is_sound(vertex)).collect();
+        let own = |fan: &&Fan| self.border[fan[0] as usize];
+        fans.iter().filter(|fan| !own(fan)).for_each(|fan| is_misfit[fan[0] as usize] = true);
+        // Fans of the border that are there before or after only.
+        for [some, others] in [[&self.fans, &fans], [&fans, &self.fans]] {
+            for fan in some.iter().filter(|fan| others.binary_search(fan).is_err()) {
+                is_misfit[fan[0] as usize] = true;
+            }
+        }
+        let misfits = (0..closed.len() as u32).filter(|&vertex| is_misfit[vertex as usize]);
+        let mut around: Vec<u32> = misfits.collect();
+        let corners = simplified.triangles.iter();
+        let touched = corners.filter(|corners| corners.iter().any(|&corner| is_misfit[corner as usize]));
+        around.extend(touched.flatten());
+        around
+    }
+
     /// Puts components of the patch, as they were in `triangles`, back to where nothing is left of them.
     pub fn restore_components(&self, triangles: &[[u32; 3]], simplified: &mut Vec<[u32; 3]>) {
-        let mut left = vec![false; self.positions.len()];
+        if self.drops.members.is_empty() {
+            return;
+        }
+        let mut left = vec![false; self.border.len()];
         simplified.as_flattened().iter().for_each(|&vertex| left[vertex as usize] = true);
-        let mut lost = vec![false; self.positions.len()];
+        let mut lost = vec![false; self.border.len()];
         for drop in self.drops.members.chunk_by(|a, b| a.0 == b.0) {
             if drop.iter().all(|&(_, vertex)| !left[vertex as usize]) {
                 drop.iter().for_each(|&(_, vertex)| lost[vertex as usize] = true);
@@ -116,86 +144,25 @@ impl<'a> Topology<'a> {
         }
         simplified.extend(triangles.iter().filter(|triangle| lost[triangle[0] as usize]));
     }
-
-    fn judge(&self, vertex: u32, star: &[[u32; 2]], offenders: &mut Vec<u32>) {
-        let is_border = self.border[vertex as usize];
-        if star.is_empty() && !is_border {
-            return;
-        }
-        let sound = match fans(star) {
-            None => false,
-            Some(fans) if is_border => Some(fans) == self::fans(self.stars.of(vertex as usize)),
-            Some(fans) => fans == Fans { open: Vec::new(), closed: 1 } && star.len() > 2,
-        };
-        if !sound {
-            offenders.push(vertex);
-            offenders.extend_from_slice(star.as_flattened());
-        }
-        for &[next, last] in star {
-            if self.is_chord(vertex, next) && !self.has_edge(vertex, next) {
-                offenders.extend([vertex, next]);
-            }
-            // Both triangles at an edge are seen from its ends; one is enough.
-            let across = star.iter().find(|other| other[0] == last);
-            if let Some(&[_, beyond]) = across
-                && vertex < last
-                && self.is_new_fold([vertex, next, last], [vertex, last, beyond])
-            {
-                offenders.extend([vertex, next, last, beyond]);
-            }
-        }
-    }
-
-    fn is_new_fold(&self, one: [u32; 3], other: [u32; 3]) -> bool {
-        let [m, n] = [one, other].map(|triangle| self.scaled_normal(triangle));
-        m.dot(n) < FOLD * m.length() * n.length() && !(self.has_triangle(one) && self.has_triangle(other))
-    }
-
-    fn scaled_normal(&self, triangle: [u32; 3]) -> Vec3 {
-        let [a, b, c] = triangle.map(|vertex| self.positions[vertex as usize]);
-        (b - a).cross(c - a)
-    }
 }
 
-/// Whether a spoke has a triangle on one side only.
-fn is_open(star: &[[u32; 2]]) -> bool {
-    star.iter().any(|&[next, _]| !star.iter().any(|&[_, last]| last == next))
-        || star.iter().any(|&[_, last]| !star.iter().any(|&[next, _]| next == last))
-}
-
-/// The fans that a star falls into; nothing where a spoke is run along twice the same way.
-fn fans(star: &[[u32; 2]]) -> Option<Fans> {
-    let follower = |of: u32| star.iter().position(|&[next, _]| next == of);
-    for (i, &[next, last]) in star.iter().enumerate() {
-        if star[..i].iter().any(|other| other[0] == next || other[1] == last) {
-            return None;
+/// All fans that are no closed circles, sorted; calls `visit` with the vertex of each for each of its triangles.
+fn open_fans(surface: &Surface, mut visit: impl FnMut(u32)) -> Vec<Fan> {
+    let mut fans = Vec::new();
+    for triangle in 0..surface.triangles.len() as u32 {
+        for [vertex, next] in surface.open_edges(triangle) {
+            let mut end = triangle;
+            let mut last = surface.before(end, vertex);
+            visit(vertex);
+            while let Some((pair, [_, beyond])) = surface.at_edge(end, last, vertex) {
+                visit(vertex);
+                (end, last) = (pair[1], beyond);
+            }
+            fans.push([vertex, next, last]);
         }
     }
-    let mut fans = Fans { open: Vec::new(), closed: 0 };
-    let mut seen = 0;
-    for &[next, last] in star.iter().filter(|[next, _]| !star.iter().any(|other| other[1] == *next)) {
-        let mut end = last;
-        seen += 1;
-        while let Some(further) = follower(end) {
-            end = star[further][1];
-            seen += 1;
-        }
-        fans.open.push([next, end]);
-    }
-    fans.open.sort_unstable();
-    if seen == star.len() {
-        return Some(fans);
-    }
-    // What is left are circles; on a sound patch there is one at the most, and no open fan beside it.
-    let start = star[0][0];
-    let mut at = star[0][1];
-    let mut around = 1;
-    while at != start && around <= star.len() {
-        at = star[follower(at)?][1];
-        around += 1;
-    }
-    fans.closed = if seen == 0 && around == star.len() { 1 } else { 2 };
-    Some(fans)
+    fans.sort_unstable();
+    fans
 }
 
 /// Used vertices, twice, less the triangles.
