@@ -163,6 +163,19 @@ fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
     }
 }
 
+#[test]
+fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
+    // Eight blocks meet at the origin. A block then names few vertices of each later one, some of which others name.
+    let places = [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0];
+    for (x, y, z) in places.iter().flat_map(|x| places.iter().flat_map(move |y| places.map(|z| (*x, *y, z))))
+    {
+        let drop = fill(4.0, 2.0, 0.0, 1, |p| p.length() < 1.0);
+        let drop: Vec<_> = drop.iter().map(|&p| (DVec3::from(p) + DVec3::new(x, y, z)).to_array()).collect();
+        let (mesh, dropped) = simplified(&drop, &sampling(), &without(1e3));
+        assert_eq!((mesh.triangles.len(), dropped), (0, 1), "drop at {x}, {y}, {z}");
+    }
+}
+
 fn f32_of(value: f64) -> f32 {
     value as f32
 }
