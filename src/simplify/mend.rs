@@ -13,14 +13,14 @@ use super::surface::{NONE, Surface, edges};
 use super::topology::Topology;
 
 /// Of the distance, what a sample may take: the rest is for what lies between samples.
-const SAMPLE_SHARE: f32 = 0.95;
+const SAMPLE_SHARE: f32 = 0.93;
 /// Samples along an edge are this far apart at the most, in cells. Around one that takes more than its share of doubt
 /// there are more, so many either way.
 const SAMPLE_STEP: f32 = 0.5;
 const DOUBT_SHARE: f32 = 0.4;
 const FINE: i32 = 4;
-/// An edge of the reference is a ridge where the cosine between the normals beside it is less; a crest where it is
-/// still less. Steps between samples are in cells; on a crest they are not above the distance either.
+/// An edge of the reference is a ridge where the cosine between the normals beside it, or of its ends' homes, is less; a
+/// crest where it is still less. Steps between samples are in cells; on a crest they are not above the distance either.
 const RIDGE: f32 = 0.95;
 const CREST: f32 = 0.5;
 const RIDGE_STEP: f32 = 0.4;
@@ -259,8 +259,12 @@ impl<'a> Work<'a, '_> {
         }
         let Some((pair, _)) = self.by.reference.at_edge(triangle, ends[0], ends[1]) else { return };
         let [m, n] = pair.map(|triangle| self.by.reference.normal(triangle));
-        let cosine = m.dot(n) / (m.length() * n.length()).max(f32::MIN_POSITIVE);
-        if cosine >= RIDGE && self.by.distance <= WIDE || self.spans(ends) {
+        let cosine = cosine(m, n);
+        let homes = ends.map(|end| self.homes[end as usize]);
+        let is_flat = cosine >= RIDGE
+            && !homes.contains(&NONE)
+            && self::cosine(self.surface.normal(homes[0]), self.surface.normal(homes[1])) >= RIDGE;
+        if is_flat && self.by.distance <= WIDE || self.spans(ends) {
             return;
         }
         self.sampled.push((triangle, ends));
@@ -505,4 +509,8 @@ impl<'a> Work<'a, '_> {
         }
         true
     }
+}
+
+fn cosine(m: Vec3, n: Vec3) -> f32 {
+    m.dot(n) / (m.length() * n.length()).max(f32::MIN_POSITIVE)
 }

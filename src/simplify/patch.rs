@@ -14,7 +14,7 @@ use super::topology::{Outside, Topology};
 
 /// The quadric error asked of meshoptimizer, over the distance allowed: where the fewest triangles remain. For each time
 /// that a patch is tried; the last asks for less, before the patch is left as it is.
-const QUADRIC_SHARES: [f32; 4] = [0.75, 0.75, 0.75, 0.3];
+const QUADRIC_SHARES: [f32; 5] = [0.75, 0.75, 0.75, 0.75, 0.3];
 
 /// A part of a surface. Its border, where other parts go on, stays as it is.
 #[derive(Clone, Copy)]
