@@ -16,7 +16,7 @@ pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
 /// Bins that are sorted before any is put back.
-const SORTED_AT_ONCE: usize = 1024;
+const SORTED_AT_ONCE: usize = 256;
 
 /// A packed particle: where it is in its bin.
 pub(super) type Record = u64;

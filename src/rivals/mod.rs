@@ -33,8 +33,8 @@ use neighbours::{Neighbours, places};
 use yu_turk::YuTurk;
 use zhu_bridson::ZhuBridson;
 
-/// Bins whose kernels are worked out at once.
-const BATCH: usize = 1024;
+/// Particles whose kernels are worked out at once, or those of one bin.
+const BATCH: usize = 1 << 17;
 /// Cells beyond a block that its normals look at: one up to the dual cells' corners, and one more all round.
 const MARGIN: i32 = 2;
 
@@ -186,9 +186,15 @@ impl<S: Scheme> Kernels<S> {
     fn of(bins: &Bins, scheme: S, bytes: u64, folder: &Path) -> io::Result<Self> {
         let mut kernels = Lists::in_memory();
         let mut reached = Vec::new();
-        for batch in bins.keys().chunks(BATCH) {
-            let first = reached.len();
-            let done: Vec<_> = (first..first + batch.len())
+        let count = bins.keys().len();
+        while reached.len() < count {
+            let mut particles = 0;
+            let batch = (reached.len()..count).take_while(|&bin| {
+                particles += bins.count(bin);
+                particles <= BATCH
+            });
+            let batch = reached.len()..reached.len() + batch.count().max(1);
+            let done: Vec<_> = batch
                 .into_par_iter()
                 .map(|bin| bin_kernels(bins, bin, &scheme))
                 .collect::<io::Result<_>>()?;
