@@ -19,6 +19,9 @@ const SAMPLE_SHARE: f32 = 0.93;
 const SAMPLE_STEP: f32 = 0.5;
 const DOUBT_SHARE: f32 = 0.4;
 const FINE: i32 = 4;
+/// Samples in the midst of a triangle are this far apart at the most, in cells, and may take more of the distance.
+const MIDST_STEP: f32 = 1.0;
+const MIDST_SHARE: f32 = 0.97;
 /// An edge of the reference is a ridge where the cosine between the normals beside it, or of its ends' homes, is less; a
 /// crest where it is still less. Steps between samples are in cells; on a crest they are not above the distance either.
 const RIDGE: f32 = 0.95;
@@ -164,6 +167,41 @@ impl<'a> Mending<'a> {
             }
         }
         if failed.is_empty() { Ok(work.surface) } else { Err(failed) }
+    }
+
+    /// The corners of new triangles that have a sample in their midst too far from the reference. Within a narrow
+    /// distance their edges tell enough.
+    pub fn strays(&self, surface: &Surface) -> Vec<u32> {
+        let mut strays = Vec::new();
+        if self.distance <= WIDE {
+            return strays;
+        }
+        for (&corners, &normal) in surface.triangles.iter().zip(surface.normals()) {
+            if self.before.number_of(corners).is_none() && !self.holds_midst(corners, normal) {
+                strays.extend(corners);
+            }
+        }
+        strays
+    }
+
+    fn holds_midst(&self, corners: [u32; 3], normal: Vec3) -> bool {
+        let [a, b, c] = corners.map(|vertex| self.reference.positions[vertex as usize]);
+        let rows = (a.distance(b).max(b.distance(c)).max(c.distance(a)) / MIDST_STEP).ceil() as i32;
+        let mut first = self.reference.at(corners[0]);
+        // Rows of samples, from one corner on.
+        (1..rows).all(|row| {
+            let mut last = first;
+            (1..=row).all(|i| {
+                let (row, i) = (row as f32, i as f32 - 0.5);
+                let place = a + ((b - a) * (row - i) + (c - a) * i) / rows as f32;
+                let holder = self.reference.holder(last, place, normal, MIDST_SHARE * self.distance);
+                last = holder.unwrap_or(last);
+                if i < 1.0 {
+                    first = last;
+                }
+                holder.is_some()
+            })
+        })
     }
 
     /// The homes in `surface` that are vertices, or triangles as before.

@@ -72,7 +72,11 @@ impl<'a> Patch<'a> {
             topology.restore_components(self.triangles, &mut collapsed);
             let mended = Surface::new(self.positions, collapsed).and_then(|surface| mending.mend(surface));
             let offenders = match &mended {
-                Ok(surface) => topology.offenders(before, surface),
+                Ok(surface) => {
+                    let mut offenders = topology.offenders(before, surface);
+                    offenders.extend(mending.strays(surface));
+                    offenders
+                }
                 Err(failed) => failed.clone(),
             };
             match mended {

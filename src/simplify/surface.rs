@@ -52,6 +52,11 @@ impl<'a> Surface<'a> {
         self.at[vertex as usize]
     }
 
+    /// Of its triangles.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.normals
+    }
+
     /// For every vertex the sum of the normals around it.
     pub fn vertex_normals(&self) -> Vec<Vec3> {
         let mut normals = vec![Vec3::ZERO; self.positions.len()];
