@@ -26,6 +26,9 @@ pub const BLOCK: i32 = 32;
 /// 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.
 pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 
+/// [`CELL_LIMIT`] in fixed-point steps.
+pub const STEP_LIMIT: f64 = CELL_LIMIT as f64 * FRACTIONS as f64;
+
 /// The sampling grid: cubic cells of edge `cell`, anchored at `origin`, unbounded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
@@ -40,15 +43,6 @@ pub enum Unplaced {
     NotFinite,
     /// A coordinate is more than [`CELL_LIMIT`] cells from the origin.
     TooFar,
-}
-
-/// A position in the grid: its cell, and the offset in it in 1 / [`FRACTIONS`] of a cell.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Placed {
-    /// The cell that holds it.
-    pub cell: IVec3,
-    /// 0 to [`FRACTIONS`] - 1 per axis.
-    pub offset: [u16; 3],
 }
 
 impl Grid {
@@ -93,24 +87,20 @@ impl Grid {
         self.origin + self.cell * cells
     }
 
-    /// Finds the cell of a position.
+    /// A position in steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down: the cell, and behind it
+    /// [`FRACTION_BITS`] of the offset in it.
     ///
     /// # Errors
-    /// [`Unplaced`] where there is none.
-    #[inline(always)]
-    pub fn place(&self, world: [f64; 3]) -> Result<Placed, Unplaced> {
-        // Multiplying and dividing by a power of two is exact, and so is every step below.
-        let fractions = f64::from(FRACTIONS);
-        let steps = self.cells_from_world(world).map(|c| (c * fractions).floor());
-        let cells = steps.map(|s| (s / fractions).floor());
-        let limit = f64::from(CELL_LIMIT);
+    /// [`Unplaced`] where the grid does not reach.
+    pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], Unplaced> {
+        // Multiplying by a power of two is exact, and so is every step below.
+        let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
         // Comparisons that NaN fails too.
-        if !cells.iter().all(|&c| c >= -limit && c < limit) {
+        if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
             let finite = world.iter().all(|x| x.is_finite());
             return Err(if finite { Unplaced::TooFar } else { Unplaced::NotFinite });
         }
-        let offset = std::array::from_fn(|a| (steps[a] - cells[a] * fractions) as i32 as u16);
-        Ok(Placed { cell: IVec3::new(cells[0] as i32, cells[1] as i32, cells[2] as i32), offset })
+        Ok(steps.map(|s| s as i64))
     }
 }
 
@@ -359,20 +349,12 @@ impl Domain {
         (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
     }
 
-    /// Puts a particle between the outermost cells and a wall on the nearest point of those cells.
+    /// The first and the last step of its cells, along each axis: particles between the outermost cells and a wall
+    /// are put on the nearest of them.
     #[must_use]
-    #[inline(always)]
-    pub fn clamp(&self, mut placed: Placed) -> Placed {
-        for axis in 0..3 {
-            if placed.cell[axis] < self.cells.lo[axis] {
-                placed.cell[axis] = self.cells.lo[axis];
-                placed.offset[axis] = 0;
-            } else if placed.cell[axis] >= self.cells.hi[axis] {
-                placed.cell[axis] = self.cells.hi[axis] - 1;
-                placed.offset[axis] = (FRACTIONS - 1) as u16;
-            }
-        }
-        placed
+    pub fn step_range(&self) -> [[i64; 3]; 2] {
+        let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
+        [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
     }
 }
 
@@ -396,9 +378,8 @@ mod tests {
     #[test]
     fn a_position_is_its_cell_and_offset_rounded_down() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        let placed = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
-        assert_eq!(placed.cell, IVec3::new(-1, 1, 1));
-        assert_eq!(placed.offset, [6144, 0, 4095]);
+        let steps = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
+        assert_eq!(steps, [-8192 + 6144, 8192, 8192 + 4095]);
         assert_eq!(grid.place([f64::NAN, 0.0, 0.0]), Err(Unplaced::NotFinite));
         assert_eq!(grid.place([0.0, f64::INFINITY, 0.0]), Err(Unplaced::NotFinite));
         assert_eq!(grid.place([0.0, 0.0, 1e30]), Err(Unplaced::TooFar));
@@ -407,8 +388,7 @@ mod tests {
     #[test]
     fn a_tiny_negative_coordinate_stays_in_the_cell_below() {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
-        let placed = grid.place([-1e-20, 0.0, 0.0]).unwrap();
-        assert_eq!((placed.cell.x, placed.offset[0]), (-1, 8191));
+        assert_eq!(grid.place([-1e-20, 0.0, 0.0]), Ok([-1, 0, 0]));
     }
 
     #[test]

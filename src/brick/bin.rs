@@ -10,22 +10,17 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use glam::IVec3;
 use hashbrown::HashMap;
-use multiversion::multiversion;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::grid::{BIN, Domain, Grid, MortonKey, Placed, Unplaced};
+use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::Particles;
 
-use super::bins::{Bins, RECORD_BITS, Slots, pack};
+use super::bins::{Bins, RECORD_BITS, Slots};
+use super::place::{BinCode, COORD_BITS, Placer, bin_coord};
 use super::spill::{SpilledBins, tuple_bytes};
 
-/// Particles decoded at once: small enough to stay in the first-level cache.
-const CHUNK: usize = 512;
-/// Particles after which a mapped file's pages are given back; a multiple of [`CHUNK`].
-const RELEASE: usize = CHUNK << 3;
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
 
@@ -144,7 +139,7 @@ impl<'a> BinPlan<'a> {
         if bins.len() > limit {
             return Err(BinError::TooManyBins { limit });
         }
-        let rank: HashMap<u64, u32> = bins.iter().zip(0..).map(|(&(_, bin), i)| (bin, i)).collect();
+        let rank: HashMap<BinCode, u32> = bins.iter().zip(0..).map(|(&(_, bin), i)| (bin, i)).collect();
         let mut first = vec![0; bins.len() + 1];
         let ranges = ranges
             .into_iter()
@@ -199,11 +194,11 @@ impl<'a> BinPlan<'a> {
             }
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, .. }| {
-            let Ok(()) = placer.for_each_chunk(particles, range, |first, _, places| {
-                let attributes = Tuples::read(particles, carried, &components, first, places.len());
-                for (i, place) in places.iter().enumerate() {
-                    if let Ok(Some(placed)) = place {
-                        slots.put(table.advance(bin_of(placed.cell)), pack(placed), attributes.tuple(i));
+            let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
+                let attributes = Tuples::read(particles, carried, &components, first, addresses.len());
+                for (i, address) in addresses.iter().enumerate() {
+                    if address.is_somewhere() {
+                        slots.put(table.advance(address.bin), address.record, attributes.tuple(i));
                     }
                 }
                 Ok::<_, Infallible>(())
@@ -257,13 +252,13 @@ impl<'a> BinPlan<'a> {
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
         ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
-            placer.for_each_chunk(particles, range, |chunk_first, _, places| {
+            placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
                 let attributes =
-                    Tuples::read(particles, carried, &spilled.components, chunk_first, places.len());
-                for (i, place) in places.iter().enumerate() {
-                    if let Ok(Some(placed)) = place {
-                        let bin = ranks[table.rank(bin_of(placed.cell)) as usize] as usize;
-                        buffers.push(run_of_bin[bin] as usize, bin, pack(placed), attributes.tuple(i))?;
+                    Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
+                for (i, address) in addresses.iter().enumerate() {
+                    if address.is_somewhere() {
+                        let bin = ranks[table.rank(address.bin) as usize] as usize;
+                        buffers.push(run_of_bin[bin] as usize, bin, address.record, attributes.tuple(i))?;
                     }
                 }
                 Ok::<_, io::Error>(())
@@ -320,34 +315,45 @@ struct RangeCount {
     first_invalid: Option<(usize, [f64; 3], Unplaced)>,
 }
 
+/// Bits per axis of a bin's coordinates by which it is found among the latest.
+const LATEST_BITS: u32 = 4;
+
 /// A number for each bin that a range of particles touches: first its count, then its next free record.
-#[derive(Default)]
 struct BinTable {
-    rank: HashMap<u64, u32>,
+    rank: HashMap<BinCode, u32>,
     numbers: Vec<usize>,
-    /// Neighbours in the file are often neighbours in space.
-    last: Option<(u64, u32)>,
+    /// The bin that was last asked for among those that are so many apart, and its rank: cheaper than the map.
+    latest: Vec<(BinCode, u32)>,
+}
+
+impl Default for BinTable {
+    fn default() -> Self {
+        let latest = vec![(BinCode::MAX, 0); 1 << (3 * LATEST_BITS)];
+        Self { rank: HashMap::new(), numbers: Vec::new(), latest }
+    }
 }
 
 impl BinTable {
     /// The rank of a bin in this table; a new one is entered with the number 0.
-    fn rank(&mut self, bin: u64) -> u32 {
-        match self.last {
-            Some((last, rank)) if last == bin => rank,
-            _ => {
-                let next = self.numbers.len() as u32;
-                let rank = *self.rank.entry(bin).or_insert(next);
-                if rank == next {
-                    self.numbers.push(0);
-                }
-                self.last = Some((bin, rank));
-                rank
-            }
+    #[inline(always)]
+    fn rank(&mut self, bin: BinCode) -> u32 {
+        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << LATEST_BITS) - 1);
+        let at = axis(0) | axis(1) << LATEST_BITS | axis(2) << (2 * LATEST_BITS);
+        let (latest, rank) = self.latest[at];
+        if latest == bin {
+            return rank;
         }
+        let next = self.numbers.len() as u32;
+        let rank = *self.rank.entry(bin).or_insert(next);
+        if rank == next {
+            self.numbers.push(0);
+        }
+        self.latest[at] = (bin, rank);
+        rank
     }
 
     /// Adds one to a bin's number, and returns what it was.
-    fn advance(&mut self, bin: u64) -> usize {
+    fn advance(&mut self, bin: BinCode) -> usize {
         let rank = self.rank(bin);
         let number = &mut self.numbers[rank as usize];
         *number += 1;
@@ -356,23 +362,13 @@ impl BinTable {
 }
 
 /// All bins of all ranges, in Morton order, each with its key.
-fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, u64)> {
+fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     let touched = counts.iter().flat_map(|c| c.table.rank.keys());
-    let mut bins: Vec<_> = touched.map(|&bin| (MortonKey::of(unpack_bin(bin)), bin)).collect();
+    let mut bins: Vec<_> = touched.map(|&bin| (MortonKey::of(bin_coord(bin)), bin)).collect();
     bins.par_sort_unstable();
     bins.dedup();
     bins
 }
-
-/// Places particles in the grid and the domain.
-#[derive(Clone, Copy)]
-struct Placer<'a> {
-    grid: &'a Grid,
-    domain: Option<&'a Domain>,
-}
-
-/// Where a particle is; `None` outside of the domain.
-type Place = Result<Option<Placed>, Unplaced>;
 
 /// Counts until there are too many bins.
 struct Counter<'a> {
@@ -387,21 +383,19 @@ impl Counter<'_> {
         let mut census = Census::default();
         let mut first_invalid = None;
         // Whoever finds too many bins stops all: what was counted is of no use then.
-        let _ = self.placer.for_each_chunk(particles, range, |first, positions, places| {
-            for (i, place) in places.iter().enumerate() {
-                match place {
-                    Ok(Some(placed)) => {
-                        census.binned += 1;
-                        table.advance(bin_of(placed.cell));
+        let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
+            for (i, address) in addresses.iter().enumerate() {
+                if address.is_somewhere() {
+                    census.binned += 1;
+                    table.advance(address.bin);
+                } else if let Err(fault) = self.placer.place(positions[i]) {
+                    match fault {
+                        Unplaced::NotFinite => census.not_finite += 1,
+                        Unplaced::TooFar => census.too_far += 1,
                     }
-                    Ok(None) => census.outside += 1,
-                    Err(fault) => {
-                        match fault {
-                            Unplaced::NotFinite => census.not_finite += 1,
-                            Unplaced::TooFar => census.too_far += 1,
-                        }
-                        first_invalid.get_or_insert((first + i, positions[i], *fault));
-                    }
+                    first_invalid.get_or_insert((first + i, positions[i], fault));
+                } else {
+                    census.outside += 1;
                 }
             }
             if table.numbers.len() > self.limit {
@@ -410,74 +404,5 @@ impl Counter<'_> {
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
         RangeCount { table, census, first_invalid }
-    }
-}
-
-impl Placer<'_> {
-    /// Calls `each` with the number of a chunk's first particle, their positions and their places, until it
-    /// fails.
-    fn for_each_chunk<E>(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        range: Range<usize>,
-        mut each: impl FnMut(usize, &[[f64; 3]], &[Place]) -> Result<(), E>,
-    ) -> Result<(), E> {
-        let mut positions = vec![[0.0; 3]; CHUNK];
-        let mut places: Vec<Place> = vec![Ok(None); CHUNK];
-        for first in range.clone().step_by(CHUNK) {
-            let count = CHUNK.min(range.end - first);
-            let (positions, places) = (&mut positions[..count], &mut places[..count]);
-            particles.positions(first, positions);
-            place_all(self.grid, self.domain, positions, places);
-            each(first, positions, places)?;
-            let done = first + count;
-            if done == range.end || (done - range.start).is_multiple_of(RELEASE) {
-                let begin = range.start + (done - range.start - 1) / RELEASE * RELEASE;
-                particles.release(begin..done);
-            }
-        }
-        Ok(())
-    }
-}
-
-#[multiversion(targets("x86_64+avx2+fma+bmi1+bmi2", "x86_64+sse4.1"))]
-fn place_all(grid: &Grid, domain: Option<&Domain>, positions: &[[f64; 3]], places: &mut [Place]) {
-    for (place, &position) in places.iter_mut().zip(positions) {
-        *place = match (grid.place(position), domain) {
-            (Ok(placed), None) => Ok(Some(placed)),
-            (Ok(placed), Some(domain)) => Ok(domain.contains(position).then(|| domain.clamp(placed))),
-            // What lies outside of the domain is no concern of the grid.
-            (Err(Unplaced::TooFar), Some(_)) => Ok(None),
-            (Err(fault), _) => Err(fault),
-        };
-    }
-}
-
-/// Bits of a bin's coordinate.
-pub const COORD_BITS: u32 = 21;
-
-/// The bin that holds a cell, as three coordinates of [`COORD_BITS`]: cheaper than its Morton key.
-fn bin_of(cell: IVec3) -> u64 {
-    let axis = |c: i32| u64::from((c >> BIN.ilog2()) as u32 & ((1 << COORD_BITS) - 1));
-    axis(cell.x) | axis(cell.y) << COORD_BITS | axis(cell.z) << (2 * COORD_BITS)
-}
-
-pub(super) fn unpack_bin(bin: u64) -> IVec3 {
-    let unused = i32::BITS - COORD_BITS;
-    let axis = |shift: u32| ((bin >> shift) as i32) << unused >> unused;
-    IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_bins_coordinates_survive_packing() {
-        for cell in
-            [IVec3::ZERO, IVec3::new(-1, 31, -16), IVec3::splat(-(1 << 22)), IVec3::splat((1 << 22) - 1)]
-        {
-            assert_eq!(unpack_bin(bin_of(cell)), cell >> 4);
-        }
     }
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
-use crate::grid::{BIN, FRACTION_BITS, MortonKey, Placed};
+use crate::grid::{BIN, FRACTION_BITS, MortonKey};
 use crate::scratch::Scratch;
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
@@ -185,12 +185,11 @@ impl Bins {
     }
 }
 
-pub(super) fn pack(placed: &Placed) -> Record {
-    let axis = |a: usize| {
-        let local = (placed.cell[a] & (BIN - 1)) as u64;
-        local << FRACTION_BITS | u64::from(placed.offset[a])
-    };
-    axis(0) | axis(1) << AXIS_BITS | axis(2) << (2 * AXIS_BITS)
+/// The last bits of a particle's steps: the cell in the bin, and the offset in the cell.
+#[inline(always)]
+pub(super) fn pack(steps: [i64; 3]) -> Record {
+    let [x, y, z] = steps.map(|s| s as u64 & ((1 << AXIS_BITS) - 1));
+    x | y << AXIS_BITS | z << (2 * AXIS_BITS)
 }
 
 /// A packed particle behind its cell in the bin: a number that sorts by cell.
@@ -216,10 +215,11 @@ mod tests {
     #[test]
     fn packing_keeps_cell_and_offset_at_both_ends_of_a_bin() {
         for (cell, offset) in [(IVec3::ZERO, [0; 3]), (IVec3::new(-1, 31, -16), [8191, 1, 4096])] {
-            let (local, offsets) = unpack(pack(&Placed { cell, offset }));
+            let steps = std::array::from_fn(|a| i64::from(cell[a]) << FRACTION_BITS | offset[a]);
+            let (local, offsets) = unpack(pack(steps));
             let wrapped = cell & 15;
             assert_eq!(local, (wrapped.x + 16 * wrapped.y + 256 * wrapped.z) as usize);
-            assert_eq!(offsets, offset.map(u32::from));
+            assert_eq!(offsets.map(i64::from), offset);
         }
     }
 }

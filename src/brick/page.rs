@@ -102,11 +102,10 @@ impl PageInfo {
         let (mut full, mut full_count) = (CellBox::EMPTY, 0);
         let rows = (0..edge).flat_map(|z| (0..edge).map(move |y| (y, z)));
         for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
-            let count = row.iter().filter(|&&theta| theta > 0).count();
-            if count > 0 {
-                full_count += count as u32;
-                let left = row.iter().position(|&theta| theta > 0).unwrap_or(0) as i32;
-                let right = row.iter().rposition(|&theta| theta > 0).unwrap_or(0) as i32;
+            let bits = row.iter().rev().fold(0_u32, |bits, &theta| bits << 1 | u32::from(theta > 0));
+            if bits != 0 {
+                full_count += bits.count_ones();
+                let (left, right) = (bits.trailing_zeros() as i32, bits.ilog2() as i32);
                 full = full.union(&CellBox { lo: IVec3::new(left, y, z), hi: IVec3::new(right, y, z) + 1 });
             }
         }

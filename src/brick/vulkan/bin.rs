@@ -10,7 +10,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 
-use crate::brick::bin::unpack_bin;
+use crate::brick::place::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::vulkan::{
@@ -291,7 +291,7 @@ pub fn bin(
             BinError::NotFinite { index, position }.into()
         });
     }
-    let key = |slot: &Slot| unpack_bin(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
+    let key = |slot: &Slot| bin_coord(u64::from(slot.key[0]) | u64::from(slot.key[1]) << 32);
     let used = (0_u32..).zip(&table).filter(|(_, slot)| slot.count > 0);
     let mut bins: Vec<_> = used.map(|(i, slot)| (MortonKey::of(key(slot)), i, slot.count)).collect();
     bins.sort_unstable();

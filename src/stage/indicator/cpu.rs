@@ -3,6 +3,7 @@
 use std::io;
 use std::ops::Range;
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, BrickSide, CellSums, PageInfo};
@@ -16,35 +17,34 @@ pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
 pub const THETA_PER_DISTANCE: u32 = 37837;
 
-/// Eq. 7 for `n` particles whose offsets sum to `s`; 0 for none.
+/// Eq. 7 for N particles whose offsets sum to S, both integers; 0 for none.
 ///
-/// |D| / N is rounded to a quarter of a step along each axis, its length to the nearest integer.
+/// |D| / N is rounded to a quarter of a step along each axis, its length to the nearest integer. A double holds every
+/// integer here exactly, and a quotient lies farther from the next one than a double's rounding.
 #[must_use]
-pub fn symmetry(n: u64, s: [u64; 3]) -> u16 {
-    if n == 0 {
-        return 0;
-    }
-    let squares = s.map(|s| {
-        let d = (2 * s + n).abs_diff(n * u64::from(FRACTIONS));
-        let rounded =
-            if n == 1 { DISTANCE_SCALE * d } else { divide(2 * DISTANCE_SCALE * d + n, 2 * n) } as u32;
+#[inline(always)]
+pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
+    let scale = DISTANCE_SCALE as f64;
+    let square = |s: f64| {
+        let d = (2.0 * s + n - n * f64::from(FRACTIONS)).abs();
+        let rounded = ((2.0 * scale * d + n) / (2.0 * n)).floor();
         rounded * rounded
-    });
-    let distance = nearest_root(squares[0] + squares[1] + squares[2]);
-    FULL - ((distance * THETA_PER_DISTANCE + (1 << 14)) >> 15) as u16
+    };
+    let square = square(x) + square(y) + square(z);
+    let root = square.sqrt().floor();
+    let distance = if square - root * root > root { root + 1.0 } else { root };
+    let theta =
+        FULL - ((distance as i32 as u32).wrapping_mul(THETA_PER_DISTANCE).wrapping_add(1 << 14) >> 15) as u16;
+    if n > 0.0 { theta } else { 0 }
 }
 
-/// floor(a / b), exact while a < 2^52: the quotient's distance from the next integer is at least 1 / b,
-/// far more than a double's rounding.
-fn divide(a: u64, b: u64) -> u64 {
-    debug_assert!(a < 1 << 52);
-    (a as f64 / b as f64) as u64
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+fn symmetry_all(cells: &[[f64; 4]], theta: &mut [u16]) {
+    theta.iter_mut().zip(cells).for_each(|(theta, &cell)| *theta = symmetry(cell));
 }
 
-/// The integer nearest to the square root.
-fn nearest_root(square: u32) -> u32 {
-    let root = f64::from(square).sqrt() as u32;
-    root + u32::from(square - root * root > root)
+fn counts(cells: &[[f64; 4]], counts: &mut [u16]) {
+    counts.iter_mut().zip(cells).for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
 }
 
 /// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
@@ -65,9 +65,9 @@ pub fn indicate(
     indicator: Indicator,
     side: BrickSide,
 ) -> io::Result<Vec<(PageInfo, Box<[u16]>)>> {
-    let value = |(n, s): (u64, [u64; 3])| match indicator {
-        Indicator::Symmetry => symmetry(n, s),
-        Indicator::Counting { .. } => n.min(FULL.into()) as u16,
+    let values = match indicator {
+        Indicator::Symmetry => symmetry_all,
+        Indicator::Counting { .. } => counts,
     };
     range
         .into_par_iter()
@@ -75,7 +75,7 @@ pub fn indicate(
             || (CellSums::default(), vec![0; BIN.pow(3) as usize]),
             |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
                 sums.accumulate(bins.contents(bin)?.particles());
-                dense.iter_mut().zip(sums.iter()).for_each(|(to, cell)| *to = value(cell));
+                values(sums.cells(), dense);
                 let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, side);
                 Ok(page.expect("a bin holds particles"))
             },
@@ -95,22 +95,35 @@ mod tests {
 
     #[test]
     fn a_full_cell_is_never_zero_and_an_empty_one_always() {
-        let last = u64::from(FRACTIONS - 1);
-        for n in [1, 2, 7, 1_000_000] {
-            for corner in [[0; 3], [last; 3], [0, last, 0]] {
-                assert!(symmetry(n, corner.map(|s| s * n)) > 0);
+        let last = f64::from(FRACTIONS - 1);
+        for n in [1.0, 2.0, 7.0, 1e6] {
+            for [x, y, z] in [[0.0; 3], [last; 3], [0.0, last, 0.0]] {
+                assert!(symmetry([n, x * n, y * n, z * n]) > 0);
             }
         }
-        assert_eq!(symmetry(0, [0; 3]), 0);
-        assert_eq!(symmetry(2, [last; 3]), FULL);
+        assert_eq!(symmetry([0.0; 4]), 0);
+        assert_eq!(symmetry([2.0, last, last, last]), FULL);
     }
 
     #[test]
-    fn roots_round_to_the_nearest_integer() {
-        for root in [0_u32, 1, 2, 255, 4096, 56_748] {
-            assert_eq!(nearest_root(root * root), root);
-            assert_eq!(nearest_root(root * root + root), root);
-            assert_eq!(nearest_root(root * root + root + 1), root + 1);
+    fn theta_is_what_integers_say() {
+        let mut random = 1_u64;
+        let mut next = |below: u64| {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (random >> 16) % below
+        };
+        for _ in 0..100_000 {
+            let n = 1 + next([1, 3, 100, 1 << 40][random as usize % 4]);
+            let s = [(); 3].map(|()| next(n * u64::from(FRACTIONS - 1) + 1));
+            let squares = s.map(|s| {
+                let d = u128::from((2 * s + n).abs_diff(n * u64::from(FRACTIONS)));
+                ((u128::from(2 * DISTANCE_SCALE) * d + u128::from(n)) / u128::from(2 * n)).pow(2)
+            });
+            let square = squares.iter().sum::<u128>();
+            let root = square.isqrt();
+            let distance = (root + u128::from(square - root * root > root)) as u32;
+            let theta = FULL - ((distance * THETA_PER_DISTANCE + (1 << 14)) >> 15) as u16;
+            assert_eq!(symmetry([n, s[0], s[1], s[2]].map(|x| x as f64)), theta);
         }
     }
 }

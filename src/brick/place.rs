@@ -1,0 +1,214 @@
+//! Where particles are, chunk by chunk: the bin of each, and its place in the bin.
+
+use std::ops::Range;
+
+use glam::IVec3;
+use multiversion::multiversion;
+
+use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
+use crate::particles::Particles;
+
+use super::bins::{AXIS_BITS, Record, pack};
+
+/// Particles decoded at once: small enough to stay in the first-level cache.
+const CHUNK: usize = 512;
+/// Particles after which a mapped file's pages are given back; a multiple of [`CHUNK`].
+const RELEASE: usize = CHUNK << 3;
+/// Positions whose coordinates fill vectors of any width.
+const LANES: usize = 8;
+
+/// Bits of a bin's coordinate.
+pub const COORD_BITS: u32 = 21;
+
+/// A bin's three coordinates, of [`COORD_BITS`] each: cheaper than its Morton key.
+pub(super) type BinCode = u64;
+
+/// Where a particle is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Address {
+    pub bin: BinCode,
+    pub record: Record,
+}
+
+impl Address {
+    /// In no bin. A bin's code does not use its highest bit.
+    const NOWHERE: Self = Self { bin: BinCode::MAX, record: 0 };
+
+    #[inline(always)]
+    fn of(steps: [i64; 3]) -> Self {
+        let [x, y, z] = steps.map(|s| (s >> AXIS_BITS) as u64 & ((1 << COORD_BITS) - 1));
+        Self { bin: x | y << COORD_BITS | z << (2 * COORD_BITS), record: pack(steps) }
+    }
+
+    /// Whether there is a bin.
+    pub fn is_somewhere(self) -> bool {
+        self != Self::NOWHERE
+    }
+}
+
+/// The coordinates of a bin, in bins.
+pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
+    let unused = i32::BITS - COORD_BITS;
+    let axis = |shift: u32| ((bin >> shift) as i32) << unused >> unused;
+    IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
+}
+
+/// Places particles in the grid and the domain.
+#[derive(Clone, Copy)]
+pub(super) struct Placer<'a> {
+    pub grid: &'a Grid,
+    pub domain: Option<&'a Domain>,
+}
+
+impl Placer<'_> {
+    /// In steps, as [`Grid::place`]; `None` outside of the domain.
+    pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, Unplaced> {
+        match (self.grid.place(position), self.domain) {
+            (Ok(steps), None) => Ok(Some(steps)),
+            (Ok(steps), Some(domain)) => {
+                let [first, last] = domain.step_range();
+                let clamped = || std::array::from_fn(|a| steps[a].clamp(first[a], last[a]));
+                Ok(domain.contains(position).then(clamped))
+            }
+            // What lies outside of the domain is no concern of the grid.
+            (Err(Unplaced::TooFar), Some(_)) => Ok(None),
+            (Err(fault), _) => Err(fault),
+        }
+    }
+
+    /// Calls `each` with the number of a chunk's first particle, their positions and their addresses, until it
+    /// fails.
+    pub fn for_each_chunk<E>(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        range: Range<usize>,
+        mut each: impl FnMut(usize, &[[f64; 3]], &[Address]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let bounds = Bounds::of(self);
+        let mut positions = vec![[0.0; 3]; CHUNK];
+        let mut addresses = vec![Address::NOWHERE; CHUNK];
+        for first in range.clone().step_by(CHUNK) {
+            let count = CHUNK.min(range.end - first);
+            particles.positions(first, &mut positions[..count]);
+            // The rest lies where one of them does.
+            let rest = positions[0];
+            positions[count..].fill(rest);
+            if !place_all(&bounds, &positions, &mut addresses) {
+                for (address, &position) in addresses.iter_mut().zip(&positions[..count]) {
+                    *address = self.place(position).ok().flatten().map_or(Address::NOWHERE, Address::of);
+                }
+            }
+            each(first, &positions[..count], &addresses[..count])?;
+            let done = first + count;
+            if done == range.end || (done - range.start).is_multiple_of(RELEASE) {
+                let begin = range.start + (done - range.start - 1) / RELEASE * RELEASE;
+                particles.release(begin..done);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What [`Placer::place`] compares with, for [`LANES`] positions one after the other.
+struct Bounds {
+    origin: [f64; 3 * LANES],
+    cell: f64,
+    /// The walls, in world coordinates.
+    walls: [[f64; 3 * LANES]; 2],
+    /// The domain's first and last step.
+    steps: [[f64; 3 * LANES]; 2],
+}
+
+impl Bounds {
+    fn of(placer: &Placer) -> Self {
+        let repeated = |xyz: [f64; 3]| std::array::from_fn(|i| xyz[i % 3]);
+        let unbounded = [[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]];
+        let walls = placer.domain.map_or(unbounded, |domain| domain.walls().map(|wall| wall.to_array()));
+        let steps = placer
+            .domain
+            .map_or(unbounded, |domain| domain.step_range().map(|steps| steps.map(|step| step as f64)));
+        Self {
+            origin: repeated(placer.grid.origin().to_array()),
+            cell: placer.grid.cell_size(),
+            walls: walls.map(repeated),
+            steps: steps.map(repeated),
+        }
+    }
+}
+
+/// [`Placer::place`] for a chunk; whether all of it is somewhere. If not, no address is right.
+#[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+fn place_all(bounds: &Bounds, positions: &[[f64; 3]], addresses: &mut [Address]) -> bool {
+    /// An integer below 2^51 added to this stands in the lower bits of the sum.
+    const INTEGER: f64 = 1.5 * (1_u64 << 52) as f64;
+    let mut astray = 0;
+    let (positions, _) = positions.as_chunks::<LANES>();
+    let (addresses, _) = addresses.as_chunks_mut::<LANES>();
+    for (positions, addresses) in positions.iter().zip(addresses) {
+        let positions = positions.as_flattened();
+        let mut steps = [0_i64; 3 * LANES];
+        for i in 0..3 * LANES {
+            let world = positions[i];
+            let step = ((world - bounds.origin[i]) / bounds.cell * f64::from(FRACTIONS)).floor();
+            // Comparisons that NaN fails.
+            let on_grid = (-STEP_LIMIT..STEP_LIMIT).contains(&step);
+            let within = (world >= bounds.walls[0][i]) & (world <= bounds.walls[1][i]);
+            astray |= u64::from(!(on_grid & within));
+            let least = if step < bounds.steps[0][i] { bounds.steps[0][i] } else { step };
+            let clamped = if least > bounds.steps[1][i] { bounds.steps[1][i] } else { least };
+            steps[i] = (clamped + INTEGER).to_bits().wrapping_sub(INTEGER.to_bits()) as i64;
+        }
+        for (address, &steps) in addresses.iter_mut().zip(steps.as_chunks::<3>().0) {
+            *address = Address::of(steps);
+        }
+    }
+    astray == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use crate::grid::BIN;
+
+    use super::*;
+
+    #[test]
+    fn a_bins_coordinates_survive_packing() {
+        for bin in [IVec3::ZERO, IVec3::new(-1, 1, -2), IVec3::splat(-(1 << 18)), IVec3::splat((1 << 18) - 1)]
+        {
+            let steps = bin.to_array().map(|c| i64::from(c * BIN + 3) * i64::from(FRACTIONS) + 5);
+            assert_eq!(bin_coord(Address::of(steps).bin), bin);
+        }
+    }
+
+    #[test]
+    fn a_chunk_is_placed_as_its_particles_one_by_one() {
+        let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
+        let walls = Domain::new(&grid, DVec3::splat(-3.1), DVec3::new(40.0, 50.0, 60.7)).unwrap();
+        // Multiples of a step, and what lies on either side of them.
+        let world = |i: i64, axis: usize| {
+            let step = (i * 7919) % 1_600_000 - 300_000 * axis as i64;
+            let at = grid.origin()[axis] + grid.cell_size() * step as f64 / f64::from(FRACTIONS);
+            [at.next_down(), at, at.next_up()][i as usize % 3]
+        };
+        let mut positions: Vec<[f64; 3]> =
+            (0..CHUNK as i64).map(|i| std::array::from_fn(|axis| world(i, axis))).collect();
+        for domain in [None, Some(&walls)] {
+            let placer = Placer { grid: &grid, domain };
+            if domain.is_some() {
+                positions.iter_mut().for_each(|p| *p = p.map(|x| x.clamp(-3.1, 40.0)));
+            }
+            let mut all = vec![Address::NOWHERE; CHUNK];
+            assert!(place_all(&Bounds::of(&placer), &positions, &mut all));
+            for (position, address) in positions.iter().zip(all) {
+                assert_eq!(placer.place(*position).map(|steps| steps.map(Address::of)), Ok(Some(address)));
+            }
+            for stray in [f64::NAN, f64::INFINITY, 1e9, -1e9] {
+                let mut one = positions.clone();
+                one[77][1] = stray;
+                assert!(!place_all(&Bounds::of(&placer), &one, &mut vec![Address::NOWHERE; CHUNK]));
+            }
+        }
+    }
+}
