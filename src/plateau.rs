@@ -15,7 +15,7 @@ use crate::stage::adaptive::Adaptive;
 use crate::stage::blur::{Kernel, Smoothing};
 use crate::stage::detail::Detail;
 use crate::stage::indicator::Indicator;
-use crate::units::{FULL, Isovalue, Sigma};
+use crate::units::{Isovalue, Sigma};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
@@ -44,19 +44,19 @@ impl Plateau {
         let blocks = dif.regions(0, 0);
         let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
         let sampled: Vec<_> = blocks.iter().step_by(step).collect();
-        let interior = histogram(&sampled, |&cells| interior_samples(dif, smoothing, domain, cells));
-        if let Some(median) = quantile(&interior, 0.5) {
-            return Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) };
+        let interior = Histogram::of(&sampled, |&cells| interior_samples(dif, smoothing, domain, cells));
+        if let Some(median) = interior.quantile(0.5) {
+            return Self::Interior { median, lowest: interior.quantile(0.0).unwrap_or(median) };
         }
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
         let all: Vec<_> = blocks.iter().collect();
-        let interior = histogram(&all, |&cells| interior_samples(dif, smoothing, domain, cells));
-        match quantile(&interior, 0.5) {
-            Some(median) => Self::Interior { median, lowest: quantile(&interior, 0.0).unwrap_or(median) },
+        let interior = Histogram::of(&all, |&cells| interior_samples(dif, smoothing, domain, cells));
+        match interior.quantile(0.5) {
+            Some(median) => Self::Interior { median, lowest: interior.quantile(0.0).unwrap_or(median) },
             None => {
                 let field =
-                    histogram(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
-                Self::Shallow { greatest: quantile(&field, 1.0).unwrap_or(0) }
+                    Histogram::of(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
+                Self::Shallow { greatest: field.quantile(1.0).unwrap_or(0) }
             }
         }
     }
@@ -96,37 +96,63 @@ pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isoval
     Recipe { smoothing: Smoothing::new(indicator, sigma), details, iso }
 }
 
-type Histogram = Vec<u64>;
-
-fn histogram<T: Sync>(parts: &[&T], samples: impl Fn(&T) -> Vec<u16> + Sync) -> Histogram {
-    let empty = || vec![0; usize::from(FULL) + 1];
-    // Histograms are large: few of them, for few threads.
-    let share = parts.len().div_ceil(2 * rayon::current_num_threads()).max(1);
-    parts
-        .par_iter()
-        .with_min_len(share)
-        .fold(empty, |mut histogram, part| {
-            samples(part).into_iter().for_each(|sample| histogram[usize::from(sample)] += 1);
-            histogram
-        })
-        .reduce(empty, |mut a, b| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-            a
-        })
+/// How often each sample was seen, by its upper and its lower byte: samples lie close together.
+#[derive(Default)]
+struct Histogram {
+    pages: Vec<Option<Box<[u64; 256]>>>,
 }
 
-/// The lowest value that at least a `share` of the samples does not exceed.
-fn quantile(histogram: &Histogram, share: f64) -> Option<u16> {
-    let total: u64 = histogram.iter().sum();
-    let wanted = ((total as f64 * share).ceil() as u64).max(1);
-    let mut below = 0;
-    histogram
-        .iter()
-        .position(|&count| {
+impl Histogram {
+    fn of<T: Sync>(parts: &[&T], samples: impl Fn(&T) -> Vec<u16> + Sync) -> Self {
+        let add = |mut histogram: Self, part: &&T| {
+            samples(part).into_iter().for_each(|sample| histogram.add(sample));
+            histogram
+        };
+        parts.par_iter().fold(Self::default, add).reduce(Self::default, Self::join)
+    }
+
+    fn page(&mut self, upper: usize) -> &mut [u64; 256] {
+        if self.pages.len() <= upper {
+            self.pages.resize_with(upper + 1, || None);
+        }
+        self.pages[upper].get_or_insert_with(|| Box::new([0; 256]))
+    }
+
+    fn add(&mut self, sample: u16) {
+        let [upper, lower] = sample.to_be_bytes();
+        self.page(upper.into())[usize::from(lower)] += 1;
+    }
+
+    fn join(mut self, other: Self) -> Self {
+        for (upper, page) in other.pages.into_iter().enumerate() {
+            let Some(page) = page else { continue };
+            self.page(upper).iter_mut().zip(*page).for_each(|(a, b)| *a += b);
+        }
+        self
+    }
+
+    /// The samples that were seen, in order, and how often each.
+    fn counts(&self) -> impl Iterator<Item = (u16, u64)> + '_ {
+        let pages = (0_u8..).zip(&self.pages).filter_map(|(upper, page)| Some((upper, page.as_ref()?)));
+        let counts = pages.flat_map(|(upper, page)| {
+            (0_u8..=255)
+                .zip(page.iter())
+                .map(move |(lower, &count)| (u16::from_be_bytes([upper, lower]), count))
+        });
+        counts.filter(|&(_, count)| count > 0)
+    }
+
+    /// The lowest value that at least a `share` of the samples does not exceed.
+    fn quantile(&self, share: f64) -> Option<u16> {
+        let total: u64 = self.counts().map(|(_, count)| count).sum();
+        let wanted = ((total as f64 * share).ceil() as u64).max(1);
+        let mut below = 0;
+        let reached = |&(_, count): &(u16, u64)| {
             below += count;
             below >= wanted
-        })
-        .map(|value| value as u16)
+        };
+        self.counts().find(reached).map(|(sample, _)| sample)
+    }
 }
 
 fn smooth(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>, cells: CellBox) -> Block {
@@ -144,38 +170,38 @@ fn interior_samples(
     // Closing is a dilation and an erosion by one cell; then the filters' reach is taken off.
     let closing = 1;
     let erosion = closing + smoothing.reach();
-    let seen = cells.grown(erosion + closing, erosion + closing);
-    let wide = gather(dif, seen, domain);
+    let seen = closing + erosion;
+    let wide = gather(dif, cells.grown(seen, seen), domain);
     let full: Vec<u8> = wide.samples().iter().map(|&theta| u8::from(theta > 0)).collect();
-    let covered = window(&full, wide.strides(), closing, |a, b| a | b);
-    let interior = window(&covered, wide.strides(), erosion, |a, b| a & b);
-    let interior: Vec<bool> = wide
-        .rows(cells)
-        .flat_map(|([y, z], row)| {
-            let first = wide.index(IVec3::new(cells.lo.x, y, z));
-            interior[first..first + row.len()].iter().map(|&inside| inside != 0)
-        })
-        .collect();
-    if !interior.contains(&true) {
+    let covered = windows(full, wide.strides(), 2 * closing + 1, |a, b| a | b);
+    let interior = windows(covered, wide.strides(), 2 * erosion + 1, |a, b| a & b);
+    // Both windows of a cell begin as far below it as `wide` does below `cells`.
+    let CellBox { lo, hi } = cells;
+    let row = |y, z| &interior[wide.index(IVec3::new(lo.x, y, z) - seen)..][..(hi.x - lo.x) as usize];
+    let rows: Vec<&[u8]> = (lo.z..hi.z).flat_map(|z| (lo.y..hi.y).map(move |y| row(y, z))).collect();
+    if !rows.iter().any(|row| row.contains(&1)) {
         return Vec::new();
     }
     let field = smooth(dif, smoothing, domain, cells);
-    let samples = field.samples().iter().zip(interior);
-    samples.filter(|&(_, interior)| interior).map(|(&sample, _)| sample).collect()
+    let mut samples = Vec::with_capacity(field.samples().len());
+    for ((_, field), interior) in field.rows(cells).zip(rows) {
+        let inside = field.iter().zip(interior).filter(|&(_, &inside)| inside != 0);
+        samples.extend(inside.map(|(&sample, _)| sample));
+    }
+    samples
 }
 
-/// Combines every cell with all others within `reach` along each axis. Cells nearer than that to the end of
-/// their block are combined with what stands there in memory: whoever calls this leaves them out.
-fn window(cells: &[u8], strides: [usize; 3], reach: i32, combine: impl Fn(u8, u8) -> u8) -> Vec<u8> {
-    let mut out = cells.to_vec();
+/// Combines every cell with those that follow in a cube of so many along each axis. `combine` may see a cell more
+/// than once. Cells nearer than that to the end of a row are combined with what stands there in memory.
+fn windows(mut cells: Vec<u8>, strides: [usize; 3], width: i32, combine: impl Fn(u8, u8) -> u8) -> Vec<u8> {
     for stride in strides {
-        let margin = reach as usize * stride;
-        let from = out.clone();
-        let middle = margin..out.len() - margin;
-        for offset in 0..=2 * reach as usize {
-            let shifted = &from[offset * stride..][..middle.len()];
-            out[middle.clone()].iter_mut().zip(shifted).for_each(|(to, &from)| *to = combine(*to, from));
+        let mut seen = 1;
+        while seen < width {
+            let step = seen.min(width - seen);
+            let beyond = &cells[step as usize * stride..];
+            cells = cells.iter().zip(beyond).map(|(&a, &b)| combine(a, b)).collect();
+            seen += step;
         }
     }
-    out
+    cells
 }

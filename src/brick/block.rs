@@ -77,6 +77,31 @@ impl<T: Copy + Default> Block<T> {
         })
     }
 
+    /// Fills `part` from `samples`, which are those of the box `from`, x fastest.
+    ///
+    /// # Panics
+    /// Unless `part` is in the block and in `from`.
+    pub(super) fn copy_part(&mut self, part: CellBox, from: CellBox, samples: &[T], value: impl Fn(T) -> T) {
+        assert!(self.cells.covers(&part) && from.covers(&part), "{part:?} is not in {:?}", self.cells);
+        let [_, row, slab] = self.strides();
+        let [from_row, from_slab] = [from.size().x, from.size().x * from.size().y].map(|n| n as usize);
+        let size = part.size().as_usizevec3();
+        let first = self.index(part.lo);
+        let local = (part.lo - from.lo).as_usizevec3();
+        let samples = &samples[local.x + local.y * from_row + local.z * from_slab..];
+        for z in 0..size.z {
+            for y in 0..size.y {
+                let to = &mut self.samples[first + y * row + z * slab..][..size.x];
+                let from = &samples[y * from_row + z * from_slab..][..size.x];
+                match (to.first_chunk_mut::<8>(), from.first_chunk::<8>()) {
+                    // Whole rows of bricks, in one piece.
+                    (Some(to), Some(from)) if size.x == 8 => *to = from.map(&value),
+                    _ => to.iter_mut().zip(from).for_each(|(to, &sample)| *to = value(sample)),
+                }
+            }
+        }
+    }
+
     /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
     ///
     /// # Panics

@@ -114,22 +114,11 @@ impl DifField {
             let samples = self.store.cached(rank);
             for brick in inside.cubes(edge) {
                 let Some(samples) = info.brick(&samples, brick - bin * per_bin, self.side) else { continue };
-                let corner = brick * edge;
-                let part = inside.intersection(&CellBox::cube(brick, edge));
-                let width = part.size().x as usize;
-                for z in part.lo.z..part.hi.z {
-                    for y in part.lo.y..part.hi.y {
-                        let at = IVec3::new(part.lo.x, y, z);
-                        let local = at - corner;
-                        let from = (local.x + edge * (local.y + edge * local.z)) as usize;
-                        let from = &samples[from..from + width];
-                        let to = block.index(at);
-                        let to = &mut block.samples_mut()[to..to + width];
-                        match &self.decode {
-                            None => to.copy_from_slice(from),
-                            Some(table) => to.iter_mut().zip(from).for_each(|(to, &n)| *to = table.theta(n)),
-                        }
-                    }
+                let from = CellBox::cube(brick, edge);
+                let part = inside.intersection(&from);
+                match &self.decode {
+                    None => block.copy_part(part, from, samples, |theta| theta),
+                    Some(table) => block.copy_part(part, from, samples, |count| table.theta(count)),
                 }
             }
         }

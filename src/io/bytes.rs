@@ -8,6 +8,8 @@ use std::ops::{Deref, Range};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
+use libdeflater::{Decompressor, crc32};
+use memchr::memmem;
 use memmap2::Mmap;
 
 use super::{ReadError, ReadFault};
@@ -227,6 +229,9 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     if !bytes.starts_with(&[0x1f, 0x8b]) {
         return Ok(bytes);
     }
+    if let Some(unpacked) = unpack_at_once(&bytes, unpacking.in_memory) {
+        return Ok(Bytes::Owned(unpacked));
+    }
     let limit = unpacked_limit(bytes.len() as u64);
     match bytes {
         // Read from the file, its pages never count as this process's.
@@ -239,6 +244,22 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
 /// What a file of `packed` bytes may unpack to.
 pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
+}
+
+/// Unpacks a small file that is a single gzip stream, in half of the time that it takes piece by piece. `None` where it
+/// is something else, or damaged.
+fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
+    // A stream ends with a checksum of its content, and the content's length.
+    let trailer = packed.last_chunk::<8>()?;
+    let [crc, len] = [0, 4].map(|at| u32::from_le_bytes(std::array::from_fn(|i| trailer[at + i])));
+    if u64::from(len) > in_memory.min(ALWAYS_UNPACKED) {
+        return None;
+    }
+    let mut unpacked = vec![0; len as usize];
+    let written = Decompressor::new().gzip_decompress(packed, &mut unpacked).ok()?;
+    // The first stream, at whose end this stops, ends with this trailer: the file does so too, and nothing before that.
+    let whole = written == unpacked.len() && crc32(&unpacked) == crc;
+    (whole && memmem::find(packed, trailer) == Some(packed.len() - trailer.len())).then_some(unpacked)
 }
 
 /// Unpacks up to `limit` bytes.

@@ -10,13 +10,14 @@ pub mod vulkan;
 use std::io;
 
 use glam::{DVec3, IVec3};
+use multiversion::multiversion;
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{BLOCK, CellBox, Domain, Grid, TILE};
 use crate::mesh::source::{MeshSource, Vertices};
 use crate::mesh::spool::Spool;
-use crate::mesh::{BlockMesh, Mesh, TileMask, VertexAttribute, bits, cell_of_bit};
+use crate::mesh::{BlockMesh, Mesh, Tile, TileMask, VertexAttribute, bits, cell_of_bit};
 use crate::particles::AttributeInfo;
 use crate::stage::dual_mc::{Crossings, table::TABLE};
 
@@ -165,7 +166,7 @@ impl Stitched {
 
     /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
     fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
-        let place = |((cell, axis), &ends): ((IVec3, usize), &[u16; 2])| {
+        let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
             let mut cells = cell.as_dvec3() + 0.5;
             cells[axis] += self.crossings.fraction(ends);
             let mut world = self.grid.world_from_cells(cells);
@@ -180,7 +181,9 @@ impl Stitched {
             }
             world.to_array()
         };
-        block.edges().zip(&block.ends).map(place).collect()
+        let mut positions = Vec::with_capacity(block.ends.len());
+        block.edges().for_each(|(cell, axis)| positions.push(place(cell, axis, block.ends[positions.len()])));
+        positions
     }
 
     /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
@@ -188,23 +191,7 @@ impl Stitched {
     fn emit(&self, i: usize, mut put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
         let block = self.spool.block(i);
         let numberings = self.numberings(block)?;
-        let mut rank = 0;
-        for tile in self.spool.tiles(i)?.iter() {
-            let corner = tile.corner(block) - block * BLOCK;
-            for bit in bits(tile.mixed()) {
-                let cell = corner + cell_of_bit(bit);
-                for triangle in &TABLE[tile.case(bit)] {
-                    let vertices = triangle.map(|edge| {
-                        let at = cell + edge.offset();
-                        let in_tile = at & (TILE - 1);
-                        let bit = in_tile.x + TILE * (in_tile.y + TILE * in_tile.z);
-                        numberings[numbering_index(at / TILE)].vertex(edge.axis.into(), bit as u32)
-                    });
-                    put(rank, block * BLOCK + cell, vertices);
-                    rank += 1;
-                }
-            }
-        }
+        emit_all(block, &self.spool.tiles(i)?, &numberings, &mut put);
         Ok(())
     }
 
@@ -289,6 +276,33 @@ struct Numbering {
 impl Numbering {
     fn vertex(&self, axis: usize, bit: u32) -> u64 {
         self.first[axis] + u64::from((self.crossed[axis] & ((1 << bit) - 1)).count_ones())
+    }
+}
+
+/// Calls `put` with the rank, the dual cell and the vertices of each triangle of a block.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt", "x86_64+sse4.2+popcnt"))]
+fn emit_all<F: FnMut(usize, IVec3, [u64; 3])>(
+    block: IVec3,
+    tiles: &[Tile],
+    numberings: &[Numbering],
+    put: &mut F,
+) {
+    let mut rank = 0;
+    for tile in tiles {
+        let corner = tile.corner(block) - block * BLOCK;
+        for bit in bits(tile.mixed()) {
+            let cell = corner + cell_of_bit(bit);
+            for triangle in &TABLE[tile.case(bit)] {
+                let vertices = triangle.map(|edge| {
+                    let at = cell + edge.offset();
+                    let in_tile = at & (TILE - 1);
+                    let bit = in_tile.x + TILE * (in_tile.y + TILE * in_tile.z);
+                    numberings[numbering_index(at >> TILE.ilog2())].vertex(edge.axis.into(), bit as u32)
+                });
+                put(rank, block * BLOCK + cell, vertices);
+                rank += 1;
+            }
+        }
     }
 }
 

@@ -38,9 +38,19 @@ pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
     if n > 0.0 { theta } else { 0 }
 }
 
+/// Cells of a bin along x.
+const ROW: usize = BIN as usize;
+
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn symmetry_all(cells: &[[f64; 4]], theta: &mut [u16]) {
-    theta.iter_mut().zip(cells).for_each(|(theta, &cell)| *theta = symmetry(cell));
+    let (theta, _) = theta.as_chunks_mut::<ROW>();
+    for (theta, cells) in theta.iter_mut().zip(cells.as_chunks::<ROW>().0) {
+        *theta = [0; ROW];
+        // Many rows are empty, and roots are slow.
+        if cells.iter().any(|&[n, ..]| n > 0.0) {
+            theta.iter_mut().zip(cells).for_each(|(theta, &cell)| *theta = symmetry(cell));
+        }
+    }
 }
 
 fn counts(cells: &[[f64; 4]], counts: &mut [u16]) {
