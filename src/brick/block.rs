@@ -102,6 +102,37 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
+    /// A separable operation along x, then y, then z; the result is smaller by `reach` on every side.
+    ///
+    /// `fill` makes a row of the result, zero so far: sample i of the taps i, i + step, ..., the first of them `reach`
+    /// cells below it and the last as far above.
+    ///
+    /// # Panics
+    /// If the block is too small for one cell to remain.
+    #[must_use]
+    pub fn along_each_axis(&self, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
+        self.along(0, reach, &fill).along(1, reach, &fill).along(2, reach, &fill)
+    }
+
+    fn along(&self, axis: usize, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
+        let CellBox { mut lo, mut hi } = self.cells;
+        lo[axis] += reach;
+        hi[axis] -= reach;
+        let cells = CellBox { lo, hi };
+        assert!(!cells.is_empty(), "a reach of {reach} on {:?}", self.cells);
+
+        let mut out = Self::zero(cells);
+        let strides = self.strides();
+        let [_, row_stride, slab_stride] = strides;
+        let size = cells.size().as_usizevec3();
+        let span = size.x + 2 * reach as usize * strides[axis];
+        for (row, to) in out.samples.chunks_exact_mut(size.x).enumerate() {
+            let first = row % size.y * row_stride + row / size.y * slab_stride;
+            fill(to, &self.samples[first..first + span], strides[axis]);
+        }
+        out
+    }
+
     /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).
     ///
     /// # Panics

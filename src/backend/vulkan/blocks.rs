@@ -8,7 +8,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::backend::Surfaces;
-use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
+use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, Window, gather};
 use crate::grid::{BIN, BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
 use crate::recipe::{Details, Fields};
@@ -548,10 +548,9 @@ impl Fields for PaddedFields<'_> {
     fn spread(&mut self, field: &Rc<Padded>, reach: i32) -> Result<Rc<Padded>, VulkanError> {
         self.stage("detail", 3);
         let (to, through) = (self.take(), self.take());
-        let walls = self.work.surfaces.walls();
+        let window = Window { reach, walls: self.work.surfaces.walls(), margin: field.margin };
         let views = [&field.samples, &through, &to];
-        let program = &self.work.frame.kernels.spread;
-        spread(self.commands, program, self.blocks, reach, walls, field.margin, views)?;
+        spread(self.commands, &self.work.frame.kernels.spread, self.blocks, window, views)?;
         self.free.push(through);
         Ok(Rc::new(Padded { samples: to, margin: field.margin + reach }))
     }

@@ -1,9 +1,11 @@
 //! Particles in order of their bins, and padded blocks, on a device. A batch of blocks shares one field of 16-bit
 //! samples, two to a word.
 
+mod axis;
 mod bin;
 mod grid;
 
+pub use axis::{AxisPush, Window, along_each_axis};
 pub use bin::{
     BinKernels, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN,
     PLACE, PROBES, SETTLE, SETTLED, SORT, bin,

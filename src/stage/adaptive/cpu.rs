@@ -3,7 +3,6 @@
 use multiversion::multiversion;
 
 use crate::brick::Block;
-use crate::grid::CellBox;
 use crate::units::{FULL, Isovalue};
 
 use super::{FINE_BITS, fine_scale};
@@ -21,24 +20,7 @@ pub fn occupancy(mut dif: Block) -> Block {
 /// If the block is too small for one cell to remain.
 #[must_use]
 pub fn spread(block: &Block, reach: i32) -> Block {
-    (0..3).fold(block.clone(), |block, axis| spread_axis(&block, axis, reach))
-}
-
-fn spread_axis(block: &Block, axis: usize, reach: i32) -> Block {
-    let CellBox { mut lo, mut hi } = block.cells();
-    lo[axis] += reach;
-    hi[axis] -= reach;
-    let cells = CellBox { lo, hi };
-    assert!(!cells.is_empty(), "a reach of {reach} on {:?}", block.cells());
-    let mut out = Block::zero(cells);
-    let [_, row_stride, slab_stride] = block.strides();
-    let step = block.strides()[axis];
-    let size = cells.size().as_usizevec3();
-    for (row, to) in out.samples_mut().chunks_exact_mut(size.x).enumerate() {
-        let first = row % size.y * row_stride + row / size.y * slab_stride;
-        greatest(to, &block.samples()[first..], step, 2 * reach as usize + 1);
-    }
-    out
+    block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
 
 /// Fills `to[i]` with the greatest of so many taps, `step` apart.

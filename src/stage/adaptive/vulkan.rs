@@ -2,8 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
-use crate::grid::CellBox;
+use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis};
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
@@ -13,17 +12,6 @@ push_block! {
     /// Of [`OCCUPANCY`].
     struct OccupancyPush {
         words: u32,
-    }
-}
-
-push_block! {
-    /// Of [`SPREAD`].
-    struct SpreadPush {
-        walls_lo: [i32; 3],
-        axis: u32,
-        walls_hi: [i32; 3],
-        reach: u32,
-        margin: [u32; 3],
     }
 }
 
@@ -50,7 +38,7 @@ pub const SPREAD: Program = Program {
     name: "spread",
     code: include_bytes!("../../../spirv/spread.spv"),
     buffers: &["blocks", "samples", "greatest"],
-    push: SpreadPush::FIELDS,
+    push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };
 
@@ -77,9 +65,7 @@ pub fn occupancy(
     batch.dispatch(kernel, std::slice::from_ref(field), &push, blocks.flat_groups())
 }
 
-/// The greatest sample within `reach`, along x, then y, then z: from `from` through `to` and `through` into `to`.
-///
-/// Samples within `margin` of a block's faces are unknown, and within `margin` plus `reach` when it is done.
+/// The greatest sample within the window along x, then y, then z: from `from` through `to` and `through` into `to`.
 ///
 /// # Errors
 /// Those of the device.
@@ -87,21 +73,10 @@ pub fn spread(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
     blocks: &DeviceBlocks,
-    reach: i32,
-    walls: Option<CellBox>,
-    margin: i32,
-    [from, through, to]: [&View; 3],
+    window: Window,
+    views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
-    let reach = reach as u32;
-    let mut push = SpreadPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3] };
-    for (axis, [from, to]) in (0..).zip([[from, to], [to, through], [through, to]]) {
-        push.axis = axis;
-        push.margin[axis as usize] += reach;
-        let buffers = [&blocks.blocks, from, to].map(Clone::clone);
-        batch.dispatch(kernel, &buffers, &push, blocks.groups())?;
-    }
-    Ok(())
+    along_each_axis(batch, kernel, blocks, window, views, &[])
 }
 
 /// Makes the greatest samples near by, in `field`, the field itself; `fine` is the blurred occupancy.

@@ -3,7 +3,6 @@
 use multiversion::multiversion;
 
 use crate::brick::Block;
-use crate::grid::CellBox;
 
 use super::{Kernel, UNIT};
 
@@ -22,29 +21,7 @@ pub trait Sample: Copy + Default {
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
 pub fn blur<T: Sample>(block: &Block<T>, kernel: &Kernel) -> Block<T> {
-    let along_x = blur_axis(block, 0, kernel);
-    let along_y = blur_axis(&along_x, 1, kernel);
-    blur_axis(&along_y, 2, kernel)
-}
-
-fn blur_axis<T: Sample>(block: &Block<T>, axis: usize, kernel: &Kernel) -> Block<T> {
-    let reach = kernel.reach();
-    let CellBox { mut lo, mut hi } = block.cells();
-    lo[axis] += reach;
-    hi[axis] -= reach;
-    let cells = CellBox { lo, hi };
-    assert!(!cells.is_empty(), "a kernel of reach {reach} on {:?}", block.cells());
-
-    let mut out = Block::zero(cells);
-    let [_, row_stride, slab_stride] = block.strides();
-    let step = block.strides()[axis];
-    let size = cells.size().as_usizevec3();
-    let span = size.x + 2 * reach as usize * step;
-    for (row, to) in out.samples_mut().chunks_exact_mut(size.x).enumerate() {
-        let first = row % size.y * row_stride + row / size.y * slab_stride;
-        T::blur_row(to, &block.samples()[first..first + span], step, kernel);
-    }
-    out
+    block.along_each_axis(kernel.reach(), |to, taps, step| T::blur_row(to, taps, step, kernel))
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.

@@ -2,40 +2,28 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
+use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis};
 use crate::grid::CellBox;
-use crate::vulkan::{Batch, Kernel as Pipeline, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, Kernel as Pipeline, Program, View, VulkanError};
 
 use super::Kernel;
-
-push_block! {
-    /// Of [`BLUR`].
-    struct Push {
-        walls_lo: [i32; 3],
-        axis: u32,
-        walls_hi: [i32; 3],
-        reach: u32,
-        margin: [u32; 3],
-    }
-}
 
 /// One axis of a filter.
 pub const BLUR: Program = Program {
     name: "blur",
     code: include_bytes!("../../../spirv/blur.spv"),
-    buffers: &["blocks", "half_kernel", "samples", "blurred"],
-    push: Push::FIELDS,
+    buffers: &["blocks", "samples", "blurred", "half_kernel"],
+    push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };
 
-/// Blurs all blocks along x, then y, then z: from `from` through `by` and `from` into `by`.
+/// Blurs all blocks along x, then y, then z: from `from` through `to` and `through` into `to`.
 ///
 /// Samples within `margin` of a block's faces are unknown, and within `margin` plus the filter's reach when it
 /// is done.
 ///
 /// # Errors
 /// Those of the device.
-#[allow(clippy::too_many_arguments, reason = "two buffers, and what the twin takes")]
 pub fn blur(
     batch: &mut Batch,
     pipeline: &Arc<Pipeline>,
@@ -43,16 +31,8 @@ pub fn blur(
     (kernel, weights): (&Kernel, &View),
     walls: Option<CellBox>,
     margin: i32,
-    [from, through, to]: [&View; 3],
+    views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
-    let reach = kernel.reach() as u32;
-    let mut push = Push { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3] };
-    for (axis, [from, to]) in (0..).zip([[from, to], [to, through], [through, to]]) {
-        push.axis = axis;
-        push.margin[axis as usize] += reach;
-        let buffers = [&blocks.blocks, weights, from, to].map(Clone::clone);
-        batch.dispatch(pipeline, &buffers, &push, blocks.groups())?;
-    }
-    Ok(())
+    let window = Window { reach: kernel.reach(), walls, margin };
+    along_each_axis(batch, pipeline, blocks, window, views, std::slice::from_ref(weights))
 }

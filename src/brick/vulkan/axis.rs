@@ -1,0 +1,61 @@
+//! Separable operations on padded blocks, one axis after the other: the twin of
+//! [`Block::along_each_axis`](crate::brick::Block::along_each_axis).
+
+use std::sync::Arc;
+
+use crate::grid::CellBox;
+use crate::vulkan::{Batch, Kernel, View, VulkanError, push_block};
+
+use super::{DeviceBlocks, wall_bounds};
+
+push_block! {
+    /// Of programs with `axis.wgsl`.
+    pub struct AxisPush {
+        /// The lowest cell within the walls.
+        walls_lo: [i32; 3],
+        /// Along which taps lie.
+        axis: u32,
+        /// The highest cell within the walls.
+        walls_hi: [i32; 3],
+        /// Of the taps, in cells.
+        reach: u32,
+        /// Cells at a block's faces that are not to be computed.
+        margin: [u32; 3],
+    }
+}
+
+/// The cells that an operation sees.
+#[derive(Debug, Clone, Copy)]
+pub struct Window {
+    /// How far its taps reach from a cell along the axis.
+    pub reach: i32,
+    /// Samples beyond walls are those of the outermost cells before them.
+    pub walls: Option<CellBox>,
+    /// Samples so near to a block's faces are unknown; when all is done, those nearer by the reach are too.
+    pub margin: i32,
+}
+
+/// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through` into `to`. Its buffers
+/// are the blocks, what is read, what is written, and then `further`.
+///
+/// # Errors
+/// Those of the device.
+pub fn along_each_axis(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    Window { reach, walls, margin }: Window,
+    [from, through, to]: [&View; 3],
+    further: &[View],
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let reach = reach as u32;
+    let mut push = AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3] };
+    for (axis, [from, to]) in (0..).zip([[from, to], [to, through], [through, to]]) {
+        push.axis = axis;
+        push.margin[axis as usize] += reach;
+        let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
+        batch.dispatch(kernel, &buffers, &push, blocks.groups())?;
+    }
+    Ok(())
+}
