@@ -9,7 +9,7 @@ use common::dense::{Dense, mesh as dense_mesh};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, splashes, tank};
 use glam::{DMat3, DVec3};
-use meniscus::frame::{FrameError, Normals, Resources, Sampling, rival_surface};
+use meniscus::frame::{FrameError, KernelFrame, Normals, Resources, Sampling};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
@@ -22,7 +22,8 @@ const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, 
 
 fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: Method) -> Mesh {
     let laps = &mut Laps::default();
-    rival_surface(particles, sampling, method, Normals::Gradient, laps).unwrap().mesh.to_mesh().unwrap()
+    let frame = KernelFrame::sample(particles, sampling, method, laps).unwrap();
+    frame.surface(Normals::Gradient, laps).unwrap().to_mesh().unwrap()
 }
 
 fn spaced(spacing: f64) -> Sampling {
@@ -249,7 +250,6 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
 fn cells_much_smaller_than_the_spacing_are_refused() {
     let fine = Sampling { grid: Grid::new(DVec3::ZERO, 1.0 / 17.0).unwrap(), ..spaced(1.0) };
     let particles = [[0.0_f64; 3]];
-    let refused =
-        rival_surface(&particles[..], &fine, Method::ZhuBridson, Normals::None, &mut Laps::default());
+    let refused = KernelFrame::sample(&particles[..], &fine, Method::ZhuBridson, &mut Laps::default());
     assert!(matches!(refused, Err(FrameError::Kernels(_))));
 }

@@ -3,7 +3,7 @@
 mod rival;
 mod sink;
 
-pub use rival::{KernelSurface, rival_surface};
+pub use rival::KernelFrame;
 
 pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
@@ -30,7 +30,7 @@ use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
-use crate::rivals::TooManyCells;
+use crate::rivals::{Method, TooManyCells};
 use crate::scratch::free_bytes;
 use crate::simplify::{Reduction, Simplified, simplify};
 use crate::stage::attribute::vertex_values;
@@ -206,24 +206,14 @@ pub struct Surfacing {
     pub normals: Normals,
 }
 
-/// What reconstructing `particles` would take, without doing it.
-///
-/// # Errors
-/// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
-pub fn estimate(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-) -> Result<(Census, Estimate), FrameError> {
-    let counted = Counted::of(particles, sampling)?;
-    Ok((counted.plan.census(), counted.estimate))
-}
-
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
     particles: &'a P,
     sampling: &'a Sampling,
     plan: BinPlan<'a>,
+    /// For a DIF.
     estimate: Estimate,
+    kernels: Option<Method>,
 }
 
 impl<'a, P: Particles + ?Sized> Counted<'a, P> {
@@ -251,13 +241,29 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
         let in_memory = particles.resident_bytes() + resources.host_bytes();
         let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
-        Ok(Self { particles, sampling, plan, estimate })
+        Ok(Self { particles, sampling, plan, estimate, kernels: None })
     }
 
-    /// Bytes that the frame takes with all of it in memory.
+    /// The same for a kernel method instead of a DIF.
     #[must_use]
-    pub fn in_core_bytes(&self) -> u64 {
-        self.estimate.in_core()
+    pub fn for_kernels(self, method: Method) -> Self {
+        Self { kernels: Some(method), ..self }
+    }
+
+    /// What became of the particles.
+    #[must_use]
+    pub fn census(&self) -> Census {
+        self.plan.census()
+    }
+
+    /// What the frame will take.
+    #[must_use]
+    pub fn estimate(&self) -> Estimate {
+        let Some(method) = self.kernels else { return self.estimate };
+        // Kernels are kept until the surface is done, as attributes are.
+        let kernels = self.census().binned as u64 * method.kernel_bytes();
+        let particles = self.estimate.particles + kernels;
+        Estimate { particles, field: 0, carried: true, ..self.estimate }
     }
 }
 
@@ -335,7 +341,7 @@ impl Frame {
         budget: MemoryBudget,
         laps: &mut Laps,
     ) -> Result<Self, FrameError> {
-        let Counted { particles, sampling, plan: bin_plan, estimate } = counted;
+        let Counted { particles, sampling, plan: bin_plan, estimate, .. } = counted;
         let sampling =
             &Sampling { resources: Resources { budget, ..sampling.resources.clone() }, ..sampling.clone() };
         let Sampling { grid, domain, indicator, side, carried, resources, .. } = sampling;

@@ -5,106 +5,185 @@ use std::io;
 use rayon::prelude::*;
 
 use crate::brick::{BinPlan, Bins, Census};
-use crate::estimate::{Estimate, Plan, Shares};
+use crate::estimate::{Plan, Shares};
 use crate::grid::Domain;
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
-use crate::particles::Particles;
-use crate::rivals::{Method, Spacing, kernel_field};
+use crate::particles::{AttributeInfo, Particles};
+use crate::rivals::{KernelField, Method, Spacing, kernel_field};
+use crate::simplify::{Reduction, Simplified};
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals};
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
-use crate::units::Sigma;
+use crate::units::{MemoryBudget, Sigma};
 
-use super::{BATCH, Counted, FrameError, Sampling, carried_infos};
+use super::{BATCH, Counted, FrameError, Resources, Sampling, carried_infos};
 
-/// A surface by a kernel method.
+/// The kernels of a frame, and what else its surface needs.
 #[derive(Debug)]
-pub struct KernelSurface {
-    /// Stitched, as for a DIF.
-    pub mesh: Stitched,
-    /// What became of the particles.
-    pub census: Census,
+pub struct KernelFrame {
+    method: Method,
+    sampling: Sampling,
+    census: Census,
+    field: Box<dyn KernelField>,
+    bins: Bins,
+    /// What the vertices carry.
+    attributes: Vec<AttributeInfo>,
+    /// Of the attributes: as wide as the kernels.
+    smoothing: Smoothing,
+    surface_share: u64,
 }
 
-/// The surface of `particles` by a kernel method. Of `sampling` the indicator and the bricks' side have no meaning
-/// here, the backend is always the processor, and the spacing must be known.
-///
-/// Attributes are carried to the vertices as for a DIF, smoothed by a Gaussian as wide as the kernels.
-///
-/// # Errors
-/// Those of [`Frame::sample`](super::Frame::sample) and [`Frame::surface`](super::Frame::surface), and
-/// [`FrameError::Kernels`] where there are too many cells a spacing.
-///
-/// # Panics
-/// Where the spacing is not known.
-pub fn rival_surface(
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-    method: Method,
-    with: Normals,
-    laps: &mut Laps,
-) -> Result<KernelSurface, FrameError> {
-    let Sampling { grid, domain, carried, resources, .. } = sampling;
-    let spacing = sampling.spacing.expect("kernels are as wide as the spacing says");
-    let spacing = Spacing::new(spacing / grid.cell_size())?;
-    let Counted { plan: bin_plan, estimate, .. } = Counted::of(particles, sampling)?;
-    laps.lap("count");
-    // Kernels are kept until the surface is done, as attributes are.
-    let census = bin_plan.census();
-    let kernel_bytes = census.binned as u64 * method.kernel_bytes();
-    let particle_bytes = estimate.particles + kernel_bytes;
-    let estimate = Estimate { particles: particle_bytes, field: 0, carried: true, ..estimate };
-    let plan = estimate.plan(resources.budget);
-    resources.check_room(estimate.least_scratch(plan))?;
-    let in_scratch = resources.scratch_error();
-    let (bins, kernel_share) = match plan {
-        Plan::InCore => (bin_plan.fill(particles, carried), u64::MAX),
-        Plan::OutOfCore(shares) => {
-            let bins = spilled(bin_plan, particles, sampling, shares).map_err(&in_scratch)?;
-            (bins, shares.particles / 2)
-        }
-    };
-    let bins = bins.sorted().map_err(&in_scratch)?;
-    laps.lap("bin");
-    let field =
-        kernel_field(&bins, method, spacing, kernel_share, &resources.scratch).map_err(&in_scratch)?;
-    laps.lap("kernels");
+impl KernelFrame {
+    /// Works out the kernels of `particles`. Of `sampling` the indicator and the bricks' side have no meaning here, the
+    /// backend is always the processor, and the spacing must be known.
+    ///
+    /// # Errors
+    /// [`FrameError::Kernels`] where there are too many cells a spacing, and else those of
+    /// [`Frame::sample`](super::Frame::sample).
+    ///
+    /// # Panics
+    /// Where the spacing is not known.
+    pub fn sample(
+        particles: &(impl Particles + ?Sized),
+        sampling: &Sampling,
+        method: Method,
+        laps: &mut Laps,
+    ) -> Result<Self, FrameError> {
+        let counted = Counted::of(particles, sampling)?;
+        laps.lap("count");
+        Self::sample_counted(counted, method, sampling.resources.budget, laps)
+    }
 
-    let attributes = carried_infos(particles.attributes(), carried);
-    let components: Vec<usize> = attributes.iter().map(|info| info.components).collect();
-    let walls = domain.as_ref().map(Domain::cells);
-    let smoothing = smoothing(spacing);
-    let carry = |mesh: &mut BlockMesh| -> io::Result<()> {
-        for attribute in components.iter().copied().enumerate() {
-            let values = vertex_values(&bins, attribute, &smoothing, mesh, Crossings::Fractions, walls)?;
+    /// The same for particles that have been counted, under a budget of its own.
+    ///
+    /// # Errors
+    /// [`FrameError::Kernels`], more than the disk can hold, and scratch files that fail.
+    ///
+    /// # Panics
+    /// Where the spacing is not known.
+    pub fn sample_counted<P: Particles + ?Sized>(
+        counted: Counted<'_, P>,
+        method: Method,
+        budget: MemoryBudget,
+        laps: &mut Laps,
+    ) -> Result<Self, FrameError> {
+        let counted = counted.for_kernels(method);
+        let estimate = counted.estimate();
+        let Counted { particles, sampling, plan: bin_plan, .. } = counted;
+        let resources = Resources { budget, ..sampling.resources.clone() };
+        let sampling = Sampling { resources, ..sampling.clone() };
+        let Sampling { grid, carried, resources, .. } = &sampling;
+        let spacing = sampling.spacing.expect("kernels are as wide as the spacing says");
+        let spacing = Spacing::new(spacing / grid.cell_size())?;
+        let census = bin_plan.census();
+        let plan = estimate.plan(budget);
+        resources.check_room(estimate.least_scratch(plan))?;
+        let (bins, kernel_share) = match plan {
+            Plan::InCore => (bin_plan.fill(particles, carried), u64::MAX),
+            Plan::OutOfCore(shares) => {
+                let bins =
+                    spilled(bin_plan, particles, &sampling, shares).map_err(resources.scratch_error())?;
+                (bins, shares.particles / 2)
+            }
+        };
+        let bins = bins.sorted().map_err(resources.scratch_error())?;
+        laps.lap("bin");
+        let field = kernel_field(&bins, method, spacing, kernel_share, &resources.scratch)
+            .map_err(resources.scratch_error())?;
+        laps.lap("kernels");
+        Ok(Self {
+            method,
+            census,
+            field,
+            bins,
+            attributes: carried_infos(particles.attributes(), carried),
+            smoothing: smoothing(spacing),
+            surface_share: estimate.surface_share(budget),
+            sampling,
+        })
+    }
+
+    /// The surface of the frame. Attributes are carried to its vertices as for a DIF, smoothed by a Gaussian as wide as
+    /// the kernels.
+    ///
+    /// # Errors
+    /// [`FrameError::NoKernelSurface`], and [`FrameError::Scratch`] where scratch files fail.
+    pub fn surface(&self, normals: Normals, laps: &mut Laps) -> Result<Stitched, FrameError> {
+        let Sampling { grid, domain, resources, .. } = &self.sampling;
+        let components = self.attributes.iter().map(|info| info.components).collect();
+        let mut spool = Spool::in_memory(normals == Normals::Gradient, components);
+        self.mesh_blocks(normals, &mut spool).map_err(resources.scratch_error())?;
+        laps.lap("mesh");
+        if spool.is_empty() {
+            return Err(FrameError::NoKernelSurface);
+        }
+        Ok(Stitched::new(spool, *grid, *domain, Crossings::Fractions, self.attributes.clone()))
+    }
+
+    /// Meshes all blocks in Morton order into `spool`.
+    fn mesh_blocks(&self, normals: Normals, spool: &mut Spool) -> io::Result<()> {
+        let walls = self.sampling.domain.as_ref().map(Domain::cells);
+        for regions in self.field.regions(walls).chunks(BATCH) {
+            let block = |&region| {
+                let mut mesh = self.field.mesh(region, normals, walls)?;
+                mesh.iter_mut().try_for_each(|mesh| self.carry(mesh))?;
+                Ok(mesh)
+            };
+            let blocks: Vec<Option<BlockMesh>> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+            blocks.into_iter().flatten().try_for_each(|block| spool.push(block))?;
+            if spool.bytes() > self.surface_share {
+                spool.move_to_file(&self.sampling.resources.scratch)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Carries the particles' attributes to the vertices.
+    fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
+        let walls = self.sampling.domain.as_ref().map(Domain::cells);
+        for (i, info) in self.attributes.iter().enumerate() {
+            let attribute = (i, info.components);
+            let values =
+                vertex_values(&self.bins, attribute, &self.smoothing, mesh, Crossings::Fractions, walls)?;
             mesh.attributes.push(values);
         }
         Ok(())
-    };
-    let mut spool = Spool::in_memory(with == Normals::Gradient, components.clone());
-    for regions in field.regions(walls).chunks(BATCH) {
-        let block = |&region| {
-            let mut mesh = field.mesh(region, with, walls)?;
-            mesh.iter_mut().try_for_each(carry)?;
-            Ok(mesh)
-        };
-        let blocks: Vec<Option<BlockMesh>> =
-            regions.par_iter().map(block).collect::<io::Result<_>>().map_err(&in_scratch)?;
-        blocks.into_iter().flatten().try_for_each(|block| spool.push(block)).map_err(&in_scratch)?;
-        if spool.bytes() > estimate.surface_share(resources.budget) {
-            spool.move_to_file(&resources.scratch).map_err(&in_scratch)?;
-        }
     }
-    laps.lap("mesh");
-    if spool.is_empty() {
-        return Err(FrameError::NoKernelSurface);
+
+    /// Whose kernels they are.
+    #[must_use]
+    pub fn method(&self) -> Method {
+        self.method
     }
-    let mesh = Stitched::new(spool, *grid, *domain, Crossings::Fractions, attributes);
-    Ok(KernelSurface { mesh, census })
+
+    /// How its particles were sampled.
+    #[must_use]
+    pub fn sampling(&self) -> &Sampling {
+        &self.sampling
+    }
+
+    /// What became of the particles.
+    #[must_use]
+    pub fn census(&self) -> Census {
+        self.census
+    }
+
+    /// The surface with what a reduction leaves of it.
+    ///
+    /// # Errors
+    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+    pub fn simplify(
+        &self,
+        surface: Stitched,
+        reduction: &Reduction,
+        laps: &mut Laps,
+    ) -> Result<Simplified, FrameError> {
+        self.sampling.resources.simplify(surface, reduction, self.surface_share, laps)
+    }
 }
 
 /// Bins beyond memory.

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use meniscus::brick::{BrickSide, InvalidParticles};
-use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing, rival_surface};
+use meniscus::frame::{Detail, Frame, FrameError, KernelFrame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
@@ -117,7 +117,7 @@ impl Method {
             }
             Self::Rival(rival) => {
                 let sampling = sampling(grid, spacing, COUNTING);
-                Ok(rival_surface(particles, &sampling, rival, normals, laps)?.mesh)
+                KernelFrame::sample(particles, &sampling, rival, laps)?.surface(normals, laps)
             }
         }
     }

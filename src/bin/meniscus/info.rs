@@ -7,7 +7,7 @@ use clap::Args;
 use glam::{DVec3, IVec3};
 use meniscus::brick::{BrickSide, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{self, Resources, Sampling};
+use meniscus::frame::{Counted, Resources, Sampling};
 use meniscus::grid::Grid;
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::{holds_mesh, open_particles};
@@ -174,8 +174,8 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), PathBuf::new()),
     };
-    let (_, estimate) = frame::estimate(particles, &sampling).ok()?;
-    Some(estimate.in_core())
+    let counted = Counted::of(particles, &sampling).ok()?;
+    Some(counted.estimate().in_core())
 }
 
 fn describe(info: &Info) -> String {

@@ -1,24 +1,26 @@
-//! `--method`: a surface by one of the kernel methods that the paper compares against.
+//! `--method`: frames by discrete indicator functions, or by one of the kernel methods that the paper compares against.
 
-use std::path::Path;
-
-use bytesize::ByteSize;
 use clap::ValueEnum;
+use meniscus::brick::Census;
 use meniscus::error::Error;
-use meniscus::frame::{self, FrameError, KernelSurface, Resources, rival_surface};
-use meniscus::io::input::open_particles;
-use meniscus::io::output::MeshFormat;
+use meniscus::frame::{Counted, Frame, FrameError, KernelFrame, Sampling};
+use meniscus::grid::{Domain, Grid};
+use meniscus::io::mnf::FrameFacts;
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 use meniscus::rivals::Method;
-use meniscus::stage::dual_mc::Normals;
+use meniscus::simplify::{Reduction, Simplified};
+use meniscus::stage::indicator::Indicator;
+use meniscus::stitch::Stitched;
+use meniscus::units::{Isovalue, MeanCount, MemoryBudget};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::reconstruct::{IsoOption, Options};
-use crate::run::{Notes, unpacking};
-use crate::sampling::{SamplingRequest, report_census};
+use crate::sampling::SamplingRequest;
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum MethodName {
     /// Discrete indicator functions.
     Dif,
@@ -31,8 +33,17 @@ pub enum MethodName {
 }
 
 impl Options {
+    /// How the particles are to be sampled, whatever they are.
+    pub fn request(&self) -> Result<SamplingRequest, Error> {
+        let request = self.sampling.validate()?;
+        Ok(match self.rival()? {
+            None => request,
+            Some(method) => request.for_kernels(method),
+        })
+    }
+
     /// The kernel method that was asked for, if it was one; refuses what has no meaning for it.
-    pub fn rival(&self) -> Result<Option<Method>, Error> {
+    fn rival(&self) -> Result<Option<Method>, Error> {
         let iso = match self.iso {
             IsoOption::Auto => Method::HALF,
             IsoOption::Value(iso) => iso.value(),
@@ -56,58 +67,112 @@ impl Options {
             Some((option, _)) => Err(Error::Request(format!("{option} has no meaning for this --method"))),
         }
     }
+}
 
-    /// The surface by a kernel method, and what a program wants to know of it; `None` where nothing was to be done.
-    #[allow(clippy::too_many_arguments, reason = "as for a DIF, and the method")]
-    pub fn rival_frame(
-        &self,
-        method: Method,
-        input: &Path,
-        request: &SamplingRequest,
-        format: MeshFormat,
-        resources: Resources,
+/// A frame by whichever method, ready to be meshed.
+pub enum Sampled {
+    Dif(Frame),
+    Kernels(KernelFrame),
+}
+
+impl Sampled {
+    /// By `rival`, or by a DIF where it is `None`.
+    pub fn of<P: Particles + ?Sized>(
+        counted: Counted<'_, P>,
+        rival: Option<Method>,
+        budget: MemoryBudget,
         laps: &mut Laps,
-        notes: &Notes,
-    ) -> Result<Option<(KernelSurface, Value)>, Error> {
-        let file = open_particles(input, unpacking(&resources))?;
-        laps.lap("open");
-        notes.say(format!("{}: {} particles, {}", input.display(), file.particles.len(), file.format));
-        let carried = self.carried(input, &file, format)?;
-        let sampling = request.sampling_by_spacing(input, &file, carried, resources, notes)?;
-        laps.lap("spacing");
-        let in_file = |fault: FrameError| Error::Frame { path: input.to_owned(), fault };
-        if self.dry_run {
-            let (census, _) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
-            let (cell, output) = (sampling.grid.cell_size(), self.output.display());
-            let kernels = ByteSize(census.binned as u64 * method.kernel_bytes());
-            crate::print(&format!(
-                "would reconstruct {} particles with cells of {cell} into {output}\n\
-                 kernels: {kernels} of memory or scratch, besides what the particles take",
-                census.binned,
-            ))?;
-            return Ok(None);
-        }
-        let normals = if self.normals { Normals::Gradient } else { Normals::None };
-        let surface = rival_surface(&file.particles, &sampling, method, normals, laps).map_err(in_file)?;
-        report_census(surface.census, notes);
-        let (name, iso) = match method {
-            Method::Mueller { iso } => ("mueller", Some(iso)),
-            Method::ZhuBridson => ("zhu-bridson", None),
-            Method::YuTurk { iso } => ("yu-turk", Some(iso)),
-        };
-        let facts = json!({
-            "particles": surface.census.binned,
-            "not_finite": surface.census.not_finite,
-            "too_far": surface.census.too_far,
-            "outside_domain": surface.census.outside,
-            "cell_size": sampling.grid.cell_size(),
-            "origin": sampling.grid.origin().to_array(),
-            "domain": sampling.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-            "method": name,
-            "spacing": sampling.spacing,
-            "isovalue": iso,
-            "backend": "CPU",
-        });
-        Ok(Some((surface, facts)))
+    ) -> Result<Self, FrameError> {
+        Ok(match rival {
+            None => Self::Dif(Frame::sample_counted(counted, budget, laps)?),
+            Some(method) => Self::Kernels(KernelFrame::sample_counted(counted, method, budget, laps)?),
+        })
     }
+
+    pub fn census(&self) -> Census {
+        match self {
+            Self::Dif(frame) => frame.facts().census,
+            Self::Kernels(frame) => frame.census(),
+        }
+    }
+
+    /// What went wrong with the backend so far, and was made good.
+    pub fn warnings(&self) -> Vec<String> {
+        match self {
+            Self::Dif(frame) => frame.warnings(),
+            Self::Kernels(_) => Vec::new(),
+        }
+    }
+
+    /// The surface with what a reduction leaves of it.
+    pub fn simplify(
+        &self,
+        surface: Stitched,
+        reduction: &Reduction,
+        laps: &mut Laps,
+    ) -> Result<Simplified, FrameError> {
+        match self {
+            Self::Dif(frame) => frame.simplify(surface, reduction, laps),
+            Self::Kernels(frame) => frame.simplify(surface, reduction, laps),
+        }
+    }
+}
+
+impl Options {
+    /// What a program wants to know of a frame, and of the isovalue that a DIF was given.
+    pub fn frame_facts(&self, sampled: &Sampled, iso: Option<Isovalue>) -> Value {
+        match sampled {
+            Sampled::Dif(frame) => self.dif_facts(frame, iso),
+            Sampled::Kernels(frame) => kernel_facts(frame),
+        }
+    }
+
+    fn dif_facts(&self, frame: &Frame, iso: Option<Isovalue>) -> Value {
+        let FrameFacts { grid, domain, indicator, census, .. } = frame.facts();
+        let of_dif = json!({
+            "indicator": match indicator {
+                Indicator::Symmetry => "symmetry",
+                Indicator::Counting { .. } => "counting",
+            },
+            "mu0": frame.mean_count().map(MeanCount::particles),
+            "sigma": self.sigma(),
+            "isovalue": iso.map(Isovalue::value),
+            "method": "dif",
+            "detail": self.detail,
+            "adaptive": self.adaptive,
+            "backend": frame.backend(),
+        });
+        joined(sampling_facts(census, grid, domain.as_ref()), of_dif)
+    }
+}
+
+fn kernel_facts(frame: &KernelFrame) -> Value {
+    let Sampling { grid, domain, spacing, .. } = frame.sampling();
+    let (name, iso) = match frame.method() {
+        Method::Mueller { iso } => ("mueller", Some(iso)),
+        Method::ZhuBridson => ("zhu-bridson", None),
+        Method::YuTurk { iso } => ("yu-turk", Some(iso)),
+    };
+    let of_kernels = json!({ "method": name, "spacing": spacing, "isovalue": iso, "backend": "CPU" });
+    joined(sampling_facts(&frame.census(), grid, domain.as_ref()), of_kernels)
+}
+
+fn sampling_facts(census: &Census, grid: &Grid, domain: Option<&Domain>) -> Value {
+    json!({
+        "particles": census.binned,
+        "not_finite": census.not_finite,
+        "too_far": census.too_far,
+        "outside_domain": census.outside,
+        "cell_size": grid.cell_size(),
+        "origin": grid.origin().to_array(),
+        "domain": domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+    })
+}
+
+/// All fields of two objects.
+pub fn joined(mut one: Value, other: Value) -> Value {
+    if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
+        one.extend(other);
+    }
+    one
 }

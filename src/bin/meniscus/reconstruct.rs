@@ -3,12 +3,14 @@
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytesize::ByteSize;
 use clap::Args;
+use meniscus::backend::Cpu;
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
-use meniscus::frame::{self, Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
+use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
 use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -24,16 +26,15 @@ use meniscus::sequence::inputs::Inputs;
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::Settings;
 use meniscus::simplify::{BYTES_A_THREAD, Reduction, Simplified};
-use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
-use meniscus::units::{FULL, Isovalue, MeanCount, Sigma, Tolerance};
+use meniscus::units::{FULL, Isovalue, Sigma, Tolerance};
 use serde_json::{Value, json};
 
 use crate::Verdict;
 use crate::interrupt;
-use crate::method::MethodName;
+use crate::method::{MethodName, Sampled, joined};
 use crate::run::{Notes, RunOptions, unpacking};
-use crate::sampling::{SamplingOptions, SamplingRequest, report_frame, report_warnings};
+use crate::sampling::{SamplingOptions, SamplingRequest, report_census, report_frame, report_warnings};
 use crate::sequence::{self, SequenceOptions};
 use crate::up::{Orientation, UpOptions};
 
@@ -112,7 +113,7 @@ pub fn is_frame(path: &Path) -> bool {
 }
 
 impl Options {
-    fn sigma(&self) -> f64 {
+    pub fn sigma(&self) -> f64 {
         self.sigma.unwrap_or(1.0)
     }
 
@@ -164,10 +165,22 @@ impl Options {
         if let Some(option) = self.sampling.given() {
             return refuse(option);
         }
+        if self.method != MethodName::Dif {
+            return refuse("--method");
+        }
         if self.attributes.as_ref().is_some_and(|names| names != &["none"]) {
             return refuse("--attributes");
         }
         Ok(())
+    }
+
+    /// What a frame may take of the machine. Kernel methods run on the processor.
+    pub fn resources(&self, output: &Path) -> Result<Resources, Error> {
+        let resources = self.run.resources(output)?;
+        Ok(match self.method {
+            MethodName::Dif => resources,
+            _ => Resources { backend: Arc::new(Cpu), ..resources },
+        })
     }
 
     /// What is to be left out of the surface.
@@ -275,7 +288,7 @@ impl Options {
         resources: Resources,
         laps: &mut Laps,
         notes: &Notes,
-    ) -> Result<Option<Frame>, Error> {
+    ) -> Result<Option<Sampled>, Error> {
         let in_file = |fault: FrameError| Error::Frame { path: input.to_owned(), fault };
         if is_frame(input) {
             let (facts, dif) = open_frame(input, resources.budget.0 / 4)?;
@@ -286,7 +299,7 @@ impl Options {
                 crate::print(&format!("would reconstruct {} particles into {output}", facts.census.binned))?;
                 return Ok(None);
             }
-            return Ok(Some(Frame::from_parts(facts, dif, resources)));
+            return Ok(Some(Sampled::Dif(Frame::from_parts(facts, dif, resources))));
         }
         let file = open_particles(input, unpacking(&resources))?;
         laps.lap("open");
@@ -294,17 +307,19 @@ impl Options {
         let carried = self.carried(input, &file, format)?;
         let sampling = request.sampling(input, &file, carried, resources, notes)?;
         laps.lap("spacing");
+        let counted = request.counted(&file.particles, &sampling).map_err(in_file)?;
+        laps.lap("count");
         if self.dry_run {
-            let (census, estimate) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
-            let plan = estimate.plan(sampling.resources.budget);
+            let (estimate, budget) = (counted.estimate(), sampling.resources.budget);
+            let plan = estimate.plan(budget);
             crate::print(&format!(
                 "would reconstruct {} particles with cells of {} into {}\n\
                  memory: about {} of {}; all in memory would take {}\nscratch: at most about {} in {}{}",
-                census.binned,
+                counted.census().binned,
                 sampling.grid.cell_size(),
                 self.output.display(),
                 ByteSize(estimate.peak(plan)),
-                ByteSize(sampling.resources.budget.0),
+                ByteSize(budget.0),
                 ByteSize(estimate.in_core()),
                 ByteSize(file.particles.scratch_bytes() + estimate.scratch(plan)),
                 sampling.resources.scratch.display(),
@@ -312,7 +327,8 @@ impl Options {
             ))?;
             return Ok(None);
         }
-        Frame::sample(&file.particles, &sampling, laps).map(Some).map_err(in_file)
+        let budget = sampling.resources.budget;
+        Sampled::of(counted, request.rival(), budget, laps).map(Some).map_err(in_file)
     }
 }
 
@@ -323,7 +339,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     match (inputs, naming) {
         (None, None) => run_frame(options, &options.inputs[0]),
         (inputs, Some(naming)) => {
-            if options.rival()?.is_some() {
+            if options.method != MethodName::Dif {
                 return Err(Error::Request("--method works on one frame at a time, but for dif".into()));
             }
             let inputs = inputs.unwrap_or_else(|| Inputs::Files(options.inputs.clone()));
@@ -340,20 +356,13 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let notes = options.run.notes();
     options.sequence.refuse_for_one_frame()?;
-    let request = options.sampling.validate()?;
-    let rival = options.rival()?;
+    let request = options.request()?;
     let surfacing = options.surfacing()?;
     let reduction = options.reduction()?;
     if is_frame(input) {
         options.validate_frame_input(input)?;
-        if rival.is_some() {
-            return Err(Error::Request(format!(
-                "{}: --method needs the particles themselves",
-                input.display()
-            )));
-        }
     }
-    let resources = options.run.resources(&options.output)?;
+    let resources = options.resources(&options.output)?;
     options.validate_memory(&reduction, &resources)?;
     refuse_same_file(input, &options.output)?;
     if let Some(stats) = &options.stats {
@@ -370,26 +379,27 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
 
     let mut laps = Laps::default();
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
-    // The surface, what simplifying may keep of it in memory, and what a program wants to know.
-    let (mesh, share, facts) = if let Some(method) = rival {
-        let made = options.rival_frame(method, input, &request, format, resources.clone(), &mut laps, &notes);
-        let Some((surface, facts)) = made? else { return Ok(Verdict::Good) };
-        (surface.mesh, resources.budget.0 / 4, facts)
-    } else {
-        let made = options.frame(input, &request, format, resources.clone(), &mut laps, &notes);
-        let Some(frame) = made? else { return Ok(Verdict::Good) };
-        report_frame(&frame, &notes);
-        let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
-        report_warnings(&frame, &notes);
-        report_isovalue(iso, plateau, surfacing.iso, &notes);
-        (mesh, frame.surface_share(), options.frame_facts(&frame, iso))
+    let made = options.frame(input, &request, format, resources, &mut laps, &notes)?;
+    let Some(sampled) = made else { return Ok(Verdict::Good) };
+    let (mesh, iso) = match &sampled {
+        Sampled::Dif(frame) => {
+            report_frame(frame, &notes);
+            let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
+            report_warnings(frame, &notes);
+            report_isovalue(iso, plateau, surfacing.iso, &notes);
+            (mesh, Some(iso))
+        }
+        Sampled::Kernels(frame) => {
+            report_census(frame.census(), &notes);
+            (frame.surface(surfacing.normals, &mut laps).map_err(in_file)?, None)
+        }
     };
 
     let width = coordinate_width(&mesh, mesh.grid().cell_size(), format, &notes)?;
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {
         Box::new(mesh)
     } else {
-        let simplified = resources.simplify(mesh, &reduction, share, &mut laps).map_err(in_file)?;
+        let simplified = sampled.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
@@ -408,6 +418,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
     if options.stats.is_some() {
+        let facts = options.frame_facts(&sampled, iso);
         let record = options.record([input, &options.output], facts, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }
@@ -419,7 +430,7 @@ impl Options {
     pub fn record(
         &self,
         [input, output]: [&Path; 2],
-        mut facts: Value,
+        facts: Value,
         mesh: &dyn MeshSource,
         bytes: u64,
         laps: &Laps,
@@ -438,35 +449,7 @@ impl Options {
             "threads": rayon::current_num_threads(),
             "peak_resident_bytes": peak_resident(),
         });
-        if let (Value::Object(facts), Value::Object(of_run)) = (&mut facts, of_run) {
-            facts.extend(of_run);
-        }
-        facts
-    }
-
-    /// The part of it that is not the same for every method.
-    pub fn frame_facts(&self, frame: &Frame, iso: Isovalue) -> Value {
-        let facts = frame.facts();
-        json!({
-            "particles": facts.census.binned,
-            "not_finite": facts.census.not_finite,
-            "too_far": facts.census.too_far,
-            "outside_domain": facts.census.outside,
-            "cell_size": facts.grid.cell_size(),
-            "origin": facts.grid.origin().to_array(),
-            "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-            "indicator": match facts.indicator {
-                Indicator::Symmetry => "symmetry",
-                Indicator::Counting { .. } => "counting",
-            },
-            "mu0": frame.mean_count().map(MeanCount::particles),
-            "sigma": self.sigma(),
-            "isovalue": iso.value(),
-            "method": "dif",
-            "detail": self.detail,
-            "adaptive": self.adaptive,
-            "backend": frame.backend(),
-        })
+        joined(facts, of_run)
     }
 
     /// Appends a line to the statistics, if they are asked for.

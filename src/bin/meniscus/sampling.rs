@@ -6,11 +6,12 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use meniscus::brick::{BrickSide, Census, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{Frame, FrameError, Resources, Sampling};
+use meniscus::frame::{Counted, Frame, FrameError, Resources, Sampling};
 use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::Particles;
+use meniscus::rivals::Method;
 use meniscus::spacing;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{MeanCount, positive_length};
@@ -63,13 +64,21 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 
 /// What the options ask for, as far as it can be known without the particles.
 pub struct SamplingRequest {
-    /// As the cells want it where it is `None`.
-    indicator: Option<Indicator>,
+    field: FieldRequest,
     invalid: InvalidParticles,
     origin: DVec3,
     walls: Option<[DVec3; 2]>,
     spacing: Option<f64>,
     cell: Cell,
+}
+
+/// What is made of the particles.
+#[derive(Clone, Copy)]
+enum FieldRequest {
+    /// By an indicator; by the one that suits the cells where it is `None`.
+    Dif(Option<Indicator>),
+    /// By kernels as wide as the spacing says.
+    Kernels(Method),
 }
 
 /// How the edge of a cell is given.
@@ -163,7 +172,8 @@ impl SamplingOptions {
             return Err(error.into());
         }
         let invalid = if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse };
-        Ok(SamplingRequest { indicator, invalid, origin, walls, spacing, cell })
+        let field = FieldRequest::Dif(indicator);
+        Ok(SamplingRequest { field, invalid, origin, walls, spacing, cell })
     }
 }
 
@@ -188,10 +198,40 @@ impl Cells {
 const LEAST_FOR_SYMMETRY: f64 = 0.9;
 
 impl SamplingRequest {
-    /// The indicator that was asked for, else the one that suits cells of some size.
+    /// The same for a kernel method instead of a DIF.
+    pub fn for_kernels(self, method: Method) -> Self {
+        Self { field: FieldRequest::Kernels(method), ..self }
+    }
+
+    /// The kernel method that was asked for, if it was one.
+    pub fn rival(&self) -> Option<Method> {
+        match self.field {
+            FieldRequest::Dif(_) => None,
+            FieldRequest::Kernels(method) => Some(method),
+        }
+    }
+
+    /// Counts particles for what is to be made of them.
+    pub fn counted<'a, P: Particles + ?Sized>(
+        &self,
+        particles: &'a P,
+        sampling: &'a Sampling,
+    ) -> Result<Counted<'a, P>, FrameError> {
+        let counted = Counted::of(particles, sampling)?;
+        Ok(match self.rival() {
+            None => counted,
+            Some(method) => counted.for_kernels(method),
+        })
+    }
+
+    /// The indicator that was asked for, else the one that suits cells of some size. Kernels have no use for it.
     pub fn indicator(&self, cell: f64, spacing: Option<f64>) -> Indicator {
         let fine = spacing.is_some_and(|spacing| cell < LEAST_FOR_SYMMETRY * spacing);
-        self.indicator.unwrap_or(if fine { Indicator::Counting { mean: None } } else { Indicator::Symmetry })
+        match self.field {
+            FieldRequest::Dif(Some(indicator)) => indicator,
+            FieldRequest::Dif(None) if fine => Indicator::Counting { mean: None },
+            FieldRequest::Dif(None) | FieldRequest::Kernels(_) => Indicator::Symmetry,
+        }
     }
 
     /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices.
@@ -203,35 +243,13 @@ impl SamplingRequest {
         resources: Resources,
         notes: &Notes,
     ) -> Result<Sampling, Error> {
-        self.sampling_in(self.cells(path, file)?, carried, resources, notes)
-    }
-
-    /// The same with the spacing, whether or not the cells depend on it.
-    pub fn sampling_by_spacing(
-        &self,
-        path: &Path,
-        file: &ParticleFile,
-        carried: Vec<usize>,
-        resources: Resources,
-        notes: &Notes,
-    ) -> Result<Sampling, Error> {
-        self.sampling_in(self.cells_and_spacing(path, file)?, carried, resources, notes)
-    }
-
-    fn sampling_in(
-        &self,
-        cells: Cells,
-        carried: Vec<usize>,
-        resources: Resources,
-        notes: &Notes,
-    ) -> Result<Sampling, Error> {
+        let cells = self.cells(path, file)?;
         cells.describe().iter().for_each(|text| notes.say(text));
-        let grid = Grid::new(self.origin, cells.size)?;
         let indicator = self.indicator(cells.size, cells.spacing);
-        if self.indicator.is_none() && indicator != Indicator::Symmetry {
+        if matches!(self.field, FieldRequest::Dif(None)) && indicator != Indicator::Symmetry {
             notes.say("indicator counting: the cells are smaller than the spacing");
         }
-        self.sampling_on(grid, indicator, cells.spacing, carried, resources)
+        self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)
     }
 
     /// The same on a grid that is known.
@@ -262,14 +280,9 @@ impl SamplingRequest {
 
     /// The edge of a cell, the spacing where it matters, and where that comes from.
     pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
-        match self.cell {
-            Cell::Size(size) => Ok(Cells { size, spacing: self.spacing.or(file.spacing), source: None }),
-            Cell::Ratio(_) => self.cells_and_spacing(path, file),
+        if let (Cell::Size(size), FieldRequest::Dif(_)) = (self.cell, self.field) {
+            return Ok(Cells { size, spacing: self.spacing.or(file.spacing), source: None });
         }
-    }
-
-    /// The same with the spacing, whether or not the edge depends on it.
-    fn cells_and_spacing(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
         let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, "as given".to_owned())
         } else if let Some(spacing) = file.spacing {

@@ -9,6 +9,7 @@ mod tally;
 mod watch;
 
 use std::fmt::Write;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use meniscus::error::{Cause, Error};
@@ -17,15 +18,20 @@ use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::io::whole::sweep;
 use meniscus::io::{WriteError, WriteFault};
+use meniscus::laps::Laps;
+use meniscus::plateau::recipe_at;
 use meniscus::sequence::SequenceError;
+use meniscus::sequence::frozen::Frozen;
 use meniscus::sequence::inputs::{FrameFile, Inputs};
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::{Stamp, State, Store};
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
+use meniscus::stitch::Stitched;
 
 use crate::Verdict;
 use crate::interrupt;
 use crate::lanes::Division;
+use crate::method::Sampled;
 use crate::reconstruct::Options;
 use crate::run::Notes;
 use crate::sampling::SamplingRequest;
@@ -64,14 +70,14 @@ pub fn run(options: &Options, inputs: &Inputs, naming: &Naming) -> Result<Verdic
         // Says which there are.
         inputs.list()?;
     }
-    let resources = options.run.resources(&naming.folder().join("frame"))?;
+    let resources = options.resources(&naming.folder().join("frame"))?;
     let mut verdict = Verdict::Good;
     for inputs in &sequences {
         let setup = Setup {
             options,
             inputs,
             naming,
-            request: options.sampling.validate()?,
+            request: options.request()?,
             surfacing: options.surfacing()?,
             reduction: options.reduction()?,
             resources: resources.clone(),
@@ -181,6 +187,25 @@ impl Setup<'_> {
         let Orientation { shown: up, .. } = options.up.orientation(&first.path, format);
         let series = Series { format, sequence, fps: options.sequence.fps, up };
         Conversion::new(self, format, store, state, wanted.len()).run(frames, &series)
+    }
+
+    /// The surface of a frame by what all have in common.
+    fn surface(
+        &self,
+        path: &Path,
+        sampled: &Sampled,
+        frozen: &Frozen,
+        laps: &mut Laps,
+    ) -> Result<Stitched, Error> {
+        let Surfacing { sigma, detail, normals, .. } = self.surfacing;
+        let surface = match sampled {
+            Sampled::Dif(frame) => {
+                let recipe = recipe_at(frame.facts().indicator, sigma, detail, frozen.iso()?);
+                frame.surface_by(&recipe, normals, laps)
+            }
+            Sampled::Kernels(frame) => frame.surface(normals, laps),
+        };
+        surface.map_err(|fault| Error::Frame { path: path.to_owned(), fault })
     }
 
     /// How the machine is divided among so many frames.

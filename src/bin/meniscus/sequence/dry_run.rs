@@ -5,16 +5,15 @@ use std::time::Instant;
 
 use bytesize::ByteSize;
 use meniscus::error::Error;
-use meniscus::frame::{self, Frame};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
-use meniscus::plateau::recipe_at;
 use meniscus::sequence::inputs::{FrameFile, gaps};
 use meniscus::sequence::state::{Stamp, State, Store};
 
 use crate::Verdict;
+use crate::method::Sampled;
 use crate::reconstruct::is_frame;
 
 use super::Setup;
@@ -73,10 +72,11 @@ impl Setup<'_> {
             )?;
             let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
             let mut laps = Laps::default();
-            let (census, estimate) = frame::estimate(&file.particles, &sampling).map_err(in_file)?;
-            let sampled = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
-            let recipe = recipe_at(indicator, self.surfacing.sigma, self.surfacing.detail, frozen.iso()?);
-            let mesh = sampled.surface_by(&recipe, self.surfacing.normals, &mut laps).map_err(in_file)?;
+            let counted = self.request.counted(&file.particles, &sampling).map_err(in_file)?;
+            let (census, estimate) = (counted.census(), counted.estimate());
+            let (rival, budget) = (self.request.rival(), self.resources.budget);
+            let sampled = Sampled::of(counted, rival, budget, &mut laps).map_err(in_file)?;
+            let mesh = self.surface(&largest.path, &sampled, &frozen, &mut laps)?;
             let division = self.division(wanted.len());
             // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and simplifying takes away.
             let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();

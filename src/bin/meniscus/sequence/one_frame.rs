@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use meniscus::error::Error;
-use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources, Sampling, Surfacing, carried_infos};
+use meniscus::frame::{Frame, FrameError, Normals, Resources, Sampling, carried_infos};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -16,7 +16,6 @@ use meniscus::mesh::bounds::Bounded;
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::plateau::recipe_at;
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::state::{Record, Stamp};
 use meniscus::units::MemoryBudget;
@@ -24,6 +23,7 @@ use serde_json::{Value, json};
 
 use crate::interrupt;
 use crate::lanes::Permit;
+use crate::method::Sampled;
 use crate::reconstruct::{coordinate_width, is_frame};
 use crate::run::Notes;
 
@@ -38,10 +38,10 @@ pub struct Done {
     pub warnings: Vec<String>,
 }
 
-/// A frame that was read and sampled.
-struct Sampled<'a> {
+/// A frame that waits to be meshed.
+struct Ready<'a> {
     /// `None` where there are no particles.
-    frame: Option<Frame>,
+    frame: Option<Sampled>,
     /// What its vertices carry.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
@@ -66,7 +66,7 @@ impl Conversion<'_> {
         let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
 
         let mut laps = Laps::default();
-        let Sampled { frame: sampled, infos, time, permit } = self.sample(path, stage, &mut laps)?;
+        let Ready { frame: sampled, infos, time, permit } = self.sample(path, stage, &mut laps)?;
         let mut warnings = Vec::new();
         let surface = match &sampled {
             None => None,
@@ -89,7 +89,7 @@ impl Conversion<'_> {
         drop(permit);
         laps.lap("write");
 
-        let particles = sampled.as_ref().map_or(0, |sampled| sampled.facts().census.binned);
+        let particles = sampled.as_ref().map_or(0, |sampled| sampled.census().binned);
         let listed = SeriesFrame {
             frame: frame.number,
             time,
@@ -107,7 +107,7 @@ impl Conversion<'_> {
         let mut stats = match &sampled {
             Some(sampled) => options.record(
                 [path, &target],
-                options.frame_facts(sampled, self.state.frozen.iso()?),
+                options.frame_facts(sampled, self.state.frozen.iso().ok()),
                 &*mesh,
                 bytes,
                 &laps,
@@ -120,8 +120,8 @@ impl Conversion<'_> {
     }
 
     /// Reads and samples a frame, from its particles or as it was packed.
-    fn sample(&self, path: &Path, stage: &dyn Fn(&str), laps: &mut Laps) -> Result<Sampled<'_>, Error> {
-        let Setup { options, resources, .. } = self.setup;
+    fn sample(&self, path: &Path, stage: &dyn Fn(&str), laps: &mut Laps) -> Result<Ready<'_>, Error> {
+        let Setup { options, request, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         stage("reading");
@@ -131,7 +131,7 @@ impl Conversion<'_> {
             let (facts, dif) = open_frame(path, share.0 / 4)?;
             laps.lap("open");
             let frame = Frame::from_parts(facts, dif, Resources { budget: share, ..resources.clone() });
-            return Ok(Sampled { frame: Some(frame), infos: Vec::new(), time: None, permit });
+            return Ok(Ready { frame: Some(Sampled::Dif(frame)), infos: Vec::new(), time: None, permit });
         }
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let unpacking = Unpacking { in_memory: opening.budget.0 / 2, scratch: &opening.scratch };
@@ -141,10 +141,10 @@ impl Conversion<'_> {
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.sampling(carried, opening)?;
         stage("counting");
-        let mut counted = Counted::of(&file.particles, &sampling);
+        let mut counted = request.counted(&file.particles, &sampling);
         laps.lap("count");
         let fits = match &counted {
-            Ok(counted) => counted.in_core_bytes() <= share.0,
+            Ok(counted) => counted.estimate().in_core() <= share.0,
             Err(FrameError::OverBudget(_)) => false,
             Err(_) => true,
         };
@@ -156,18 +156,18 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = Counted::of(&file.particles, &sampling);
+            counted = request.counted(&file.particles, &sampling);
         }
         stage("sampling");
         let frame = match counted {
             Err(FrameError::NoParticles(_)) => None,
             counted => {
                 let counted = counted.map_err(in_file)?;
-                let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
+                let sample = || Sampled::of(counted, request.rival(), budget, laps).map_err(in_file);
                 Some(permit.run(sample)?)
             }
         };
-        Ok(Sampled { frame, infos, time: file.time, permit })
+        Ok(Ready { frame, infos, time: file.time, permit })
     }
 
     fn sampling(&self, carried: Vec<usize>, resources: Resources) -> Result<Sampling, Error> {
@@ -192,22 +192,23 @@ impl Conversion<'_> {
     fn surface(
         &self,
         path: &Path,
-        sampled: &Frame,
+        sampled: &Sampled,
         warnings: &mut Vec<String>,
         laps: &mut Laps,
     ) -> Result<Option<Found>, Error> {
-        let frozen = &self.state.frozen;
-        let Surfacing { sigma, detail, normals, .. } = self.setup.surfacing;
-        let reduction = &self.setup.reduction;
-        let recipe = recipe_at(sampled.facts().indicator, sigma, detail, frozen.iso()?);
+        let (frozen, reduction) = (&self.state.frozen, &self.setup.reduction);
         let mut empty = |why: &str| {
             warnings.push(format!("{why}: an empty mesh"));
             Ok(None)
         };
-        let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
-        let surface = match sampled.surface_by(&recipe, normals, laps) {
-            Err(FrameError::NoSurface { .. }) => return empty("the field is nowhere above the isovalue"),
-            surface => surface.map_err(in_file)?,
+        let surface = match self.setup.surface(path, sampled, frozen, laps) {
+            Err(Error::Frame { fault: FrameError::NoSurface { .. }, .. }) => {
+                return empty("the field is nowhere above the isovalue");
+            }
+            Err(Error::Frame { fault: FrameError::NoKernelSurface, .. }) => {
+                return empty("no cell's centre is inside of the surface");
+            }
+            surface => surface?,
         };
         let width = coordinate_width(&surface, frozen.cell_size, self.format, &Notes::none())?;
         if reduction.is_none() {
@@ -215,7 +216,8 @@ impl Conversion<'_> {
         }
         match sampled.simplify(surface, reduction, laps) {
             Err(FrameError::NothingLeft { .. }) => empty("all components are below --drop-smaller"),
-            simplified => Ok(Some((Box::new(simplified.map_err(in_file)?), width))),
+            Err(fault) => Err(Error::Frame { path: path.to_owned(), fault }),
+            Ok(simplified) => Ok(Some((Box::new(simplified), width))),
         }
     }
 }
