@@ -165,7 +165,8 @@ fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
 fn kernel_methods_say_nothing_of_an_indicator() {
     let folder = folder_with_ball();
     for (method, says) in [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)] {
-        let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--cell", "0.6", "--method", method];
+        let given =
+            ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--cell", "0.6", "--method", method];
         let run = meniscus(folder.path(), &given);
         assert!(run.status.success(), "{method}: {run:?}");
         let notes = String::from_utf8(run.stderr).unwrap();

@@ -281,6 +281,51 @@ fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
 }
 
 #[test]
+fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them_anew() {
+    let folder = falling(1..=3);
+    let made = |more: &[&str]| {
+        let notes = run(folder.path(), &with(more), 0);
+        (tree(&folder.path().join("out")), notes)
+    };
+    let (first, _) = made(&["--method", "zhu-bridson"]);
+    let state: Value = serde_json::from_slice(&first["m.ply.meniscus/state.json"]).unwrap();
+    let frozen = &state["frozen"];
+    assert!(frozen["mu0"].is_null() && frozen["isovalue"].is_null(), "{frozen}");
+    let spacing = frozen["spacing"].to_string();
+    for frame in 1..=3 {
+        let input = format!("in/f_{frame}.xyz");
+        let single =
+            [&input, "-o", "one.ply", "--overwrite", "--method", "zhu-bridson", "--spacing", &spacing];
+        run(folder.path(), &single, 0);
+        assert!(
+            fs::read(folder.path().join("one.ply")).unwrap() == first[&format!("m_{frame}.ply")],
+            "{frame}"
+        );
+    }
+    let small = ["--method", "zhu-bridson", "--overwrite", "--threads", "1", "--memory", "16MiB"];
+    assert!(made(&small).0 == first, "whatever the threads and the memory");
+
+    let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
+    assert!(errors.contains("other settings (method)"), "{errors}");
+    let (other, notes) = made(&["--method", "yu-turk", "--resume"]);
+    assert!((1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]), "{notes}");
+    let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
+    assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
+}
+
+#[test]
+fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
+    let folder = falling(1..=1);
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&[[0.0; 3]])).unwrap();
+    let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
+    let notes = run(folder.path(), &with(&coarse), 0);
+    assert!(notes.contains("f_2.xyz: no cell's centre is inside"), "{notes}");
+    let [ball, nothing] =
+        ["out/m_1.ply", "out/m_2.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
+    assert!(ball.triangles.len() > 100 && nothing.triangles.is_empty());
+}
+
+#[test]
 fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_read() {
     let folder = TempDir::new().unwrap();
     let header = "x,y,z,vx,vy,vz\n";

@@ -55,8 +55,8 @@ pub struct Frozen {
     pub origin: [f64; 3],
     /// For counting.
     pub mu0: Option<f64>,
-    /// As a fraction of 1.
-    pub isovalue: f64,
+    /// As a fraction of 1, for DIFs.
+    pub isovalue: Option<f64>,
 }
 
 /// Whether the grid may be moved to suit the particles.
@@ -162,8 +162,8 @@ impl Frozen {
     /// The isovalue of all frames.
     ///
     /// # Errors
-    /// [`UnitError`] for a number that cannot have been measured.
+    /// [`UnitError`] for a number that cannot have been measured, or none.
     pub fn iso(&self) -> Result<Isovalue, UnitError> {
-        Isovalue::new(self.isovalue)
+        Isovalue::new(self.isovalue.unwrap_or(f64::NAN))
     }
 }

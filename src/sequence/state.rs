@@ -109,9 +109,9 @@ impl Store {
         let state: State = serde_json::from_slice(&bytes)
             .map_err(|e| SequenceError::State { path: path.clone(), what: e.to_string() })?;
         let Frozen { cell_size, isovalue, mu0, .. } = state.frozen;
-        let sound = state.frozen.grid().is_ok() && state.frozen.iso().is_ok();
+        let sound = state.frozen.grid().is_ok() && (isovalue.is_none() || state.frozen.iso().is_ok());
         if !sound || mu0.is_some_and(|mu0| MeanCount::new(mu0).is_err()) {
-            let what = format!("cells of {cell_size} and isovalue {isovalue} cannot have been measured");
+            let what = format!("cells of {cell_size} and isovalue {isovalue:?} cannot have been measured");
             return Err(SequenceError::State { path, what });
         }
         Ok(Some(state))
@@ -187,7 +187,7 @@ mod tests {
             cell_size: 0.1 + 0.7,
             origin: [1e-17, -0.1, 1.0 / 3.0],
             mu0: Some(7.0 / 3.0),
-            isovalue,
+            isovalue: Some(isovalue),
         }
     }
 

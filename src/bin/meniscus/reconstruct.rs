@@ -125,6 +125,7 @@ impl Options {
             IsoOption::Value(value) => json!(value.value()),
         };
         for (name, value) in [
+            ("method", json!(self.method)),
             ("sigma", json!(self.sigma())),
             ("iso", iso),
             ("detail", json!(self.detail)),
@@ -339,9 +340,6 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     match (inputs, naming) {
         (None, None) => run_frame(options, &options.inputs[0]),
         (inputs, Some(naming)) => {
-            if options.method != MethodName::Dif {
-                return Err(Error::Request("--method works on one frame at a time, but for dif".into()));
-            }
             let inputs = inputs.unwrap_or_else(|| Inputs::Files(options.inputs.clone()));
             sequence::run(options, &inputs, &naming)
         }

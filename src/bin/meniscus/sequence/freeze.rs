@@ -2,11 +2,13 @@
 
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{Frame, FrameError};
+use meniscus::grid::Grid;
 use meniscus::io::ReadError;
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::plateau::Plateau;
+use meniscus::rivals::Spacing;
 use meniscus::sequence::SequenceError;
 use meniscus::sequence::frozen::{Frozen, Measured, Origin, Trust, measure};
 use meniscus::sequence::inputs::FrameFile;
@@ -114,6 +116,11 @@ impl Setup<'_> {
         let budget = self.resources.budget.0 / 8;
         let file = open_particles(path, Unpacking { in_memory: budget, scratch: &self.resources.scratch })?;
         let cells = self.request.cells(path, &file)?;
+        if let Some(spacing) = cells.spacing.filter(|_| self.request.rival().is_some()) {
+            Spacing::new(spacing / cells.size).map_err(|e| in_file(e.into()))?;
+            let grid = self.request.grid(cells.size)?;
+            return Ok((for_kernels(frame.number, input, cells.spacing, cells.source, grid), Trust::Sound));
+        }
         let (grid, indicator) = match lattice {
             Some((frozen, _)) => {
                 (frozen.grid()?, frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?)
@@ -141,15 +148,16 @@ fn frozen(
     measured: Measured,
 ) -> Frozen {
     Frozen {
-        frame,
-        input,
-        spacing,
-        spacing_source: source,
-        cell_size: measured.grid.cell_size(),
-        origin: measured.grid.origin().to_array(),
         mu0: measured.mean.map(|mean| mean.particles()),
-        isovalue: measured.iso.value(),
+        isovalue: Some(measured.iso.value()),
+        ..for_kernels(frame, input, spacing, source, measured.grid)
     }
+}
+
+/// Kernels have neither mu0 nor an isovalue that is measured.
+fn for_kernels(frame: u64, input: Stamp, spacing: Option<f64>, source: Option<String>, grid: Grid) -> Frozen {
+    let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
+    Frozen { frame, input, spacing, spacing_source: source, cell_size, origin, mu0: None, isovalue: None }
 }
 
 pub fn describe(frozen: &Frozen) -> String {
@@ -159,7 +167,8 @@ pub fn describe(frozen: &Frozen) -> String {
         _ => String::new(),
     };
     let mu0 = mu0.map_or(String::new(), |mu0| format!(", mu0 {mu0:.4}"));
+    let isovalue = isovalue.map_or(String::new(), |isovalue| format!(", isovalue {isovalue:.4}"));
     let origin =
         if [*x, *y, *z] == [0.0; 3] { String::new() } else { format!(", origin {x:.6},{y:.6},{z:.6}") };
-    format!("{spacing}cell size {cell_size:.6}{origin}{mu0}, isovalue {isovalue:.4}")
+    format!("{spacing}cell size {cell_size:.6}{origin}{mu0}{isovalue}")
 }
