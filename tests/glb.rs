@@ -13,8 +13,7 @@ use meniscus::io::UpAxis;
 use meniscus::io::glb::{Compression, Layout, grid_step};
 use meniscus::io::output::MeshFormat;
 use meniscus::mesh::Mesh;
-use meniscus::mesh::source::{MeshSource, Vertices};
-use meniscus::particles::AttributeInfo;
+use meniscus::mesh::source::{MeshSource, Outline, Vertices};
 use serde_json::Value;
 
 fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u8>) {
@@ -184,21 +183,10 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
 struct Huge(u64);
 
 impl MeshSource for Huge {
-    fn vertex_count(&self) -> u64 {
-        self.0
+    fn outline(&self) -> Outline {
+        Outline { vertices: self.0, triangles: 2 * self.0, normals: false, attributes: Vec::new(), pieces: 1 }
     }
-    fn triangle_count(&self) -> u64 {
-        2 * self.0
-    }
-    fn has_normals(&self) -> bool {
-        false
-    }
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        Vec::new()
-    }
-    fn pieces(&self) -> usize {
-        panic!("pieces are asked for")
-    }
+
     fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
         panic!("vertices are asked for")
     }

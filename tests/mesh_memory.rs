@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use meniscus::io::CoordinateWidth;
 use meniscus::io::output::MeshFormat;
-use meniscus::mesh::source::{MeshSource, Vertices};
+use meniscus::mesh::source::{MeshSource, Outline, Vertices};
 use meniscus::particles::AttributeInfo;
 
 /// Counts the bytes that are held.
@@ -43,21 +43,16 @@ const VERTICES: usize = 1 << 10;
 const TRIANGLES: usize = 1 << 11;
 
 impl MeshSource for Strip {
-    fn vertex_count(&self) -> u64 {
-        (self.pieces * VERTICES) as u64
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: (self.pieces * VERTICES) as u64,
+            triangles: (self.pieces * TRIANGLES) as u64,
+            normals: true,
+            attributes: vec![AttributeInfo { name: "velocity".to_owned(), components: 3 }],
+            pieces: self.pieces,
+        }
     }
-    fn triangle_count(&self) -> u64 {
-        (self.pieces * TRIANGLES) as u64
-    }
-    fn has_normals(&self) -> bool {
-        true
-    }
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        vec![AttributeInfo { name: "velocity".to_owned(), components: 3 }]
-    }
-    fn pieces(&self) -> usize {
-        self.pieces
-    }
+
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
         let numbers = piece * VERTICES..(piece + 1) * VERTICES;
         Ok(Vertices {

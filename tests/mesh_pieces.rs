@@ -16,8 +16,7 @@ use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, WriteFault};
 use meniscus::mesh::Mesh;
-use meniscus::mesh::source::{MeshSource, Vertices};
-use meniscus::particles::AttributeInfo;
+use meniscus::mesh::source::{MeshSource, Outline, Vertices};
 
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];
@@ -56,21 +55,16 @@ impl Cut {
 }
 
 impl MeshSource for Cut {
-    fn vertex_count(&self) -> u64 {
-        self.mesh.vertex_count()
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.mesh.vertex_count(),
+            triangles: self.mesh.triangle_count(),
+            normals: self.mesh.has_normals(),
+            attributes: self.mesh.attributes(),
+            pieces: self.pieces.len(),
+        }
     }
-    fn triangle_count(&self) -> u64 {
-        self.mesh.triangle_count()
-    }
-    fn has_normals(&self) -> bool {
-        self.mesh.has_normals()
-    }
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.mesh.attributes()
-    }
-    fn pieces(&self) -> usize {
-        self.pieces.len()
-    }
+
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
         let range = self.found(0, piece)?;
         let Mesh { positions, normals, attributes, .. } = &self.mesh;

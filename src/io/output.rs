@@ -262,8 +262,7 @@ impl MeshOutput {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::source::Vertices;
-    use crate::particles::AttributeInfo;
+    use crate::mesh::source::{Outline, Vertices};
 
     /// Only its counts are there.
     struct Huge {
@@ -272,21 +271,16 @@ mod tests {
     }
 
     impl MeshSource for Huge {
-        fn vertex_count(&self) -> u64 {
-            self.vertices
+        fn outline(&self) -> Outline {
+            Outline {
+                vertices: self.vertices,
+                triangles: self.triangles,
+                normals: true,
+                attributes: Vec::new(),
+                pieces: 1,
+            }
         }
-        fn triangle_count(&self) -> u64 {
-            self.triangles
-        }
-        fn has_normals(&self) -> bool {
-            true
-        }
-        fn attributes(&self) -> Vec<AttributeInfo> {
-            Vec::new()
-        }
-        fn pieces(&self) -> usize {
-            1
-        }
+
         fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
             panic!("vertices are asked for")
         }

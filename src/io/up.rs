@@ -5,7 +5,7 @@ use std::fmt;
 use std::io;
 use std::ops::Sub;
 
-use crate::mesh::source::{MeshSource, Vertices};
+use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
 
 /// Names of colours, in lower case: of all that have three components they alone have no direction.
@@ -69,24 +69,8 @@ impl<'a> Turned<'a> {
 }
 
 impl MeshSource for Turned<'_> {
-    fn vertex_count(&self) -> u64 {
-        self.mesh.vertex_count()
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.mesh.triangle_count()
-    }
-
-    fn has_normals(&self) -> bool {
-        self.mesh.has_normals()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.mesh.attributes()
-    }
-
-    fn pieces(&self) -> usize {
-        self.mesh.pieces()
+    fn outline(&self) -> Outline {
+        self.mesh.outline()
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

@@ -3,9 +3,7 @@
 use std::io;
 use std::sync::{Mutex, PoisonError};
 
-use crate::particles::AttributeInfo;
-
-use super::source::{MeshSource, Vertices};
+use super::source::{MeshSource, Outline, Vertices};
 
 /// Least and greatest corner.
 pub type Bounds = [[f64; 3]; 2];
@@ -43,24 +41,8 @@ impl<'a> Bounded<'a> {
 }
 
 impl MeshSource for Bounded<'_> {
-    fn vertex_count(&self) -> u64 {
-        self.mesh.vertex_count()
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.mesh.triangle_count()
-    }
-
-    fn has_normals(&self) -> bool {
-        self.mesh.has_normals()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.mesh.attributes()
-    }
-
-    fn pieces(&self) -> usize {
-        self.mesh.pieces()
+    fn outline(&self) -> Outline {
+        self.mesh.outline()
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

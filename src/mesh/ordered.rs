@@ -8,10 +8,8 @@ use hashbrown::HashMap;
 use meshopt::optimize_vertex_cache;
 use rayon::prelude::*;
 
-use crate::particles::AttributeInfo;
-
 use super::bounds::{Bounds, bounds_of, joined};
-use super::source::{MeshSource, Vertices};
+use super::source::{MeshSource, Outline, Vertices};
 
 /// Another mesh, piece by piece in a better order. Takes 4 bytes a vertex.
 pub struct Ordered<'a> {
@@ -99,24 +97,8 @@ impl<'a> Ordered<'a> {
 }
 
 impl MeshSource for Ordered<'_> {
-    fn vertex_count(&self) -> u64 {
-        self.mesh.vertex_count()
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.mesh.triangle_count()
-    }
-
-    fn has_normals(&self) -> bool {
-        self.mesh.has_normals()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.mesh.attributes()
-    }
-
-    fn pieces(&self) -> usize {
-        self.mesh.pieces()
+    fn outline(&self) -> Outline {
+        self.mesh.outline()
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

@@ -21,23 +21,26 @@ pub struct Vertices<'a> {
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
+/// What is known of a mesh before any of its pieces is asked for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Outline {
+    /// Vertices of all pieces.
+    pub vertices: u64,
+    /// Triangles of all pieces.
+    pub triangles: u64,
+    /// Whether vertices have normals.
+    pub normals: bool,
+    /// Further values on the vertices.
+    pub attributes: Vec<AttributeInfo>,
+    /// How many pieces there are.
+    pub pieces: usize,
+}
+
 /// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the triangles;
 /// a piece can be asked for as often as one likes, by several threads.
 pub trait MeshSource: Sync {
-    /// Vertices of all pieces.
-    fn vertex_count(&self) -> u64;
-
-    /// Triangles of all pieces.
-    fn triangle_count(&self) -> u64;
-
-    /// Whether vertices have normals.
-    fn has_normals(&self) -> bool;
-
-    /// Further values on the vertices.
-    fn attributes(&self) -> Vec<AttributeInfo>;
-
-    /// How many pieces there are.
-    fn pieces(&self) -> usize;
+    /// What it has.
+    fn outline(&self) -> Outline;
 
     /// The vertices of piece number `piece`, perhaps none.
     ///
@@ -55,28 +58,43 @@ pub trait MeshSource: Sync {
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         None
     }
+
+    /// Vertices of all pieces.
+    fn vertex_count(&self) -> u64 {
+        self.outline().vertices
+    }
+
+    /// Triangles of all pieces.
+    fn triangle_count(&self) -> u64 {
+        self.outline().triangles
+    }
+
+    /// Whether vertices have normals.
+    fn has_normals(&self) -> bool {
+        self.outline().normals
+    }
+
+    /// Further values on the vertices.
+    fn attributes(&self) -> Vec<AttributeInfo> {
+        self.outline().attributes
+    }
+
+    /// How many pieces there are.
+    fn pieces(&self) -> usize {
+        self.outline().pieces
+    }
 }
 
 impl MeshSource for Mesh {
-    fn vertex_count(&self) -> u64 {
-        self.positions.len() as u64
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.triangles.len() as u64
-    }
-
-    fn has_normals(&self) -> bool {
-        self.normals.is_some()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
+    fn outline(&self) -> Outline {
         let info = |a: &VertexAttribute| AttributeInfo { name: a.name.clone(), components: a.components };
-        self.attributes.iter().map(info).collect()
-    }
-
-    fn pieces(&self) -> usize {
-        self.positions.len().max(self.triangles.len()).div_ceil(PIECE)
+        Outline {
+            vertices: self.positions.len() as u64,
+            triangles: self.triangles.len() as u64,
+            normals: self.normals.is_some(),
+            attributes: self.attributes.iter().map(info).collect(),
+            pieces: self.positions.len().max(self.triangles.len()).div_ceil(PIECE),
+        }
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

@@ -26,8 +26,7 @@ use hashbrown::HashSet;
 use rayon::prelude::*;
 
 use crate::grid::{BLOCK, CellBox, MortonKey};
-use crate::mesh::source::{MeshSource, Vertices};
-use crate::particles::AttributeInfo;
+use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::scratch::Lists;
 use crate::stitch::Stitched;
 use crate::units::Tolerance;
@@ -396,24 +395,14 @@ impl Simplified {
 }
 
 impl MeshSource for Simplified {
-    fn vertex_count(&self) -> u64 {
-        self.counts[0]
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.counts[1]
-    }
-
-    fn has_normals(&self) -> bool {
-        self.whole.has_normals()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.whole.attributes()
-    }
-
-    fn pieces(&self) -> usize {
-        self.chunks.len()
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.counts[0],
+            triangles: self.counts[1],
+            normals: self.whole.has_normals(),
+            attributes: self.whole.attributes(),
+            pieces: self.chunks.len(),
+        }
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{BLOCK, CellBox, Domain, Grid, TILE};
-use crate::mesh::source::{MeshSource, Vertices};
+use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::mesh::spool::Spool;
 use crate::mesh::{BlockMesh, Mesh, Tile, TileMask, VertexAttribute, bits, cell_of_bit};
 use crate::particles::AttributeInfo;
@@ -218,24 +218,14 @@ impl Stitched {
 }
 
 impl MeshSource for Stitched {
-    fn vertex_count(&self) -> u64 {
-        self.spool.vertices()
-    }
-
-    fn triangle_count(&self) -> u64 {
-        self.spool.triangles()
-    }
-
-    fn has_normals(&self) -> bool {
-        self.spool.has_normals()
-    }
-
-    fn attributes(&self) -> Vec<AttributeInfo> {
-        self.attributes.clone()
-    }
-
-    fn pieces(&self) -> usize {
-        self.spool.len()
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.spool.vertices(),
+            triangles: self.spool.triangles(),
+            normals: self.spool.has_normals(),
+            attributes: self.attributes.clone(),
+            pieces: self.spool.len(),
+        }
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
