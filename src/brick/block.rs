@@ -4,6 +4,9 @@ use glam::IVec3;
 
 use crate::grid::CellBox;
 
+/// Samples that are worked on at once: small enough to stay in the first-level cache.
+const ROW: usize = 1 << 11;
+
 /// One sample for every cell of a box, x fastest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Block<T = u16> {
@@ -121,14 +124,27 @@ impl<T: Copy + Default> Block<T> {
         let cells = CellBox { lo, hi };
         assert!(!cells.is_empty(), "a reach of {reach} on {:?}", self.cells);
 
+        let step = self.strides()[axis];
+        let margin = 2 * reach as usize * step;
+        let fill_all = |to: &mut [T], taps: &[T]| {
+            for (first, to) in (0..).step_by(ROW).zip(to.chunks_mut(ROW)) {
+                fill(to, &taps[first..first + to.len() + margin], step);
+            }
+        };
         let mut out = Self::zero(cells);
-        let strides = self.strides();
-        let [_, row_stride, slab_stride] = strides;
-        let size = cells.size().as_usizevec3();
-        let span = size.x + 2 * reach as usize * strides[axis];
-        for (row, to) in out.samples.chunks_exact_mut(size.x).enumerate() {
-            let first = row % size.y * row_stride + row / size.y * slab_stride;
-            fill(to, &self.samples[first..first + span], strides[axis]);
+        if axis == 0 {
+            // Rows are short: they are done as one, and what lies on both sides of an end is left out.
+            let mut all = vec![T::default(); self.samples.len() - margin];
+            fill_all(&mut all, &self.samples);
+            let width = cells.size().x as usize;
+            for (to, row) in out.samples.chunks_exact_mut(width).zip(all.chunks(width + margin)) {
+                to.copy_from_slice(&row[..width]);
+            }
+        } else {
+            let run = step * cells.size()[axis] as usize;
+            for (to, taps) in out.samples.chunks_exact_mut(run).zip(self.samples.chunks_exact(run + margin)) {
+                fill_all(to, taps);
+            }
         }
         out
     }
