@@ -17,7 +17,6 @@
 //! use meniscus::laps::Laps;
 //! use meniscus::mesh::check::check;
 //! use meniscus::stage::indicator::Indicator;
-//! use meniscus::units::Sigma;
 //!
 //! // A ball of particles, one a cell.
 //! let steps = || (-8..8).map(|i| f64::from(i) + 0.5);
@@ -35,7 +34,7 @@
 //!     resources: Resources::new(meniscus::memory::default_budget(), std::env::temp_dir()),
 //! };
 //! let surfacing =
-//!     Surfacing { sigma: Sigma::new(1.0)?, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
+//!     Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
 //! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
 //! let surface = frame.surface(&surfacing, &mut Laps::default())?;
 //! assert!(check(&surface.mesh.to_mesh()?).is_closed_oriented_manifold());

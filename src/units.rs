@@ -97,6 +97,13 @@ impl Sigma {
         if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
     }
 
+    /// As wide as the particles' spacing, which is in cells, but no less than a cell: what is left of the lattice that
+    /// particles stand on, and of how it lies on the grid, is then smoothed away, in however small cells.
+    #[must_use]
+    pub fn of_spacing(spacing: Option<f64>) -> Self {
+        Self(spacing.unwrap_or(1.0).clamp(1.0, Self::MAX))
+    }
+
     /// In cells.
     #[must_use]
     pub fn cells(self) -> f64 {

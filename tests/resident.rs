@@ -41,7 +41,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         domain: sampling.domain,
         indicator: sampling.indicator,
         invalid: InvalidParticles::Refuse,
-        sigma: surfacing.sigma,
+        sigma: surfacing.sigma.unwrap(),
         detail: surfacing.detail,
         iso: surfacing.iso,
     }
@@ -62,7 +62,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
             for walls in [false, true] {
                 let mut sampling = Sampling { indicator, ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
-                let surfacing = Surfacing { detail, sigma: Sigma::new(sigma).unwrap(), ..surfacing() };
+                let surfacing = Surfacing { detail, sigma: Some(Sigma::new(sigma).unwrap()), ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
                 let surface = pipeline.surface(&input, &settings(&sampling, &surfacing)).unwrap();
                 let what = format!("{indicator:?}, {detail:?}, walls {walls}");

@@ -153,7 +153,7 @@ fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: Me
             let mut sampling = Sampling { indicator, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[2], 0.8)] {
-                let sigma = Sigma::new(sigma).unwrap();
+                let sigma = Some(Sigma::new(sigma).unwrap());
                 let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);
                 let mut resources = Resources::new(budget, std::env::temp_dir());

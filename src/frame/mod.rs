@@ -196,8 +196,8 @@ pub struct Sampling {
 /// How a surface is drawn through a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surfacing {
-    /// The Gaussian's width.
-    pub sigma: Sigma,
+    /// The Gaussian's width; that of the frame's spacing where it is `None`.
+    pub sigma: Option<Sigma>,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
     /// Section 6.2, or not.
@@ -437,12 +437,19 @@ impl Frame {
         }
     }
 
+    /// The Gaussian's width, asked for or not.
+    #[must_use]
+    pub fn sigma(&self, asked: Option<Sigma>) -> Sigma {
+        let FrameFacts { grid, spacing, .. } = &self.facts;
+        asked.unwrap_or_else(|| Sigma::of_spacing(spacing.map(|spacing| spacing / grid.cell_size())))
+    }
+
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
     #[must_use]
     pub fn recipe(&self, surfacing: &Surfacing) -> (Recipe, Plateau) {
-        let &Surfacing { sigma, iso, detail, .. } = surfacing;
+        let &Surfacing { iso, detail, .. } = surfacing;
         let FrameFacts { indicator, domain, .. } = &self.facts;
-        plateau::recipe(&self.dif, *indicator, domain.as_ref(), sigma, detail, iso)
+        plateau::recipe(&self.dif, *indicator, domain.as_ref(), self.sigma(surfacing.sigma), detail, iso)
     }
 
     /// The final field on `cells`.

@@ -14,7 +14,7 @@ use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
 use meniscus::stage::indicator::Indicator;
-use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::units::{Isovalue, MemoryBudget};
 use scene::Random;
 
 /// Settings that tests start from: cells of edge 1 at the origin, the defaults of the command line.
@@ -32,7 +32,7 @@ pub fn sampling() -> Sampling {
 }
 
 pub fn surfacing() -> Surfacing {
-    Surfacing { sigma: Sigma::new(1.0).unwrap(), iso: None, detail: Detail::Smoothed, normals: Normals::None }
+    Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None }
 }
 
 /// A surface, all of it in memory.

@@ -31,7 +31,7 @@ fn variants() -> Vec<(Sampling, Surfacing)> {
                 let iso = Some(Isovalue::new(0.3).unwrap());
                 variants.push((
                     sampling,
-                    Surfacing { sigma: Sigma::new(sigma).unwrap(), detail, iso, ..surfacing() },
+                    Surfacing { sigma: Some(Sigma::new(sigma).unwrap()), detail, iso, ..surfacing() },
                 ));
             }
         }
@@ -43,7 +43,7 @@ fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
     let iso = surfacing.iso.unwrap();
     Method {
         mu0: frame.mean_count().map(|mean| mean.particles()),
-        sigma: surfacing.sigma.cells(),
+        sigma: surfacing.sigma.map_or(1.0, Sigma::cells),
         detail: surfacing.detail,
         iso: f64::from(iso.threshold()) + 0.5,
         walls: sampling.domain.map(|d| d.cells()),

@@ -187,7 +187,7 @@ fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing =
-                            Surfacing { sigma: Sigma::new(sigma).unwrap(), detail, iso, ..surfacing() };
+                            Surfacing { sigma: Some(Sigma::new(sigma).unwrap()), detail, iso, ..surfacing() };
                         let (_, Reconstructed { mesh, .. }) =
                             reconstruct(&particles[..], &sampling, &surfacing);
                         assert_watertight(

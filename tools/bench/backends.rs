@@ -17,7 +17,7 @@ use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
 use meniscus::stage::indicator::Indicator;
-use meniscus::units::{MemoryBudget, Sigma};
+use meniscus::units::MemoryBudget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
 
 /// Bytes that are copied to measure the device's bandwidth.
@@ -107,12 +107,7 @@ fn sampling(cell: f64) -> Sampling {
 
 /// The laps of a frame, and a checksum of its mesh.
 fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
-    let surfacing = Surfacing {
-        sigma: Sigma::new(1.0).expect("a valid sigma"),
-        iso: None,
-        detail: Detail::Recovered,
-        normals: Normals::None,
-    };
+    let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Recovered, normals: Normals::None };
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).expect("a frame");
     let surface = frame.surface(&surfacing, &mut laps).expect("a surface");

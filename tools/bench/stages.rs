@@ -92,12 +92,7 @@ fn main() {
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
-    let surfacing = Surfacing {
-        sigma: Sigma::new(1.0).expect("a valid sigma"),
-        iso: None,
-        detail: Detail::Smoothed,
-        normals: Normals::None,
-    };
+    let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
     let (recipe, _) = frame.recipe(&surfacing);
     let blocks = frame.dif().regions(0, 0);

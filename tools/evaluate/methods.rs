@@ -158,6 +158,6 @@ pub fn sampling(grid: Grid, spacing: f64, indicator: Indicator) -> Sampling {
 }
 
 pub fn surfacing(sigma: f64, iso: Option<Isovalue>) -> Surfacing {
-    let sigma = Sigma::new(sigma).expect("a valid sigma");
+    let sigma = Some(Sigma::new(sigma).expect("a valid sigma"));
     Surfacing { sigma, iso, detail: Detail::Smoothed, normals: Normals::None }
 }

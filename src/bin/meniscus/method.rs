@@ -135,7 +135,7 @@ impl Options {
                 Indicator::Counting { .. } => "counting",
             },
             "mu0": frame.mean_count().map(MeanCount::particles),
-            "sigma": self.sigma(),
+            "sigma": self.sigma.unwrap_or(frame.sigma(None).cells()),
             "isovalue": iso.map(Isovalue::value),
             "method": "dif",
             "detail": self.detail,

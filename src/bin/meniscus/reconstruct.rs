@@ -54,7 +54,7 @@ pub struct Options {
     /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with.
     #[arg(long, value_enum, default_value = "dif")]
     pub method: MethodName,
-    /// Width of the Gaussian [default: 1.0].
+    /// Width of the Gaussian [default: the spacing, and a cell at the least].
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
     /// Where the surface is, between 0 and 1; auto: 0.47 of the field's interior plateau.
@@ -113,10 +113,6 @@ pub fn is_frame(path: &Path) -> bool {
 }
 
 impl Options {
-    pub fn sigma(&self) -> f64 {
-        self.sigma.unwrap_or(1.0)
-    }
-
     /// What was asked for and tells in the bytes of the mesh, by the options' names.
     pub fn settings(&self) -> Settings {
         let mut settings = self.sampling.settings();
@@ -126,7 +122,7 @@ impl Options {
         };
         for (name, value) in [
             ("method", json!(self.method)),
-            ("sigma", json!(self.sigma())),
+            ("sigma", json!(self.sigma)),
             ("iso", iso),
             ("detail", json!(self.detail)),
             ("adaptive", json!(self.adaptive)),
@@ -144,7 +140,7 @@ impl Options {
 
     pub fn surfacing(&self) -> Result<Surfacing, Error> {
         Ok(Surfacing {
-            sigma: Sigma::new(self.sigma())?,
+            sigma: self.sigma.map(Sigma::new).transpose()?,
             iso: match self.iso {
                 IsoOption::Auto => None,
                 IsoOption::Value(value) => Some(value),

@@ -29,7 +29,7 @@ pub struct SamplingOptions {
     /// Edge of a cell.
     #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
     cell_size: Option<f64>,
-    /// Edge of a cell, times the spacing [default: 1.0].
+    /// Edge of a cell, times the spacing [default: 0.6667].
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].
@@ -38,8 +38,8 @@ pub struct SamplingOptions {
     /// A tank with walls; particles outside are not counted [default: unbounded].
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true)]
     domain: Option<[f64; 6]>,
-    /// How a cell's share of fluid is told from its particles [default: symmetry; counting where cells are known to be
-    /// smaller than 0.9 spacings].
+    /// How a cell's share of fluid is told from its particles [default: counting; symmetry where cells are not known to
+    /// be smaller than 0.9 spacings].
     #[arg(long, value_enum)]
     indicator: Option<IndicatorName>,
     /// Mean number of particles in a full cell, for counting [default: measured].
@@ -159,7 +159,7 @@ impl SamplingOptions {
         };
         let cell = match self.cell_size {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(1.0))?),
+            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(CELL))?),
         };
         let origin = DVec3::from(self.origin.unwrap_or_default());
         let walls =
@@ -192,6 +192,10 @@ impl Cells {
             .map(|(spacing, source)| format!("spacing {spacing:.6} ({source}), cell size {:.6}", self.size))
     }
 }
+
+/// Edge of a cell in spacings. In cells of a whole one a level pool shows where its layers lie on the grid, by half a
+/// spacing and more; in these, smoothed over a spacing, by a tenth of that, and fewer do not pay.
+const CELL: f64 = 2.0 / 3.0;
 
 /// Cells smaller than so many spacings hold no particle too often for their symmetry to tell much: the interior fills
 /// with bubbles.
@@ -246,9 +250,6 @@ impl SamplingRequest {
         let cells = self.cells(path, file)?;
         cells.describe().iter().for_each(|text| notes.say(text));
         let indicator = self.indicator(cells.size, cells.spacing);
-        if matches!(self.field, FieldRequest::Dif(None)) && indicator != Indicator::Symmetry {
-            notes.say("indicator counting: the cells are smaller than the spacing");
-        }
         self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)
     }
 
@@ -281,7 +282,8 @@ impl SamplingRequest {
     /// The edge of a cell, the spacing where it matters, and where that comes from.
     pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
         if let (Cell::Size(size), FieldRequest::Dif(_)) = (self.cell, self.field) {
-            return Ok(Cells { size, spacing: self.spacing.or(file.spacing), source: None });
+            let known = self.spacing.or(file.spacing).or_else(|| Some(spacing_beside(path)?.0));
+            return Ok(Cells { size, spacing: known, source: None });
         }
         let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, "as given".to_owned())

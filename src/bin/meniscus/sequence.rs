@@ -200,7 +200,7 @@ impl Setup<'_> {
         let Surfacing { sigma, detail, normals, .. } = self.surfacing;
         let surface = match sampled {
             Sampled::Dif(frame) => {
-                let recipe = recipe_at(frame.facts().indicator, sigma, detail, frozen.iso()?);
+                let recipe = recipe_at(frame.facts().indicator, frame.sigma(sigma), detail, frozen.iso()?);
                 frame.surface_by(&recipe, normals, laps)
             }
             Sampled::Kernels(frame) => frame.surface(normals, laps),
