@@ -154,14 +154,21 @@ fn write_coloured(mesh: &Mesh, colours: &[Vec3], path: &Path) -> Outcome<()> {
 pub fn parameters(options: &Options) -> Outcome<()> {
     fs::create_dir_all(&options.out)?;
     let scene = Scene::new(options)?;
-    println!(
-        "contact sheets: a row for each sigma of {SIGMAS:?}, a column for each c of 0.02, 0.05, 0.1, 0.2, auto:\n"
-    );
+    println!("contact sheets: a row for each sigma, a column for each c:\n");
     for (name, of) in
         [("symmetry", Method::symmetry as fn(f64, Iso) -> Method), ("counting", Method::counting)]
     {
-        let all = SIGMAS.into_iter().flat_map(|sigma| ISOS.map(|iso| of(sigma, iso)));
-        let pictures: Outcome<Vec<Picture>> = all.map(|method| scene.picture(&method, SMALL)).collect();
+        let all = SIGMAS.into_iter().flat_map(|sigma| ISOS.map(|iso| (sigma, iso)));
+        let pictures: Outcome<Vec<Picture>> = all
+            .map(|(sigma, iso)| {
+                let c = match iso {
+                    Iso::Auto => "auto".to_owned(),
+                    Iso::At(c) => c.to_string(),
+                };
+                let picture = scene.picture(&of(sigma, iso), SMALL)?;
+                Ok(picture.labelled(&format!("{name}, sigma {sigma}, c {c}")))
+            })
+            .collect();
         let file = options.out.join(format!("parameters-{name}.png"));
         Picture::sheet(&pictures?, ISOS.len()).write(&file)?;
         println!("- {}", file.display());

@@ -1,9 +1,18 @@
 //! Pictures of meshes: a z-buffer, smooth shading, one camera for all that are to be compared.
 
+use std::convert::Infallible;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
+use embedded_graphics::Pixel;
+use embedded_graphics::draw_target::DrawTarget;
+use embedded_graphics::geometry::{OriginDimensions, Point, Size};
+use embedded_graphics::mono_font::MonoTextStyle;
+use embedded_graphics::mono_font::ascii::FONT_9X15;
+use embedded_graphics::pixelcolor::BinaryColor;
+use embedded_graphics::prelude::Drawable;
+use embedded_graphics::text::{Baseline, Text};
 use glam::{DVec2, DVec3, Vec3};
 use meniscus::mesh::Mesh;
 
@@ -16,6 +25,9 @@ const FOCAL: f64 = 3.6;
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
 const LIGHT: Vec3 = Vec3::new(-0.45, 0.8, 0.4);
 const BACKGROUND: Vec3 = Vec3::splat(0.96);
+const INK: Vec3 = Vec3::splat(0.1);
+/// From a picture's upper left corner to its label.
+const LABEL_AT: Point = Point::new(6, 4);
 /// What is not coloured by something else.
 pub const WATER: Vec3 = Vec3::new(0.25, 0.52, 0.8);
 
@@ -117,6 +129,14 @@ impl Picture {
         coarse
     }
 
+    /// With a line of text in the upper left corner.
+    pub fn labelled(mut self, text: &str) -> Self {
+        let style = MonoTextStyle::new(&FONT_9X15, BinaryColor::On);
+        let text = Text::with_baseline(text, LABEL_AT, style, Baseline::Top);
+        let Ok(_) = text.draw(&mut self);
+        self
+    }
+
     /// Pictures of one size side by side, in rows of so many.
     pub fn sheet(pictures: &[Self], columns: usize) -> Self {
         let (width, height) = (pictures[0].width, pictures[0].height);
@@ -137,6 +157,27 @@ impl Picture {
         encoder.set_color(png::ColorType::Rgb);
         let bytes: Vec<u8> = self.pixels.iter().flat_map(|&colour| bytes(colour)).collect();
         encoder.write_header()?.write_image_data(&bytes)?;
+        Ok(())
+    }
+}
+
+impl OriginDimensions for Picture {
+    fn size(&self) -> Size {
+        Size::new(self.width as u32, self.height as u32)
+    }
+}
+
+/// In ink; what is off is left as it is.
+impl DrawTarget for Picture {
+    type Color = BinaryColor;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<BinaryColor>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(Point { x, y }, _) in pixels.into_iter().filter(|pixel| pixel.1.is_on()) {
+            if (0..self.width as i32).contains(&x) && (0..self.height as i32).contains(&y) {
+                self.pixels[y as usize * self.width + x as usize] = INK;
+            }
+        }
         Ok(())
     }
 }
@@ -176,5 +217,20 @@ mod tests {
         assert!((covered / expected - 1.0).abs() < 0.05, "{covered} pixels, not {expected}");
         let front = picture.pixels[100 * 200 + 100];
         assert!(front.z > 0.5, "the side that faces the camera is lit: {front}");
+    }
+
+    #[test]
+    fn a_label_is_drawn_in_the_upper_left_corner_as_far_as_the_picture_goes() {
+        let blank = Picture::blank(60, 40);
+        let inked = |text: &str| {
+            let pixels = Picture::blank(60, 40).labelled(text).pixels;
+            let ink = (0..pixels.len()).filter(|&n| pixels[n] == INK);
+            ink.map(|n| (n % 60, n / 60)).collect::<Vec<_>>()
+        };
+        let short = inked("c 1");
+        assert!(short.len() > 15 && short.iter().all(|&(x, y)| x < 6 + 3 * 9 && y < 4 + 15), "{short:?}");
+        assert_ne!(short, inked("c 7"));
+        assert!(inked("much longer than the picture").len() > short.len());
+        assert!(blank.labelled("").pixels.iter().all(|&pixel| pixel == BACKGROUND));
     }
 }
