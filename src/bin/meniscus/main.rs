@@ -9,9 +9,11 @@ mod method;
 mod pack;
 mod progress;
 mod reconstruct;
+mod report;
 mod run;
 mod sampling;
 mod sequence;
+mod stats;
 mod up;
 
 use std::process::ExitCode;

@@ -3,18 +3,14 @@
 use clap::ValueEnum;
 use meniscus::brick::Census;
 use meniscus::error::Error;
-use meniscus::frame::{Counted, Frame, FrameError, KernelFrame, Sampling};
-use meniscus::grid::{Domain, Grid};
-use meniscus::io::mnf::FrameFacts;
+use meniscus::frame::{Counted, Frame, FrameError, KernelFrame};
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 use meniscus::rivals::Method;
 use meniscus::simplify::{Reduction, Simplified};
-use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, MeanCount, MemoryBudget};
+use meniscus::units::MemoryBudget;
 use serde::Serialize;
-use serde_json::{Value, json};
 
 use crate::reconstruct::{IsoOption, Options};
 use crate::sampling::SamplingRequest;
@@ -116,63 +112,4 @@ impl Sampled {
             Self::Kernels(frame) => frame.simplify(surface, reduction, laps),
         }
     }
-}
-
-impl Options {
-    /// What a program wants to know of a frame, and of the isovalue that a DIF was given.
-    pub fn frame_facts(&self, sampled: &Sampled, iso: Option<Isovalue>) -> Value {
-        match sampled {
-            Sampled::Dif(frame) => self.dif_facts(frame, iso),
-            Sampled::Kernels(frame) => kernel_facts(frame),
-        }
-    }
-
-    fn dif_facts(&self, frame: &Frame, iso: Option<Isovalue>) -> Value {
-        let FrameFacts { grid, domain, indicator, census, .. } = frame.facts();
-        let of_dif = json!({
-            "indicator": match indicator {
-                Indicator::Symmetry => "symmetry",
-                Indicator::Counting { .. } => "counting",
-            },
-            "mu0": frame.mean_count().map(MeanCount::particles),
-            "sigma": self.sigma.unwrap_or(frame.sigma(None).cells()),
-            "isovalue": iso.map(Isovalue::value),
-            "method": "dif",
-            "detail": self.detail,
-            "adaptive": self.adaptive,
-            "backend": frame.backend(),
-        });
-        joined(sampling_facts(census, grid, domain.as_ref()), of_dif)
-    }
-}
-
-fn kernel_facts(frame: &KernelFrame) -> Value {
-    let Sampling { grid, domain, spacing, .. } = frame.sampling();
-    let (name, iso) = match frame.method() {
-        Method::Mueller { iso } => ("mueller", Some(iso)),
-        Method::ZhuBridson => ("zhu-bridson", None),
-        Method::YuTurk { iso } => ("yu-turk", Some(iso)),
-    };
-    let of_kernels = json!({ "method": name, "spacing": spacing, "isovalue": iso, "backend": "CPU" });
-    joined(sampling_facts(&frame.census(), grid, domain.as_ref()), of_kernels)
-}
-
-fn sampling_facts(census: &Census, grid: &Grid, domain: Option<&Domain>) -> Value {
-    json!({
-        "particles": census.binned,
-        "not_finite": census.not_finite,
-        "too_far": census.too_far,
-        "outside_domain": census.outside,
-        "cell_size": grid.cell_size(),
-        "origin": grid.origin().to_array(),
-        "domain": domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-    })
-}
-
-/// All fields of two objects.
-pub fn joined(mut one: Value, other: Value) -> Value {
-    if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
-        one.extend(other);
-    }
-    one
 }

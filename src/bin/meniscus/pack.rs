@@ -14,8 +14,9 @@ use meniscus::particles::Particles;
 use crate::Verdict;
 use crate::interrupt;
 use crate::reconstruct::{is_frame, refuse_same_file};
+use crate::report::{report_frame, report_laps, report_warnings};
 use crate::run::{RunOptions, unpacking};
-use crate::sampling::{SamplingOptions, report_frame, report_warnings};
+use crate::sampling::SamplingOptions;
 
 #[derive(Args)]
 pub struct Options {
@@ -64,8 +65,6 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
         ByteSize(bytes),
         laps.total(),
     ));
-    for (stage, seconds) in laps.seconds() {
-        notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
-    }
+    report_laps(&laps, &notes);
     Ok(Verdict::Good)
 }

@@ -1,7 +1,5 @@
 //! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see `sequence`.
 
-use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,25 +14,26 @@ use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, ParticleFile, WriteError};
+use meniscus::io::{CoordinateWidth, ParticleFile};
 use meniscus::laps::Laps;
-use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::particles::{Particles, velocity_attribute};
-use meniscus::plateau::Plateau;
 use meniscus::sequence::inputs::Inputs;
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::Settings;
-use meniscus::simplify::{BYTES_A_THREAD, Reduction, Simplified};
+use meniscus::simplify::{BYTES_A_THREAD, Reduction};
 use meniscus::stitch::Stitched;
-use meniscus::units::{FULL, Isovalue, Sigma, Tolerance};
-use serde_json::{Value, json};
+use meniscus::units::{Isovalue, Sigma, Tolerance};
+use serde_json::json;
 
 use crate::Verdict;
 use crate::interrupt;
-use crate::method::{MethodName, Sampled, joined};
+use crate::method::{MethodName, Sampled};
+use crate::report::{
+    report_census, report_frame, report_isovalue, report_laps, report_simplified, report_warnings,
+};
 use crate::run::{Notes, RunOptions, unpacking};
-use crate::sampling::{SamplingOptions, SamplingRequest, report_census, report_frame, report_warnings};
+use crate::sampling::{SamplingOptions, SamplingRequest};
 use crate::sequence::{self, SequenceOptions};
 use crate::up::{Orientation, UpOptions};
 
@@ -68,10 +67,10 @@ pub struct Options {
     pub adaptive: bool,
     /// Use fewer triangles, as long as no part of the surface moves farther than this.
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
-    simplify: Option<f64>,
+    pub simplify: Option<f64>,
     /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
     #[arg(long, value_name = "CELLS3", allow_negative_numbers = true)]
-    drop_smaller: Option<f64>,
+    pub drop_smaller: Option<f64>,
     /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
     #[arg(long)]
     pub compress: bool,
@@ -408,51 +407,12 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         ByteSize(bytes),
         laps.total(),
     ));
-    for (stage, seconds) in laps.seconds() {
-        notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
-    }
+    report_laps(&laps, &notes);
     if options.stats.is_some() {
-        let facts = options.frame_facts(&sampled, iso);
-        let record = options.record([input, &options.output], facts, &*mesh, bytes, &laps);
+        let record = options.record([input, &options.output], &sampled, iso, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }
     Ok(Verdict::Good)
-}
-
-impl Options {
-    /// What a program wants to know of a frame.
-    pub fn record(
-        &self,
-        [input, output]: [&Path; 2],
-        facts: Value,
-        mesh: &dyn MeshSource,
-        bytes: u64,
-        laps: &Laps,
-    ) -> Value {
-        let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
-        let of_run = json!({
-            "input": input,
-            "output": output,
-            "simplify": self.simplify,
-            "drop_smaller": self.drop_smaller,
-            "vertices": mesh.vertex_count(),
-            "triangles": mesh.triangle_count(),
-            "output_bytes": bytes,
-            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
-            "total_seconds": laps.total(),
-            "threads": rayon::current_num_threads(),
-            "peak_resident_bytes": peak_resident(),
-        });
-        joined(facts, of_run)
-    }
-
-    /// Appends a line to the statistics, if they are asked for.
-    pub fn append_stats(&self, record: &Value) -> Result<(), Error> {
-        let Some(path) = &self.stats else { return Ok(()) };
-        let file = OpenOptions::new().create(true).append(true).open(path);
-        let written = file.and_then(|mut file| writeln!(file, "{record}"));
-        Ok(written.map_err(|e| WriteError::new(path, e))?)
-    }
 }
 
 /// A file that is to be read or written and written again is a slip of the hand.
@@ -463,41 +423,6 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
             Err(Error::Request(format!("{}: is given for two purposes", other.display())))
         }
         _ => Ok(()),
-    }
-}
-
-fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: &Notes) {
-    if let Some(volume) = reduction.least_volume_cells {
-        notes.say(format!(
-            "{} components of less than {volume} cells left out",
-            simplified.components_dropped()
-        ));
-    }
-    if let Some(tolerance) = reduction.tolerance {
-        let (left, whole) = (simplified.triangle_count(), simplified.whole().triangle_count());
-        let share = 100.0 * left as f64 / whole as f64;
-        notes
-            .say(format!("simplified within {} cells: {share:.1} % of {whole} triangles", tolerance.cells()));
-    }
-}
-
-fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, notes: &Notes) {
-    let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
-    let iso = iso.value();
-    match (plateau, given) {
-        (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
-            "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",
-            fraction(lowest)
-        )),
-        (_, Some(_)) => {}
-        (Plateau::Interior { median, .. }, None) => {
-            let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
-            notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", fraction(median)));
-        }
-        (Plateau::Shallow { greatest }, None) => notes.say(format!(
-            "isovalue {iso:.4}, by the field's greatest value {:.4}: no fluid is deeper than the filters reach",
-            fraction(greatest)
-        )),
     }
 }
 

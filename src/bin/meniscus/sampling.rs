@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use meniscus::brick::{BrickSide, Census, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{Counted, Frame, FrameError, Resources, Sampling};
+use meniscus::frame::{Counted, FrameError, Resources, Sampling};
 use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
@@ -304,42 +304,5 @@ impl SamplingRequest {
             Cell::Ratio(ratio) => positive_length("the cell size", ratio * spacing)?,
         };
         Ok(Cells { size, spacing: Some(spacing), source: Some(source) })
-    }
-}
-
-/// Says what went wrong with the backend and was made good.
-pub fn report_warnings(frame: &Frame, notes: &Notes) {
-    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
-}
-
-/// Says what became of the particles.
-pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes: &Notes) {
-    for (count, what) in [
-        (not_finite, "dropped: a coordinate is not finite"),
-        (too_far, "dropped: beyond the addressable grid"),
-        (outside, "not counted: outside of the domain"),
-    ] {
-        if count > 0 {
-            notes.say(format!("{count} particles {what}"));
-        }
-    }
-}
-
-/// Says what became of the particles, and warns of a lattice on the corners of cells.
-pub fn report_frame(frame: &Frame, notes: &Notes) {
-    report_census(frame.facts().census, notes);
-    // Particles at random have a mean indicator of 0.44 in cells that hold one, and more in larger ones. Much
-    // less means a lattice whose particles lie on corners, where symmetry sees next to nothing.
-    if frame.facts().indicator != Indicator::Symmetry {
-        return;
-    }
-    let mean = frame.dif().mean_of_full();
-    if mean < 0.2 {
-        let grid = frame.facts().grid;
-        let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
-        notes.say(format!(
-            "warning: the particles lie on the corners of cells (mean indicator {mean:.4}), which harms the \
-             surface; --origin {shifted} moves the grid off them"
-        ));
     }
 }

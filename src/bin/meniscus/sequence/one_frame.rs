@@ -105,13 +105,9 @@ impl Conversion<'_> {
         let record = Record { input, fingerprint: self.fingerprint, mesh: listed };
         interrupt::undisturbed(|| self.store.keep(&record))?;
         let mut stats = match &sampled {
-            Some(sampled) => options.record(
-                [path, &target],
-                options.frame_facts(sampled, self.state.frozen.iso().ok()),
-                &*mesh,
-                bytes,
-                &laps,
-            ),
+            Some(sampled) => {
+                options.record([path, &target], sampled, self.state.frozen.iso().ok(), &*mesh, bytes, &laps)
+            }
             None => json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 }),
         };
         stats["frame"] = json!(frame.number);

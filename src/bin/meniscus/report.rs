@@ -1,0 +1,91 @@
+//! What a run says of a frame, for people.
+
+use meniscus::brick::Census;
+use meniscus::frame::Frame;
+use meniscus::laps::Laps;
+use meniscus::mesh::source::MeshSource;
+use meniscus::plateau::Plateau;
+use meniscus::simplify::{Reduction, Simplified};
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{FULL, Isovalue};
+
+use crate::run::Notes;
+
+/// Says what went wrong with the backend and was made good.
+pub fn report_warnings(frame: &Frame, notes: &Notes) {
+    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+}
+
+/// Says what became of the particles.
+pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes: &Notes) {
+    for (count, what) in [
+        (not_finite, "dropped: a coordinate is not finite"),
+        (too_far, "dropped: beyond the addressable grid"),
+        (outside, "not counted: outside of the domain"),
+    ] {
+        if count > 0 {
+            notes.say(format!("{count} particles {what}"));
+        }
+    }
+}
+
+/// Says what became of the particles, and warns of a lattice on the corners of cells.
+pub fn report_frame(frame: &Frame, notes: &Notes) {
+    report_census(frame.facts().census, notes);
+    // Particles at random have a mean indicator of 0.44 in cells that hold one, and more in larger ones. Much
+    // less means a lattice whose particles lie on corners, where symmetry sees next to nothing.
+    if frame.facts().indicator != Indicator::Symmetry {
+        return;
+    }
+    let mean = frame.dif().mean_of_full();
+    if mean < 0.2 {
+        let grid = frame.facts().grid;
+        let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
+        notes.say(format!(
+            "warning: the particles lie on the corners of cells (mean indicator {mean:.4}), which harms the \
+             surface; --origin {shifted} moves the grid off them"
+        ));
+    }
+}
+
+pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: &Notes) {
+    if let Some(volume) = reduction.least_volume_cells {
+        notes.say(format!(
+            "{} components of less than {volume} cells left out",
+            simplified.components_dropped()
+        ));
+    }
+    if let Some(tolerance) = reduction.tolerance {
+        let (left, whole) = (simplified.triangle_count(), simplified.whole().triangle_count());
+        let share = 100.0 * left as f64 / whole as f64;
+        notes
+            .say(format!("simplified within {} cells: {share:.1} % of {whole} triangles", tolerance.cells()));
+    }
+}
+
+pub fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, notes: &Notes) {
+    let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
+    let iso = iso.value();
+    match (plateau, given) {
+        (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
+            "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",
+            fraction(lowest)
+        )),
+        (_, Some(_)) => {}
+        (Plateau::Interior { median, .. }, None) => {
+            let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
+            notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", fraction(median)));
+        }
+        (Plateau::Shallow { greatest }, None) => notes.say(format!(
+            "isovalue {iso:.4}, by the field's greatest value {:.4}: no fluid is deeper than the filters reach",
+            fraction(greatest)
+        )),
+    }
+}
+
+/// Says what every stage took.
+pub fn report_laps(laps: &Laps, notes: &Notes) {
+    for (stage, seconds) in laps.seconds() {
+        notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
+    }
+}

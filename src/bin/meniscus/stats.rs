@@ -1,0 +1,111 @@
+//! `--stats`: what a program wants to know of a frame, a line of JSON each.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::Path;
+
+use meniscus::brick::Census;
+use meniscus::error::Error;
+use meniscus::frame::{Frame, KernelFrame, Sampling};
+use meniscus::grid::{Domain, Grid};
+use meniscus::io::WriteError;
+use meniscus::io::mnf::FrameFacts;
+use meniscus::laps::Laps;
+use meniscus::memory::peak_resident;
+use meniscus::mesh::source::MeshSource;
+use meniscus::rivals::Method;
+use meniscus::stage::indicator::Indicator;
+use meniscus::units::{Isovalue, MeanCount};
+use serde_json::{Value, json};
+
+use crate::method::Sampled;
+use crate::reconstruct::Options;
+
+impl Options {
+    /// What is known of a frame that is done; a DIF was drawn at an isovalue.
+    pub fn record(
+        &self,
+        [input, output]: [&Path; 2],
+        sampled: &Sampled,
+        iso: Option<Isovalue>,
+        mesh: &dyn MeshSource,
+        bytes: u64,
+        laps: &Laps,
+    ) -> Value {
+        let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+        let of_run = json!({
+            "input": input,
+            "output": output,
+            "method": self.method,
+            "simplify": self.simplify,
+            "drop_smaller": self.drop_smaller,
+            "vertices": mesh.vertex_count(),
+            "triangles": mesh.triangle_count(),
+            "output_bytes": bytes,
+            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
+            "total_seconds": laps.total(),
+            "threads": rayon::current_num_threads(),
+            "peak_resident_bytes": peak_resident(),
+        });
+        let of_frame = match sampled {
+            Sampled::Dif(frame) => self.dif_facts(frame, iso),
+            Sampled::Kernels(frame) => kernel_facts(frame),
+        };
+        joined(of_frame, of_run)
+    }
+
+    /// Appends a line to the statistics, if they are asked for.
+    pub fn append_stats(&self, record: &Value) -> Result<(), Error> {
+        let Some(path) = &self.stats else { return Ok(()) };
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        let written = file.and_then(|mut file| writeln!(file, "{record}"));
+        Ok(written.map_err(|e| WriteError::new(path, e))?)
+    }
+
+    fn dif_facts(&self, frame: &Frame, iso: Option<Isovalue>) -> Value {
+        let FrameFacts { grid, domain, indicator, census, .. } = frame.facts();
+        let of_dif = json!({
+            "indicator": match indicator {
+                Indicator::Symmetry => "symmetry",
+                Indicator::Counting { .. } => "counting",
+            },
+            "mu0": frame.mean_count().map(MeanCount::particles),
+            "sigma": self.sigma.unwrap_or(frame.sigma(None).cells()),
+            "isovalue": iso.map(Isovalue::value),
+            "detail": self.detail,
+            "adaptive": self.adaptive,
+            "backend": frame.backend(),
+        });
+        joined(sampling_facts(census, grid, domain.as_ref()), of_dif)
+    }
+}
+
+fn kernel_facts(frame: &KernelFrame) -> Value {
+    let Sampling { grid, domain, spacing, .. } = frame.sampling();
+    let iso = match frame.method() {
+        Method::Mueller { iso } | Method::YuTurk { iso } => Some(iso),
+        Method::ZhuBridson => None,
+    };
+    let of_kernels = json!({ "spacing": spacing, "isovalue": iso, "backend": "CPU" });
+    joined(sampling_facts(&frame.census(), grid, domain.as_ref()), of_kernels)
+}
+
+fn sampling_facts(census: &Census, grid: &Grid, domain: Option<&Domain>) -> Value {
+    json!({
+        "particles": census.binned,
+        "not_finite": census.not_finite,
+        "too_far": census.too_far,
+        "outside_domain": census.outside,
+        "cell_size": grid.cell_size(),
+        "origin": grid.origin().to_array(),
+        "domain": domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+    })
+}
+
+/// All fields of two objects.
+fn joined(mut one: Value, other: Value) -> Value {
+    if let (Value::Object(one), Value::Object(other)) = (&mut one, other) {
+        one.extend(other);
+    }
+    one
+}
