@@ -1,176 +1,46 @@
 //! One frame, within its memory budget: particles to DIF, DIF to surface.
 
+mod counted;
+mod error;
+mod resources;
 mod rival;
 mod sink;
 
+pub use counted::Counted;
+pub use error::FrameError;
+pub use resources::Resources;
 pub use rival::KernelFrame;
 
 pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use std::io::{self, Write};
-use std::path::PathBuf;
-use std::sync::Arc;
 
-use bytesize::ByteSize;
 use rayon::prelude::*;
-use thiserror::Error;
 
-use crate::backend::{Backend, Cpu, Stages, Surfaces};
-use crate::brick::{
-    BinError, BinPlan, Bins, Block, BrickSide, Census, DifField, InvalidParticles, SortedStore,
-};
-use crate::estimate::{Estimate, OverBudget, Plan, Shares, bin_limit};
+use crate::backend::{Stages, Surfaces};
+use crate::brick::{BinPlan, Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore};
+use crate::estimate::{Estimate, Plan, Shares};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
-use crate::mesh::source::MeshSource;
 use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::plateau::{self, Plateau};
 use crate::recipe::Recipe;
-use crate::rivals::{Method, TooManyCells};
-use crate::scratch::free_bytes;
-use crate::simplify::{Reduction, Simplified, simplify};
+use crate::simplify::{Reduction, Simplified};
 use crate::stage::attribute::vertex_values;
+use crate::stage::blur::Smoothing;
+use crate::stage::dual_mc::Crossings;
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
-use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma, UnitError};
+use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma};
 
 use sink::FieldSink;
 
 /// Blocks that are meshed at once.
 const BATCH: usize = 1024;
-
-/// A frame that cannot be reconstructed.
-#[derive(Debug, Error)]
-pub enum FrameError {
-    /// There is nothing to build a surface from.
-    #[error("no particles to reconstruct: {}", explain(.0))]
-    NoParticles(Census),
-    /// A particle that the grid cannot hold.
-    #[error(transparent)]
-    Bin(#[from] BinError),
-    /// It cannot be brought under its budget.
-    #[error(transparent)]
-    OverBudget(#[from] OverBudget),
-    /// mu0 could not be measured.
-    #[error("cannot measure mu0 on this frame: {0}")]
-    MeanCount(#[source] UnitError),
-    /// The field exceeds the isovalue nowhere.
-    #[error(
-        "the surface is empty: the field is nowhere above the isovalue {:.4}; \
-         use a lower --iso, a smaller --sigma, or --detail",
-        iso.value()
-    )]
-    NoSurface {
-        /// What was asked for, or measured.
-        iso: Isovalue,
-    },
-    /// Kernels cannot be drawn on so fine a grid.
-    #[error(transparent)]
-    Kernels(#[from] TooManyCells),
-    /// The field of a kernel method is positive nowhere.
-    #[error("the surface is empty: no cell's centre is inside of it; use smaller cells, or a lower --iso")]
-    NoKernelSurface,
-    /// What exceeds the memory budget would not fit into scratch files; nothing was written.
-    #[error(
-        "scratch files take at least {} in {}, where {} are free; name another folder with --scratch, or allow more \
-         with --memory",
-        ByteSize(*needed), folder.display(), ByteSize(*free)
-    )]
-    NoRoom {
-        /// Where they would be.
-        folder: PathBuf,
-        /// Bytes that they take at the least.
-        needed: u64,
-        /// Bytes that are there.
-        free: u64,
-    },
-    /// Every component is smaller than what was to be kept.
-    #[error("the surface is empty: all of its {dropped} components are below --drop-smaller")]
-    NothingLeft {
-        /// How many there were.
-        dropped: u64,
-    },
-    /// What exceeds the memory budget could not be put into scratch files.
-    #[error("scratch files in {}: {fault}", folder.display())]
-    Scratch {
-        /// Where they are.
-        folder: PathBuf,
-        /// What went wrong.
-        fault: io::Error,
-    },
-}
-
-fn explain(census: &Census) -> String {
-    match *census {
-        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
-        Census { not_finite, too_far, outside, .. } => {
-            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
-        }
-    }
-}
-
-/// What a frame may take of the machine.
-#[derive(Debug, Clone)]
-pub struct Resources {
-    /// Memory that may be resident at once.
-    pub budget: MemoryBudget,
-    /// The folder for what exceeds it.
-    pub scratch: PathBuf,
-    /// What the stages run on.
-    pub backend: Arc<dyn Backend>,
-}
-
-impl Resources {
-    /// Of the processor.
-    #[must_use]
-    pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
-        Self { budget, scratch, backend: Arc::new(Cpu) }
-    }
-
-    /// What a reduction leaves of a surface; triangles beyond so many bytes go to scratch files.
-    ///
-    /// # Errors
-    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
-    pub fn simplify(
-        &self,
-        surface: Stitched,
-        reduction: &Reduction,
-        bytes: u64,
-        laps: &mut Laps,
-    ) -> Result<Simplified, FrameError> {
-        let simplified = simplify(surface, reduction, bytes, &self.scratch).map_err(self.scratch_error())?;
-        laps.lap("simplify");
-        if simplified.triangle_count() == 0 {
-            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
-        }
-        Ok(simplified)
-    }
-
-    fn host_bytes(&self) -> u64 {
-        self.backend.host_bytes(self.budget)
-    }
-
-    /// Refuses to begin what would fill the disk.
-    fn check_room(&self, needed: u64) -> Result<(), FrameError> {
-        if needed == 0 {
-            return Ok(());
-        }
-        let folder = &self.scratch;
-        let free = free_bytes(folder).map_err(self.scratch_error())?;
-        if needed > free {
-            return Err(FrameError::NoRoom { folder: folder.clone(), needed, free });
-        }
-        Ok(())
-    }
-
-    fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {
-        |fault| FrameError::Scratch { folder: self.scratch.clone(), fault }
-    }
-}
 
 /// How a frame is sampled.
 #[derive(Debug, Clone)]
@@ -204,80 +74,6 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Normals on the vertices, or not.
     pub normals: Normals,
-}
-
-/// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
-pub struct Counted<'a, P: ?Sized> {
-    particles: &'a P,
-    sampling: &'a Sampling,
-    plan: BinPlan<'a>,
-    /// For a DIF.
-    estimate: Estimate,
-    kernels: Option<Method>,
-}
-
-impl<'a, P: Particles + ?Sized> Counted<'a, P> {
-    /// Counts the particles, and refuses what cannot be done with them.
-    ///
-    /// # Errors
-    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
-    pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, invalid, resources, .. } = sampling;
-        let limit = bin_limit(resources.budget);
-        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
-            Err(BinError::TooManyBins { .. }) => {
-                return Err(FrameError::OverBudget(OverBudget {
-                    cell_size: grid.cell_size(),
-                    budget: resources.budget.0,
-                    fitting_cell_size: fitting_cell_size(particles, sampling, limit),
-                }));
-            }
-            plan => plan?,
-        };
-        if plan.census().binned == 0 {
-            return Err(FrameError::NoParticles(plan.census()));
-        }
-        let attributes = particles.attributes();
-        let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-        let in_memory = particles.resident_bytes() + resources.host_bytes();
-        let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
-        Ok(Self { particles, sampling, plan, estimate, kernels: None })
-    }
-
-    /// The same for a kernel method instead of a DIF.
-    #[must_use]
-    pub fn for_kernels(self, method: Method) -> Self {
-        Self { kernels: Some(method), ..self }
-    }
-
-    /// What became of the particles.
-    #[must_use]
-    pub fn census(&self) -> Census {
-        self.plan.census()
-    }
-
-    /// What the frame will take.
-    #[must_use]
-    pub fn estimate(&self) -> Estimate {
-        let Some(method) = self.kernels else { return self.estimate };
-        // Kernels are kept until the surface is done, as attributes are.
-        let kernels = self.census().binned as u64 * method.kernel_bytes();
-        let particles = self.estimate.particles + kernels;
-        Estimate { particles, field: 0, carried: true, ..self.estimate }
-    }
-}
-
-/// The smallest doubling of the cell size with which the tables of bins fit.
-fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, limit: usize) -> f64 {
-    let mut cell = sampling.grid.cell_size();
-    loop {
-        cell *= 2.0;
-        let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
-        // Walls keep particles out; without them there are only more bins.
-        if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, limit).is_ok() {
-            return cell;
-        }
-    }
 }
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their own.
@@ -341,7 +137,8 @@ impl Frame {
         budget: MemoryBudget,
         laps: &mut Laps,
     ) -> Result<Self, FrameError> {
-        let Counted { particles, sampling, plan: bin_plan, estimate, .. } = counted;
+        let estimate = counted.estimate();
+        let Counted { particles, sampling, plan: bin_plan, .. } = counted;
         let sampling =
             &Sampling { resources: Resources { budget, ..sampling.resources.clone() }, ..sampling.clone() };
         let Sampling { grid, domain, indicator, side, carried, resources, .. } = sampling;
@@ -525,13 +322,24 @@ impl Frame {
     fn carry(&self, recipe: &Recipe, mesh: &mut BlockMesh) -> io::Result<()> {
         let Some((bins, infos)) = &self.carried else { return Ok(()) };
         let walls = self.facts.domain.as_ref().map(Domain::cells);
-        for (i, info) in infos.iter().enumerate() {
-            let attribute = (i, info.components);
-            let values = vertex_values(bins, attribute, &recipe.smoothing, mesh, recipe.iso.into(), walls)?;
-            mesh.attributes.push(values);
-        }
-        Ok(())
+        carry(bins, infos, &recipe.smoothing, recipe.iso.into(), walls, mesh)
     }
+}
+
+/// Carries the attributes of binned particles to the vertices.
+fn carry(
+    bins: &Bins,
+    infos: &[AttributeInfo],
+    smoothing: &Smoothing,
+    crossings: Crossings,
+    walls: Option<CellBox>,
+    mesh: &mut BlockMesh,
+) -> io::Result<()> {
+    for attribute in infos.iter().map(|info| info.components).enumerate() {
+        let values = vertex_values(bins, attribute, smoothing, mesh, crossings, walls)?;
+        mesh.attributes.push(values);
+    }
+    Ok(())
 }
 
 /// Bins the particles through a scratch file, run by run into `sink`. Where attributes are carried the bins are

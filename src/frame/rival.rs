@@ -13,14 +13,13 @@ use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles};
 use crate::rivals::{KernelField, Method, Spacing, kernel_field};
 use crate::simplify::{Reduction, Simplified};
-use crate::stage::attribute::vertex_values;
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals};
 use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
 use crate::units::{MemoryBudget, Sigma};
 
-use super::{BATCH, Counted, FrameError, Resources, Sampling, carried_infos};
+use super::{BATCH, Counted, FrameError, Resources, Sampling, carried_infos, carry};
 
 /// The kernels of a frame, and what else its surface needs.
 #[derive(Debug)]
@@ -126,11 +125,14 @@ impl KernelFrame {
 
     /// Meshes all blocks in Morton order into `spool`.
     fn mesh_blocks(&self, normals: Normals, spool: &mut Spool) -> io::Result<()> {
+        let Self { bins, attributes, smoothing, .. } = self;
         let walls = self.sampling.domain.as_ref().map(Domain::cells);
         for regions in self.field.regions(walls).chunks(BATCH) {
             let block = |&region| {
                 let mut mesh = self.field.mesh(region, normals, walls)?;
-                mesh.iter_mut().try_for_each(|mesh| self.carry(mesh))?;
+                if let Some(mesh) = &mut mesh {
+                    carry(bins, attributes, smoothing, Crossings::Fractions, walls, mesh)?;
+                }
                 Ok(mesh)
             };
             let blocks: Vec<Option<BlockMesh>> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
@@ -138,18 +140,6 @@ impl KernelFrame {
             if spool.bytes() > self.surface_share {
                 spool.move_to_file(&self.sampling.resources.scratch)?;
             }
-        }
-        Ok(())
-    }
-
-    /// Carries the particles' attributes to the vertices.
-    fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
-        let walls = self.sampling.domain.as_ref().map(Domain::cells);
-        for (i, info) in self.attributes.iter().enumerate() {
-            let attribute = (i, info.components);
-            let values =
-                vertex_values(&self.bins, attribute, &self.smoothing, mesh, Crossings::Fractions, walls)?;
-            mesh.attributes.push(values);
         }
         Ok(())
     }

@@ -1,0 +1,83 @@
+//! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
+
+use crate::brick::{BinError, BinPlan, Census, InvalidParticles};
+use crate::estimate::{Estimate, OverBudget, bin_limit};
+use crate::grid::Grid;
+use crate::particles::Particles;
+use crate::rivals::Method;
+
+use super::{FrameError, Sampling};
+
+/// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
+pub struct Counted<'a, P: ?Sized> {
+    pub(super) particles: &'a P,
+    pub(super) sampling: &'a Sampling,
+    pub(super) plan: BinPlan<'a>,
+    /// For a DIF.
+    estimate: Estimate,
+    kernels: Option<Method>,
+}
+
+impl<'a, P: Particles + ?Sized> Counted<'a, P> {
+    /// Counts the particles, and refuses what cannot be done with them.
+    ///
+    /// # Errors
+    /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
+    pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
+        let Sampling { grid, domain, invalid, resources, .. } = sampling;
+        let limit = bin_limit(resources.budget);
+        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
+            Err(BinError::TooManyBins { .. }) => {
+                return Err(FrameError::OverBudget(OverBudget {
+                    cell_size: grid.cell_size(),
+                    budget: resources.budget.0,
+                    fitting_cell_size: fitting_cell_size(particles, sampling, limit),
+                }));
+            }
+            plan => plan?,
+        };
+        if plan.census().binned == 0 {
+            return Err(FrameError::NoParticles(plan.census()));
+        }
+        let attributes = particles.attributes();
+        let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
+        let in_memory = particles.resident_bytes() + resources.host_bytes();
+        let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
+        Ok(Self { particles, sampling, plan, estimate, kernels: None })
+    }
+
+    /// The same for a kernel method instead of a DIF.
+    #[must_use]
+    pub fn for_kernels(self, method: Method) -> Self {
+        Self { kernels: Some(method), ..self }
+    }
+
+    /// What became of the particles.
+    #[must_use]
+    pub fn census(&self) -> Census {
+        self.plan.census()
+    }
+
+    /// What the frame will take.
+    #[must_use]
+    pub fn estimate(&self) -> Estimate {
+        let Some(method) = self.kernels else { return self.estimate };
+        // Kernels are kept until the surface is done, as attributes are.
+        let kernels = self.census().binned as u64 * method.kernel_bytes();
+        let particles = self.estimate.particles + kernels;
+        Estimate { particles, field: 0, carried: true, ..self.estimate }
+    }
+}
+
+/// The smallest doubling of the cell size with which the tables of bins fit.
+fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, limit: usize) -> f64 {
+    let mut cell = sampling.grid.cell_size();
+    loop {
+        cell *= 2.0;
+        let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
+        // Walls keep particles out; without them there are only more bins.
+        if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, limit).is_ok() {
+            return cell;
+        }
+    }
+}

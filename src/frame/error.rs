@@ -1,0 +1,82 @@
+//! What can be wrong with a frame.
+
+use std::io;
+use std::path::PathBuf;
+
+use bytesize::ByteSize;
+use thiserror::Error;
+
+use crate::brick::{BinError, Census};
+use crate::estimate::OverBudget;
+use crate::rivals::TooManyCells;
+use crate::units::{Isovalue, UnitError};
+
+/// A frame that cannot be reconstructed.
+#[derive(Debug, Error)]
+pub enum FrameError {
+    /// There is nothing to build a surface from.
+    #[error("no particles to reconstruct: {}", explain(.0))]
+    NoParticles(Census),
+    /// A particle that the grid cannot hold.
+    #[error(transparent)]
+    Bin(#[from] BinError),
+    /// It cannot be brought under its budget.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
+    /// mu0 could not be measured.
+    #[error("cannot measure mu0 on this frame: {0}")]
+    MeanCount(#[source] UnitError),
+    /// The field exceeds the isovalue nowhere.
+    #[error(
+        "the surface is empty: the field is nowhere above the isovalue {:.4}; \
+         use a lower --iso, a smaller --sigma, or --detail",
+        iso.value()
+    )]
+    NoSurface {
+        /// What was asked for, or measured.
+        iso: Isovalue,
+    },
+    /// Kernels cannot be drawn on so fine a grid.
+    #[error(transparent)]
+    Kernels(#[from] TooManyCells),
+    /// The field of a kernel method is positive nowhere.
+    #[error("the surface is empty: no cell's centre is inside of it; use smaller cells, or a lower --iso")]
+    NoKernelSurface,
+    /// What exceeds the memory budget would not fit into scratch files; nothing was written.
+    #[error(
+        "scratch files take at least {} in {}, where {} are free; name another folder with --scratch, or allow more \
+         with --memory",
+        ByteSize(*needed), folder.display(), ByteSize(*free)
+    )]
+    NoRoom {
+        /// Where they would be.
+        folder: PathBuf,
+        /// Bytes that they take at the least.
+        needed: u64,
+        /// Bytes that are there.
+        free: u64,
+    },
+    /// Every component is smaller than what was to be kept.
+    #[error("the surface is empty: all of its {dropped} components are below --drop-smaller")]
+    NothingLeft {
+        /// How many there were.
+        dropped: u64,
+    },
+    /// What exceeds the memory budget could not be put into scratch files.
+    #[error("scratch files in {}: {fault}", folder.display())]
+    Scratch {
+        /// Where they are.
+        folder: PathBuf,
+        /// What went wrong.
+        fault: io::Error,
+    },
+}
+
+fn explain(census: &Census) -> String {
+    match *census {
+        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
+        Census { not_finite, too_far, outside, .. } => {
+            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
+        }
+    }
+}
