@@ -8,19 +8,16 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::backend::Surfaces;
-use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, Window, gather};
+use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BIN, BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
-use crate::recipe::{Details, Fields};
-use crate::stage::adaptive::vulkan::{blend, occupancy, spread};
+use crate::recipe::Details;
 use crate::stage::blur::Kernel;
-use crate::stage::blur::vulkan::blur;
-use crate::stage::detail::vulkan::{lost, raise};
 use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
-use crate::units::Isovalue;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
+use super::fields::{Padded, PaddedFields};
 use super::lane::{Lane, Layout, fly, part};
 use super::{BLOCK_BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
 
@@ -347,23 +344,16 @@ impl Contouring<'_> {
         commands.stage("gather", pages.pages.bytes() + field_bytes);
         gather(commands, &kernels.gather, &blocks, &pages, &first)?;
         let dif = Rc::new(Padded { samples: first, margin: 0 });
-        let field = self.surfaces.recipe.apply(&mut self.fields_of(commands, &blocks, free), dif)?;
-        commands.stage("dual marching cubes", field_bytes);
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        let weights = &self.constants.weights;
+        let mut fields = PaddedFields { kernels, weights, walls, commands, blocks: &blocks, free };
+        let field = self.surfaces.recipe.apply(&mut fields, dif)?;
+        commands.stage("dual marching cubes", field_bytes);
         let normals = self.has_normals();
         contour(commands, &kernels.dual_mc, &blocks, &field.samples, iso, walls, normals, &outputs)?;
         commands.copy(&outputs.tallies, &read);
         commands.submit(&[uploaded])?;
         Ok(())
-    }
-
-    fn fields_of<'a>(
-        &'a self,
-        commands: &'a mut Batch,
-        blocks: &'a DeviceBlocks,
-        free: Vec<View>,
-    ) -> PaddedFields<'a> {
-        PaddedFields { work: self, commands, blocks, free }
     }
 
     fn outputs(&self, lane: &mut Lane, count: u64, room: u64) -> Result<Outputs, VulkanError> {
@@ -471,100 +461,5 @@ impl Contouring<'_> {
                 normal(edge, crossings.fraction(ends), ends[0] > ends[1], falls, walls)
             })
             .collect()
-    }
-}
-
-/// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
-struct Padded {
-    samples: View,
-    margin: i32,
-}
-
-/// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
-struct PaddedFields<'a> {
-    work: &'a Contouring<'a>,
-    commands: &'a mut Batch,
-    blocks: &'a DeviceBlocks,
-    free: Vec<View>,
-}
-
-impl PaddedFields<'_> {
-    fn take(&mut self) -> View {
-        self.free.pop().expect("a recipe needs no more fields than there are")
-    }
-
-    fn stage(&mut self, name: &'static str, passes: u64) {
-        self.commands.stage(name, passes * 8 * u64::from(self.blocks.words));
-    }
-}
-
-impl Fields for PaddedFields<'_> {
-    type Field = Rc<Padded>;
-    type Error = VulkanError;
-
-    fn blur(&mut self, field: Rc<Padded>, kernel: &Kernel) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("blur", 3);
-        let to = self.take();
-        let own = Rc::try_unwrap(field);
-        let (from, through, margin) = match &own {
-            Ok(own) => (&own.samples, own.samples.clone(), own.margin),
-            Err(shared) => (&shared.samples, self.take(), shared.margin),
-        };
-        let weights = &self.work.constants.weights[kernel];
-        let walls = self.work.surfaces.walls();
-        let program = &self.work.frame.kernels.blur;
-        blur(self.commands, program, self.blocks, (kernel, weights), walls, margin, [from, &through, &to])?;
-        self.free.push(through);
-        Ok(Rc::new(Padded { samples: to, margin: margin + kernel.reach() }))
-    }
-
-    fn lost(
-        &mut self,
-        dif: Rc<Padded>,
-        smooth: &Rc<Padded>,
-        iso: Isovalue,
-    ) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("detail", 2);
-        let kept = self.take();
-        let views = [&dif.samples, &smooth.samples, &kept];
-        lost(self.commands, &self.work.frame.kernels.lost, self.blocks, iso, views)?;
-        self.free.extend(Rc::into_inner(dif).map(|dif| dif.samples));
-        Ok(Rc::new(Padded { samples: kept, margin: smooth.margin }))
-    }
-
-    fn greater(&mut self, field: Rc<Padded>, other: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("detail", 2);
-        let program = &self.work.frame.kernels.greater;
-        raise(self.commands, program, self.blocks, &other.samples, &field.samples)?;
-        Ok(field)
-    }
-
-    fn occupancy(&mut self, dif: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("detail", 1);
-        occupancy(self.commands, &self.work.frame.kernels.occupancy, self.blocks, &dif.samples)?;
-        Ok(dif)
-    }
-
-    fn spread(&mut self, field: &Rc<Padded>, reach: i32) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("detail", 3);
-        let (to, through) = (self.take(), self.take());
-        let window = Window { reach, walls: self.work.surfaces.walls(), margin: field.margin };
-        let views = [&field.samples, &through, &to];
-        spread(self.commands, &self.work.frame.kernels.spread, self.blocks, window, views)?;
-        self.free.push(through);
-        Ok(Rc::new(Padded { samples: to, margin: field.margin + reach }))
-    }
-
-    fn blend(
-        &mut self,
-        fine: Rc<Padded>,
-        smooth: Rc<Padded>,
-        near: Rc<Padded>,
-        iso: Isovalue,
-    ) -> Result<Rc<Padded>, VulkanError> {
-        self.stage("detail", 4);
-        let views = [&fine.samples, &smooth.samples, &near.samples];
-        blend(self.commands, &self.work.frame.kernels.blend, self.blocks, iso, views)?;
-        Ok(near)
     }
 }

@@ -7,6 +7,7 @@
 
 mod bins;
 mod blocks;
+mod fields;
 mod lane;
 
 use std::io;
