@@ -15,6 +15,8 @@
 //!
 //! The grid is anchored at the origin, so that what stands still does not flicker from frame to frame.
 
+mod document;
+mod view;
 mod write;
 
 pub use write::write_mesh;

@@ -1,0 +1,218 @@
+//! The numbers of a .glb file: what there is, and how it is stored.
+
+use std::io::{self, Write};
+
+use meshopt::{
+    EncodeExpMode, encode_filter_exp, encode_filter_oct, encode_index_buffer, encode_vertex_buffer_level,
+};
+
+use crate::io::encode::{in_order, write_triangles, write_vertices};
+use crate::mesh::ordered::Ordered;
+use crate::mesh::source::{MeshSource, Vertices};
+use crate::particles::AttributeInfo;
+
+use super::Compression;
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const UNSIGNED_SHORT: u32 = 5123;
+pub const BYTE: u32 = 5120;
+
+/// Bits of a compressed normal's components, and of the mantissas of other values.
+const NORMAL_BITS: i32 = 8;
+const MANTISSA_BITS: i32 = 15;
+/// The vertex codec's version that the extension knows, and the best of its levels.
+const CODEC: Option<i32> = Some(0);
+const LEVEL: i32 = 2;
+
+/// Positions are stored in steps from an origin.
+#[derive(Clone, Copy)]
+pub struct Space {
+    pub origin: [f64; 3],
+    pub step: f64,
+}
+
+impl Space {
+    pub fn stored(&self, position: [f64; 3]) -> [f32; 3] {
+        std::array::from_fn(|axis| ((position[axis] - self.origin[axis]) / self.step) as f32)
+    }
+
+    pub fn on_grid(&self, position: [f64; 3]) -> [u16; 3] {
+        std::array::from_fn(|axis| ((position[axis] - self.origin[axis]) / self.step).round() as u16)
+    }
+}
+
+/// A buffer view, and its accessor.
+pub struct View {
+    pub what: What,
+    /// As the file calls it; indices have no name.
+    pub name: String,
+    pub components: usize,
+    pub scalar: u32,
+    pub count: u64,
+    /// Bytes from one element to the next.
+    pub stride: u64,
+}
+
+#[derive(Clone, Copy)]
+pub enum What {
+    Positions,
+    Normals,
+    Attribute(usize),
+    Indices,
+}
+
+/// All that a mesh has, its indices last.
+pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
+    let vertices = mesh.vertex_count();
+    let view = |what, name: &str, components, scalar, stride| View {
+        what,
+        name: name.to_owned(),
+        components,
+        scalar,
+        count: vertices,
+        stride,
+    };
+    let mut views = vec![match compression {
+        Compression::None => view(What::Positions, "POSITION", 3, FLOAT, 12),
+        Compression::Meshopt => view(What::Positions, "POSITION", 3, UNSIGNED_SHORT, 8),
+    }];
+    if mesh.has_normals() {
+        views.push(match compression {
+            Compression::None => view(What::Normals, "NORMAL", 3, FLOAT, 12),
+            Compression::Meshopt => view(What::Normals, "NORMAL", 3, BYTE, 4),
+        });
+    }
+    let attributes = mesh.attributes();
+    for (index, (info, name)) in attributes.iter().zip(names(&attributes)).enumerate() {
+        if let Some(name) = name {
+            let stride = 4 * info.components as u64;
+            views.push(view(What::Attribute(index), &name, info.components, FLOAT, stride));
+        }
+    }
+    views.push(View {
+        what: What::Indices,
+        name: String::new(),
+        components: 1,
+        scalar: UNSIGNED_INT,
+        count: 3 * mesh.triangle_count(),
+        stride: 4,
+    });
+    views
+}
+
+/// What attributes are called, no two alike; nothing for those that have no place.
+fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
+    let mut taken: Vec<String> = Vec::new();
+    let name = |info: &AttributeInfo| {
+        if !(1..=4).contains(&info.components) {
+            return None;
+        }
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };
+        let mut name: String = "_".chars().chain(info.name.chars().map(plain)).collect();
+        while taken.contains(&name) {
+            name.push('_');
+        }
+        taken.push(name.clone());
+        Some(name)
+    };
+    attributes.iter().map(name).collect()
+}
+
+impl View {
+    pub fn is_indices(&self) -> bool {
+        matches!(self.what, What::Indices)
+    }
+
+    pub fn bytes(&self) -> u64 {
+        self.count * self.stride
+    }
+
+    /// Writes its elements as they are.
+    pub fn write(&self, out: &mut dyn Write, mesh: &Ordered, space: Space) -> io::Result<()> {
+        match self.what {
+            What::Indices => write_triangles(out, mesh, |triangles, out| {
+                let corners = triangles.as_flattened().iter();
+                corners.for_each(|&vertex| out.extend((vertex as u32).to_le_bytes()));
+            }),
+            what => write_vertices(out, mesh, |vertices, out| {
+                let mut put = |value: &f32| out.extend(value.to_le_bytes());
+                match what {
+                    What::Normals => vertices.normals.as_flattened().iter().for_each(put),
+                    What::Attribute(index) => vertices.attributes[index].iter().for_each(put),
+                    _ => vertices.positions.iter().for_each(|&p| space.stored(p).iter().for_each(&mut put)),
+                }
+            }),
+        }
+    }
+
+    /// Its elements, compressed.
+    pub fn encoded(&self, mesh: &Ordered, space: Space) -> io::Result<Vec<u8>> {
+        let encoded = match self.what {
+            What::Positions => {
+                let points = gathered(mesh, |vertices, out| {
+                    out.extend(vertices.positions.iter().map(|&p| {
+                        let [x, y, z] = space.on_grid(p);
+                        [x, y, z, 0]
+                    }));
+                })?;
+                encode_vertex_buffer_level(&points, LEVEL, CODEC)
+            }
+            What::Normals => {
+                let normals = gathered(mesh, |vertices, out| {
+                    out.extend(vertices.normals.iter().map(|&[x, y, z]| [x, y, z, 0.0]));
+                })?;
+                encode_vertex_buffer_level(&encode_filter_oct::<i8>(&normals, NORMAL_BITS), LEVEL, CODEC)
+            }
+            What::Attribute(index) => {
+                let values = gathered(mesh, |vertices, out| {
+                    // What is no number has no exponent.
+                    let finite = |value: &f32| if value.is_finite() { *value } else { 0.0 };
+                    out.extend(vertices.attributes[index].iter().map(finite));
+                })?;
+                match self.components {
+                    1 => encode_values::<1>(&values),
+                    2 => encode_values::<2>(&values),
+                    3 => encode_values::<3>(&values),
+                    _ => encode_values::<4>(&values),
+                }
+            }
+            What::Indices => {
+                let mut corners = Vec::with_capacity(self.count as usize);
+                let make = |piece: usize, out: &mut Vec<u32>| {
+                    out.extend(mesh.triangles(piece)?.as_flattened().iter().map(|&vertex| vertex as u32));
+                    Ok(())
+                };
+                in_order(mesh.pieces(), make, |corners_of_piece| {
+                    corners.extend_from_slice(corners_of_piece);
+                    Ok(())
+                })?;
+                encode_index_buffer(&corners, mesh.vertex_count() as usize)
+            }
+        };
+        encoded.map_err(io::Error::other)
+    }
+}
+
+fn encode_values<const N: usize>(values: &[f32]) -> meshopt::Result<Vec<u8>> {
+    let groups = values.as_chunks::<N>().0;
+    let filtered = encode_filter_exp(groups, MANTISSA_BITS, EncodeExpMode::SharedVector);
+    encode_vertex_buffer_level(&filtered, LEVEL, CODEC)
+}
+
+/// What `make` makes of the vertices, piece after piece.
+fn gathered<T: Send + Clone>(
+    mesh: &Ordered,
+    make: impl Fn(&Vertices, &mut Vec<T>) + Sync,
+) -> io::Result<Vec<T>> {
+    let mut all = Vec::with_capacity(mesh.vertex_count() as usize);
+    let of_piece = |piece: usize, out: &mut Vec<T>| {
+        make(&mesh.vertices(piece)?, out);
+        Ok(())
+    };
+    in_order(mesh.pieces(), of_piece, |values| {
+        all.extend_from_slice(values);
+        Ok(())
+    })?;
+    Ok(all)
+}
