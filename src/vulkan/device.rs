@@ -193,14 +193,6 @@ impl Device {
             instance.get_physical_device_properties2(physical, &mut all);
             (instance.get_physical_device_queue_family_properties(physical), all.properties)
         };
-        let limits = Limits {
-            storage_range: u64::from(properties.limits.max_storage_buffer_range)
-                .min(options.storage_range.unwrap_or(u64::MAX))
-                & !3,
-            allocation: vulkan11.max_memory_allocation_size,
-            groups: properties.limits.max_compute_work_group_count.into_iter().min().unwrap_or(0),
-            alignment: properties.limits.min_storage_buffer_offset_alignment.max(4),
-        };
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.clone(),
             device: raw.clone(),
@@ -223,7 +215,6 @@ impl Device {
             let id: String = properties.pipeline_cache_uuid.iter().map(|b| format!("{b:02x}")).collect();
             folder.join(format!("pipelines-{id}"))
         });
-        let known = cache_file.as_deref().and_then(read_cache).unwrap_or_default();
         // From here on everything that is made is dropped with `shared` if a later step fails.
         let mut shared = Shared {
             raw,
@@ -237,7 +228,7 @@ impl Device {
             pipeline_cache: vk::PipelineCache::null(),
             cache_file,
             queues: Vec::new(),
-            limits,
+            limits: Limits::of(&properties.limits, &vulkan11, options),
             timestamp_period: f64::from(properties.limits.timestamp_period),
             memory: options.memory,
             allocated: AtomicU64::new(0),
@@ -245,30 +236,9 @@ impl Device {
             lost: AtomicBool::new(false),
             timings: Mutex::default(),
         };
-        // SAFETY: the device is alive, and what is pointed to outlives each call.
-        unsafe {
-            let info = vk::PipelineCacheCreateInfo::default().initial_data(&known);
-            shared.pipeline_cache = shared
-                .raw
-                .create_pipeline_cache(&info, None)
-                .or_else(|_| shared.raw.create_pipeline_cache(&vk::PipelineCacheCreateInfo::default(), None))
-                .map_err(VulkanError::of("vkCreatePipelineCache"))?;
-            for (family, queue) in queues {
-                let mut kind = vk::SemaphoreTypeCreateInfo::default()
-                    .semaphore_type(vk::SemaphoreType::TIMELINE)
-                    .initial_value(0);
-                let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-                let timeline =
-                    shared.raw.create_semaphore(&info, None).map_err(VulkanError::of("vkCreateSemaphore"))?;
-                shared.queues.push(QueueState {
-                    raw: Mutex::new(queue),
-                    family,
-                    timestamps: families[family as usize].timestamp_valid_bits > 0,
-                    host_reset: !families[family as usize].queue_flags.contains(vk::QueueFlags::COMPUTE),
-                    timeline,
-                    last: AtomicU64::new(0),
-                });
-            }
+        shared.pipeline_cache = shared.load_cache()?;
+        for (family, queue) in queues {
+            shared.add_queue(family, queue, &families[family as usize])?;
         }
         Ok(Self { shared: Arc::new(shared) })
     }
@@ -316,7 +286,60 @@ impl Device {
     }
 }
 
+impl Limits {
+    fn of(
+        device: &vk::PhysicalDeviceLimits,
+        vulkan11: &vk::PhysicalDeviceVulkan11Properties<'_>,
+        options: &DeviceOptions,
+    ) -> Self {
+        let storage_range = u64::from(device.max_storage_buffer_range);
+        Self {
+            storage_range: storage_range.min(options.storage_range.unwrap_or(u64::MAX)) & !3,
+            allocation: vulkan11.max_memory_allocation_size,
+            groups: device.max_compute_work_group_count.into_iter().min().unwrap_or(0),
+            alignment: device.min_storage_buffer_offset_alignment.max(4),
+        }
+    }
+}
+
 impl Shared {
+    /// The pipelines of earlier runs, or none.
+    fn load_cache(&self) -> Result<vk::PipelineCache, VulkanError> {
+        let known = self.cache_file.as_deref().and_then(read_cache).unwrap_or_default();
+        let info = vk::PipelineCacheCreateInfo::default().initial_data(&known);
+        let empty = vk::PipelineCacheCreateInfo::default();
+        // SAFETY: the device is alive, and what is pointed to outlives each call.
+        let cache = unsafe {
+            let cache = self.raw.create_pipeline_cache(&info, None);
+            cache.or_else(|_| self.raw.create_pipeline_cache(&empty, None))
+        };
+        cache.map_err(VulkanError::of("vkCreatePipelineCache"))
+    }
+
+    fn add_queue(
+        &mut self,
+        family: u32,
+        queue: vk::Queue,
+        properties: &vk::QueueFamilyProperties,
+    ) -> Result<(), VulkanError> {
+        let mut kind = vk::SemaphoreTypeCreateInfo::default()
+            .semaphore_type(vk::SemaphoreType::TIMELINE)
+            .initial_value(0);
+        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: the device is alive, and what is pointed to outlives the call.
+        let timeline = unsafe { self.raw.create_semaphore(&info, None) }
+            .map_err(VulkanError::of("vkCreateSemaphore"))?;
+        self.queues.push(QueueState {
+            raw: Mutex::new(queue),
+            family,
+            timestamps: properties.timestamp_valid_bits > 0,
+            host_reset: !properties.queue_flags.contains(vk::QueueFlags::COMPUTE),
+            timeline,
+            last: AtomicU64::new(0),
+        });
+        Ok(())
+    }
+
     pub(super) fn queue(&self, queue: Queue) -> &QueueState {
         match queue {
             Queue::Compute => &self.queues[0],
