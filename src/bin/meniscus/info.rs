@@ -15,6 +15,7 @@ use meniscus::io::mnf::open_frame;
 use meniscus::io::output::read_mesh;
 use meniscus::io::scene::spacing_beside;
 use meniscus::memory::default_budget;
+use meniscus::mesh::VertexAttribute;
 use meniscus::mesh::measure::measure;
 use meniscus::particles::{Particles, bounds};
 use meniscus::spacing;
@@ -96,42 +97,52 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 
 fn inspect(path: &Path) -> Result<Info, Error> {
     if is_frame(path) {
-        let (facts, dif) = open_frame(path, 0)?;
-        let (indicator, mu0) = match facts.indicator {
-            Indicator::Symmetry => ("symmetry", None),
-            Indicator::Counting { mean } => ("counting", mean.map(MeanCount::particles)),
-        };
-        let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
-        let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
-        return Ok(Info::Frame {
-            file: path.to_owned(),
-            particles: facts.census.binned,
-            full_cells: dif.full_cells(),
-            bricks: dif.bricks(),
-            bounds: full.map(|full| [world(full.lo), world(full.hi)]),
-            cell_size: facts.grid.cell_size(),
-            origin: facts.grid.origin().to_array(),
-            domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-            indicator,
-            mu0,
-        });
+        inspect_frame(path)
+    } else if holds_mesh(path)? {
+        inspect_mesh(path)
+    } else {
+        inspect_particles(path)
     }
-    if holds_mesh(path)? {
-        let mesh = read_mesh(path)?;
-        let measures = measure(&mesh);
-        let attributes = mesh.attributes.iter();
-        return Ok(Info::Mesh {
-            file: path.to_owned(),
-            vertices: mesh.positions.len(),
-            triangles: mesh.triangles.len(),
-            bounds: measures.bounds,
-            components: measures.components,
-            normals: mesh.normals.is_some(),
-            attributes: attributes
-                .map(|a| Attribute { name: a.name.clone(), components: a.components })
-                .collect(),
-        });
-    }
+}
+
+fn inspect_frame(path: &Path) -> Result<Info, Error> {
+    let (facts, dif) = open_frame(path, 0)?;
+    let (indicator, mu0) = match facts.indicator {
+        Indicator::Symmetry => ("symmetry", None),
+        Indicator::Counting { mean } => ("counting", mean.map(MeanCount::particles)),
+    };
+    let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
+    let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
+    Ok(Info::Frame {
+        file: path.to_owned(),
+        particles: facts.census.binned,
+        full_cells: dif.full_cells(),
+        bricks: dif.bricks(),
+        bounds: full.map(|full| [world(full.lo), world(full.hi)]),
+        cell_size: facts.grid.cell_size(),
+        origin: facts.grid.origin().to_array(),
+        domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        indicator,
+        mu0,
+    })
+}
+
+fn inspect_mesh(path: &Path) -> Result<Info, Error> {
+    let mesh = read_mesh(path)?;
+    let measures = measure(&mesh);
+    let attribute = |a: &VertexAttribute| Attribute { name: a.name.clone(), components: a.components };
+    Ok(Info::Mesh {
+        file: path.to_owned(),
+        vertices: mesh.positions.len(),
+        triangles: mesh.triangles.len(),
+        bounds: measures.bounds,
+        components: measures.components,
+        normals: mesh.normals.is_some(),
+        attributes: mesh.attributes.iter().map(attribute).collect(),
+    })
+}
+
+fn inspect_particles(path: &Path) -> Result<Info, Error> {
     let scratch = std::env::temp_dir();
     let unpacking = Unpacking { in_memory: default_budget().0 / 8, scratch: &scratch };
     let file = open_particles(path, unpacking)?;
