@@ -292,7 +292,8 @@ fn a_lattice_on_the_cells_corners_is_warned_of_with_the_origin_that_helps() {
     let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
     fs::write(folder.path().join("lattice.xyz"), raw(&on_corners)).unwrap();
     let notes = |more: &[&str]| {
-        let options = ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--overwrite"];
+        let options =
+            ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "1", "--overwrite"];
         let run = meniscus(folder.path(), &[&options, more].concat());
         assert!(run.status.success());
         String::from_utf8(run.stderr).unwrap()

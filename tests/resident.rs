@@ -41,7 +41,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         domain: sampling.domain,
         indicator: sampling.indicator,
         invalid: InvalidParticles::Refuse,
-        sigma: surfacing.sigma.unwrap(),
+        sigma: surfacing.sigma.unwrap_or(Sigma::of_spacing(None)),
         detail: surfacing.detail,
         iso: surfacing.iso,
     }

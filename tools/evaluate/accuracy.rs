@@ -16,7 +16,7 @@ use crate::tables::{Table, figure, mean, mean_and_worst, percent, signed, worst}
 use crate::{Options, Outcome};
 
 /// Edges of a cell, in spacings.
-pub const CELLS: [f64; 5] = [0.5, 0.75, 1.0, 1.5, 2.0];
+pub const CELLS: [f64; 5] = [0.5, 2.0 / 3.0, 1.0, 1.5, 2.0];
 fn cells(options: &Options) -> &'static [f64] {
     options.choose(&CELLS, &CELLS[2..3])
 }
@@ -129,7 +129,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                     let lattices = [places(options, cell, jitter), turns(options, cell, jitter)];
                     for (table, lattices) in tables.iter_mut().zip(lattices) {
                         let found = errors(solid, method, cell, &lattices)?;
-                        let about = [cell.to_string(), method.name()];
+                        let about = [figure(cell), method.name()];
                         table.row(about.into_iter().chain(row(found.as_deref(), cell)));
                         let sum = all[s][c][m].take();
                         all[s][c][m] = sum.zip(found).map(|(sum, found)| [sum, found].concat());
@@ -170,9 +170,7 @@ fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Erro
                     Some(mean) if mean == least => format!("**{mean:.3}**"),
                     Some(mean) => figure(mean),
                 };
-                table.row(
-                    [(*sampling).to_owned(), cell.to_string()].into_iter().chain(means.iter().map(text)),
-                );
+                table.row([(*sampling).to_owned(), figure(*cell)].into_iter().chain(means.iter().map(text)));
             }
         }
         table

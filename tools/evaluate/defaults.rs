@@ -16,7 +16,6 @@ use crate::{Options, Outcome};
 type Dif = fn(f64, Iso) -> Method;
 
 const DIFS: [(&str, Dif); 2] = [("symmetry", Method::symmetry), ("counting", Method::counting)];
-const SIGMAS: [f64; 3] = [0.8, 1.0, 1.2];
 /// The least of so many runs is what a frame costs.
 const RUNS: usize = 3;
 
@@ -38,7 +37,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     ]);
     for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
         for (name, of) in DIFS {
-            for sigma in SIGMAS {
+            for sigma in sigmas(cell) {
                 let method = of(sigma, Iso::Auto);
                 let mut found: [Vec<Errors>; 2] = Default::default();
                 for solid in &solids {
@@ -51,9 +50,9 @@ pub fn run(options: &Options) -> Outcome<()> {
                 let all = || found.iter().flatten();
                 let (seconds, triangles) = cost(&method, &frame, cell)?;
                 table.row([
-                    cell.to_string(),
+                    figure(cell),
                     name.to_owned(),
-                    sigma.to_string(),
+                    figure(sigma),
                     figure(regular),
                     figure(jittered),
                     signed(mean(all().map(|e| e.bias))),
@@ -73,6 +72,11 @@ pub fn run(options: &Options) -> Outcome<()> {
         rayon::current_num_threads()
     ));
     Ok(())
+}
+
+/// A cell, and a spacing where that is more, in cells.
+fn sigmas(cell: f64) -> Vec<f64> {
+    if cell < 1.0 { vec![1.0, 1.0 / cell] } else { vec![1.0] }
 }
 
 fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)> {

@@ -83,7 +83,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                 };
                 let lattice =
                     |shift| Lattice { shift, turn: DQuat::IDENTITY, jitter, inset: options.inset, seed: 3 };
-                let about = [indicator_name(indicator).into(), sampling.into(), cell.to_string()];
+                let about = [indicator_name(indicator).into(), sampling.into(), figure(cell)];
                 let count = options.choose(8, 2);
                 if jitter == 0.0 {
                     let diagonal: Vec<Lattice> = (0..count)
@@ -112,7 +112,7 @@ pub fn run(options: &Options) -> Outcome<()> {
             }
         }
     }
-    let what = "rules for c, sigma 1: mean distance, mean bias, greatest bias, in spacings";
+    let what = "rules for c: mean distance, mean bias, greatest bias, in spacings";
     along.print(&format!(
         "{what}; of all bodies, regular, by the lattice's place along the diagonal of a cell"
     ));
@@ -142,7 +142,7 @@ fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> O
     let sample =
         |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
     let frame = sample(grid(cell)?)?;
-    let (recipe, plateau) = frame.recipe(&surfacing(1.0, None));
+    let (recipe, plateau) = frame.recipe(&surfacing(None, None));
     let (Plateau::Interior { median, .. } | Plateau::Shallow { greatest: median }) = plateau;
     let median = f64::from(median) / f64::from(FULL);
     let values = Values::of(&frame, &recipe, solid);
@@ -164,7 +164,7 @@ fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> O
 
 fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Errors>> {
     let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
-    match frame.surface(&surfacing(1.0, iso), &mut Laps::default()) {
+    match frame.surface(&surfacing(None, iso), &mut Laps::default()) {
         Err(FrameError::NoSurface { .. }) => Ok(None),
         surface => Errors::of(solid, &surface?.mesh.to_mesh()?).map(Some),
     }

@@ -12,6 +12,7 @@ mod methods;
 mod pictures;
 mod render;
 mod resolution;
+mod rest;
 mod roughness;
 mod sample;
 #[path = "../bench/scene.rs"]
@@ -57,6 +58,8 @@ enum Topic {
     Accuracy,
     /// Deviations of flat and round surfaces, holes in sheets, drops kept.
     Roughness,
+    /// How still the surface of a pool at rest stands.
+    Rest,
     /// Seconds a frame (table 1).
     Speed,
     /// Stage times by resolution (figure 14), and recovering details (figure 15).
@@ -89,6 +92,7 @@ fn main() -> ExitCode {
     let run: &[fn(&Options) -> Outcome<()>] = match options.topic {
         Topic::Accuracy => &[accuracy::run],
         Topic::Roughness => &[roughness::run],
+        Topic::Rest => &[rest::run],
         Topic::Speed => &[speed::run],
         Topic::Resolution => &[resolution::run],
         Topic::Parameters => &[pictures::parameters],
@@ -98,6 +102,7 @@ fn main() -> ExitCode {
         Topic::All => &[
             accuracy::run,
             roughness::run,
+            rest::run,
             speed::run,
             resolution::run,
             pictures::parameters,

@@ -17,9 +17,18 @@ use crate::Outcome;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// By a discrete indicator function.
-    Dif { indicator: Indicator, sigma: f64, iso: Iso, detail: Detail },
+    Dif { indicator: Indicator, sigma: Sigmas, iso: Iso, detail: Detail },
     /// By kernels.
     Rival(Rival),
+}
+
+/// How wide the Gaussian is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Sigmas {
+    /// As the spacing, and a cell at the least.
+    Auto,
+    /// So many cells.
+    Cells(f64),
 }
 
 /// Where the surface is in the smoothed field.
@@ -34,12 +43,12 @@ pub enum Iso {
 pub const COUNTING: Indicator = Indicator::Counting { mean: None };
 
 impl Method {
-    pub const SYMMETRY: Self = Self::symmetry(1.0, Iso::Auto);
-    pub const COUNTING: Self = Self::counting(1.0, Iso::Auto);
+    pub const SYMMETRY: Self = Self::by_default(Indicator::Symmetry, Detail::Smoothed);
+    pub const COUNTING: Self = Self::by_default(COUNTING, Detail::Smoothed);
     pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
     pub const ZHU_BRIDSON: Self = Self::Rival(Rival::ZhuBridson);
     pub const YU_TURK: Self = Self::Rival(Rival::YuTurk { iso: Rival::HALF });
-    /// The paper's five, with the surface half-way between inside and outside; ours by default first.
+    /// The paper's five, with the surface half-way between inside and outside; ours first.
     pub const ALL: &[Self] =
         &[Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
     /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
@@ -56,28 +65,40 @@ impl Method {
     ];
 
     pub const fn symmetry(sigma: f64, iso: Iso) -> Self {
-        Self::Dif { indicator: Indicator::Symmetry, sigma, iso, detail: Detail::Smoothed }
+        Self::Dif {
+            indicator: Indicator::Symmetry,
+            sigma: Sigmas::Cells(sigma),
+            iso,
+            detail: Detail::Smoothed,
+        }
     }
 
     pub const fn counting(sigma: f64, iso: Iso) -> Self {
-        Self::Dif { indicator: COUNTING, sigma, iso, detail: Detail::Smoothed }
+        Self::Dif { indicator: COUNTING, sigma: Sigmas::Cells(sigma), iso, detail: Detail::Smoothed }
     }
 
-    /// Ours by default, with what smoothing loses treated otherwise.
+    /// What is computed by default where a cell is so many spacings.
+    pub fn of_cells(cell: f64) -> Self {
+        Self::by_default(Indicator::of_spacing(Some(1.0 / cell)), Detail::Smoothed)
+    }
+
+    /// By default, with what smoothing loses treated otherwise.
     pub fn detailed(detail: Detail) -> [Self; 2] {
-        [Indicator::Symmetry, COUNTING].map(|indicator| Self::Dif {
-            indicator,
-            sigma: 1.0,
-            iso: Iso::Auto,
-            detail,
-        })
+        [Indicator::Symmetry, COUNTING].map(|indicator| Self::by_default(indicator, detail))
+    }
+
+    const fn by_default(indicator: Indicator, detail: Detail) -> Self {
+        Self::Dif { indicator, sigma: Sigmas::Auto, iso: Iso::Auto, detail }
     }
 
     /// What it is called in tables.
     pub fn name(&self) -> String {
         match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
-                let filter = if sigma == 1.0 { String::new() } else { format!(", sigma {sigma}") };
+                let filter = match sigma {
+                    Sigmas::Auto => String::new(),
+                    Sigmas::Cells(sigma) => format!(", sigma {sigma}"),
+                };
                 let at = match iso {
                     Iso::Auto => String::new(),
                     Iso::At(c) => format!(", c {c}"),
@@ -112,13 +133,22 @@ impl Method {
         match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
                 let frame = Frame::sample(particles, &sampling(grid, spacing, indicator), laps)?;
-                let surfacing = Surfacing { detail, normals, ..surfacing(sigma, iso.value()) };
+                let surfacing = Surfacing { detail, normals, ..surfacing(sigma.value(), iso.value()) };
                 Ok(frame.surface(&surfacing, laps)?.mesh)
             }
             Self::Rival(rival) => {
                 let sampling = sampling(grid, spacing, COUNTING);
                 KernelFrame::sample(particles, &sampling, rival, laps)?.surface(normals, laps)
             }
+        }
+    }
+}
+
+impl Sigmas {
+    pub fn value(self) -> Option<Sigma> {
+        match self {
+            Self::Auto => None,
+            Self::Cells(cells) => Some(Sigma::new(cells).expect("a valid sigma")),
         }
     }
 }
@@ -157,7 +187,6 @@ pub fn sampling(grid: Grid, spacing: f64, indicator: Indicator) -> Sampling {
     }
 }
 
-pub fn surfacing(sigma: f64, iso: Option<Isovalue>) -> Surfacing {
-    let sigma = Some(Sigma::new(sigma).expect("a valid sigma"));
+pub fn surfacing(sigma: Option<Sigma>, iso: Option<Isovalue>) -> Surfacing {
     Surfacing { sigma, iso, detail: Detail::Smoothed, normals: Normals::None }
 }

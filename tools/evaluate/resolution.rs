@@ -15,7 +15,7 @@ use meniscus::stitch::Stitched;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
 
-use crate::methods::{COUNTING, Iso, grid, sampling, surfacing};
+use crate::methods::{COUNTING, Iso, Sigmas, grid, sampling, surfacing};
 use crate::scene::splash;
 use crate::speed::longest_side;
 use crate::tables::Table;
@@ -77,7 +77,8 @@ fn vulkan() -> Result<Arc<Vulkan>, VulkanError> {
 type Figures = ([Option<f64>; 4], f64, u64);
 
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
-    let (sampling, surfacing) = (sampling(grid(cell)?, 1.0, COUNTING), surfacing(1.0, Iso::Auto.value()));
+    let (sampling, surfacing) =
+        (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Cells(1.0).value(), Iso::Auto.value()));
     Frame::sample(particles, &sampling, &mut Laps::default())?;
     let start = Instant::now();
     let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
@@ -110,7 +111,7 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
 fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let mut sampling = sampling(grid(cell)?, 1.0, COUNTING);
     sampling.resources.backend = Arc::clone(vulkan) as _;
-    let surfacing = surfacing(1.0, Iso::Auto.value());
+    let surfacing = surfacing(Sigmas::Cells(1.0).value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
         let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
@@ -140,7 +141,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let all =
         [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)].into_iter().flat_map(|c| kinds.map(|kind| (c, kind)));
     for ((c, iso), (name, detail)) in all {
-        let surfacing = Surfacing { detail, ..surfacing(1.2, iso.value()) };
+        let surfacing = Surfacing { detail, ..surfacing(Sigmas::Cells(1.2).value(), iso.value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();
             let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;

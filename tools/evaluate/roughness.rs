@@ -14,10 +14,10 @@ use crate::shapes::Solid;
 use crate::tables::{Table, figure, mean, signed};
 use crate::{Options, Outcome};
 
-const CELLS: [f64; 3] = [0.5, 1.0, 1.5];
+const CELLS: [f64; 3] = [2.0 / 3.0, 1.0, 1.5];
 const JITTER: f64 = 0.3;
 /// Edge of pools and sheets, in spacings; what is within `MARGIN` of their ends is not looked at.
-const WIDTH: i32 = 48;
+pub const WIDTH: i32 = 48;
 const MARGIN: f64 = 12.0;
 /// What lies deeper, in spacings, is no part of the surface.
 const NEAR: f64 = 2.0;
@@ -45,7 +45,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         let detailed = [Detail::Recovered, Detail::Spared].into_iter().flat_map(Method::detailed);
         let methods = Method::ALL.iter().copied().chain(narrower).chain(lower).chain(detailed);
         for method in &methods.collect::<Vec<_>>() {
-            let about = || [cell.to_string(), method.name()].into_iter();
+            let about = || [figure(cell), method.name()].into_iter();
             let of_pool = pool(method, cell)?;
             let of_ball = around(method, &ball, cell)?;
             surfaces.row(about().chain([of_pool, of_ball].into_iter().flat_map(Deviation::text)));
@@ -126,9 +126,10 @@ pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
     })
 }
 
-fn is_central(p: &[f64; 3]) -> bool {
+/// Whether a vertex is on top of a pool, away from its ends.
+pub fn is_central(p: &[f64; 3]) -> bool {
     let within = MARGIN..f64::from(WIDTH) - MARGIN;
-    within.contains(&p[0]) && within.contains(&p[2])
+    within.contains(&p[0]) && within.contains(&p[2]) && p[1] > -NEAR
 }
 
 fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {

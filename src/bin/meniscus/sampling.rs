@@ -197,10 +197,6 @@ impl Cells {
 /// spacing and more; in these, smoothed over a spacing, by a tenth of that, and fewer do not pay.
 const CELL: f64 = 2.0 / 3.0;
 
-/// Cells smaller than so many spacings hold no particle too often for their symmetry to tell much: the interior fills
-/// with bubbles.
-const LEAST_FOR_SYMMETRY: f64 = 0.9;
-
 impl SamplingRequest {
     /// The same for a kernel method instead of a DIF.
     pub fn for_kernels(self, method: Method) -> Self {
@@ -230,11 +226,10 @@ impl SamplingRequest {
 
     /// The indicator that was asked for, else the one that suits cells of some size. Kernels have no use for it.
     pub fn indicator(&self, cell: f64, spacing: Option<f64>) -> Indicator {
-        let fine = spacing.is_some_and(|spacing| cell < LEAST_FOR_SYMMETRY * spacing);
         match self.field {
             FieldRequest::Dif(Some(indicator)) => indicator,
-            FieldRequest::Dif(None) if fine => Indicator::Counting { mean: None },
-            FieldRequest::Dif(None) | FieldRequest::Kernels(_) => Indicator::Symmetry,
+            FieldRequest::Dif(None) => Indicator::of_spacing(spacing.map(|spacing| spacing / cell)),
+            FieldRequest::Kernels(_) => Indicator::Symmetry,
         }
     }
 
@@ -248,8 +243,13 @@ impl SamplingRequest {
         notes: &Notes,
     ) -> Result<Sampling, Error> {
         let cells = self.cells(path, file)?;
-        cells.describe().iter().for_each(|text| notes.say(text));
         let indicator = self.indicator(cells.size, cells.spacing);
+        let by = match (self.field, indicator) {
+            (FieldRequest::Kernels(_), _) => "",
+            (FieldRequest::Dif(_), Indicator::Symmetry) => ", indicator symmetry",
+            (FieldRequest::Dif(_), Indicator::Counting { .. }) => ", indicator counting",
+        };
+        cells.describe().iter().for_each(|text| notes.say(format!("{text}{by}")));
         self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)
     }
 

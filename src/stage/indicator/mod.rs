@@ -27,3 +27,18 @@ pub enum Indicator {
         mean: Option<MeanCount>,
     },
 }
+
+/// Where a spacing is more cells, they hold no particle too often for their symmetry to tell much: the interior fills with
+/// bubbles.
+const WIDEST_FOR_SYMMETRY: f64 = 1.0 / 0.9;
+
+impl Indicator {
+    /// The one that suits particles whose spacing is so many cells, if it is known.
+    #[must_use]
+    pub fn of_spacing(spacing: Option<f64>) -> Self {
+        match spacing {
+            Some(spacing) if spacing > WIDEST_FOR_SYMMETRY => Self::Counting { mean: None },
+            _ => Self::Symmetry,
+        }
+    }
+}

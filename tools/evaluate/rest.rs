@@ -1,0 +1,62 @@
+//! How still the surface of a pool at rest stands when the pool is carried through a cell, as frames of a simulation are:
+//! grid, mu0 and isovalue are those of the first.
+
+use glam::IVec3;
+use meniscus::frame::{Frame, Sampling, Surfacing};
+use meniscus::laps::Laps;
+use meniscus::sequence::frozen::{Measured, Origin, measure};
+use meniscus::stage::indicator::Indicator;
+
+use crate::methods::{grid, sampling, surfacing};
+use crate::roughness::{WIDTH, is_central};
+use crate::sample::cuboid;
+use crate::scene::Random;
+use crate::tables::{Table, figure, mean};
+use crate::{Options, Outcome};
+
+const CELLS: [f64; 3] = [0.5, 2.0 / 3.0, 1.0];
+/// How far particles are from their lattice, in spacings.
+const JITTERS: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.5];
+/// Steps in which the pool is carried through a cell.
+const STEPS: u32 = 8;
+
+pub fn run(options: &Options) -> Outcome<()> {
+    let jitters = JITTERS.map(|jitter| format!("jittered by {jitter}"));
+    let head: Vec<&str> =
+        std::iter::once("cell / spacing").chain(jitters.iter().map(String::as_str)).collect();
+    let mut table = Table::new(&head);
+    for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
+        let moves: Outcome<Vec<String>> =
+            JITTERS.into_iter().map(|jitter| Ok(figure(greatest_move(cell, jitter)?))).collect();
+        table.row([figure(cell)].into_iter().chain(moves?));
+    }
+    table.print(&format!(
+        "a level pool is raised by a cell in {STEPS} steps: how far its surface moves against it in one step at the most, in cells"
+    ));
+    Ok(())
+}
+
+fn greatest_move(cell: f64, jitter: f64) -> Outcome<f64> {
+    let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(5));
+    let rise = |step: u32| cell * f64::from(step) / f64::from(STEPS);
+    let raised =
+        |step: u32| -> Vec<[f64; 3]> { pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect() };
+
+    let asked = surfacing(None, None);
+    let free = sampling(grid(cell)?, 1.0, Indicator::of_spacing(Some(1.0 / cell)));
+    let Measured { grid, mean: mu0, iso, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
+    let indicator = match free.indicator {
+        Indicator::Symmetry => Indicator::Symmetry,
+        Indicator::Counting { .. } => Indicator::Counting { mean: mu0 },
+    };
+    let frozen = Sampling { grid, indicator, ..free };
+
+    let height = |step: u32| -> Outcome<f64> {
+        let laps = &mut Laps::default();
+        let frame = Frame::sample(&raised(step)[..], &frozen, laps)?;
+        let mesh = frame.surface(&Surfacing { iso: Some(iso), ..asked }, laps)?.mesh.to_mesh()?;
+        Ok(mean(mesh.positions.iter().filter(|p| is_central(p)).map(|p| p[1])) - rise(step))
+    };
+    let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;
+    Ok(heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max) / cell)
+}
