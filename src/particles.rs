@@ -15,6 +15,14 @@ pub struct AttributeInfo {
     pub components: usize,
 }
 
+impl AttributeInfo {
+    /// Whether it is the velocity of a mesh's vertices, which is always called so.
+    #[must_use]
+    pub fn is_velocity(&self) -> bool {
+        self.name == "velocity" && self.components == 3
+    }
+}
+
 /// Particles, held in memory or in a mapped file.
 ///
 /// The order is the file's, and an index names a particle in error messages. Values are handed out as

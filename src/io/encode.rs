@@ -6,6 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::mesh::source::{MeshSource, Vertices};
 
+use super::CoordinateWidth;
+
 /// Writes what `encode` appends to a buffer for pieces 0 to `pieces`, in order.
 ///
 /// While this thread writes one batch of pieces, the pool encodes the next, so no more is held than two
@@ -95,6 +97,25 @@ pub(super) fn write_vertices(
     })?;
     assert_eq!(count.into_inner(), mesh.vertex_count(), "all vertices are in the pieces");
     Ok(())
+}
+
+/// Writes the numbers that `values` finds in the vertices, little-endian, piece after piece.
+pub(super) fn write_floats(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
+) -> io::Result<()> {
+    write_vertices(out, mesh, |vertices, out| {
+        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
+    })
+}
+
+/// Adds a position to `out`, little-endian.
+pub(super) fn put_position(out: &mut Vec<u8>, position: [f64; 3], width: CoordinateWidth) {
+    match width {
+        CoordinateWidth::F32 => out.extend(position.map(|x| (x as f32).to_le_bytes()).as_flattened()),
+        CoordinateWidth::F64 => out.extend(position.map(f64::to_le_bytes).as_flattened()),
+    }
 }
 
 /// Writes what `encode` makes of the triangles, piece after piece.

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
-use crate::io::encode::{write_triangles, write_vertices};
+use crate::io::encode::{put_position, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
 use crate::mesh::source::MeshSource;
 
@@ -26,10 +26,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     let components: Vec<_> = mesh.attributes().iter().map(|attribute| attribute.components).collect();
     write_vertices(out, mesh, |vertices, out| {
         for (vertex, position) in vertices.positions.iter().enumerate() {
-            match width {
-                CoordinateWidth::F32 => out.extend(position.map(|c| (c as f32).to_le_bytes()).as_flattened()),
-                CoordinateWidth::F64 => out.extend(position.map(f64::to_le_bytes).as_flattened()),
-            }
+            put_position(out, *position, width);
             if let Some(normal) = vertices.normals.get(vertex) {
                 out.extend(normal.map(f32::to_le_bytes).as_flattened());
             }

@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
 
 use crate::io::UpAxis;
-use crate::io::encode::{write_pieces, write_triangles, write_vertices};
+use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::{MeshSource, Vertices};
+use crate::mesh::source::MeshSource;
 
 use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
 use super::{PRIM, Property, properties};
@@ -170,14 +170,4 @@ impl Array {
             Values::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
         }
     }
-}
-
-fn write_floats(
-    out: &mut dyn Write,
-    mesh: &dyn MeshSource,
-    values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
-) -> io::Result<()> {
-    write_vertices(out, mesh, |vertices, out| {
-        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
-    })
 }

@@ -39,11 +39,12 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<Property> 
     if has_normals {
         all.push(Property { interpolation: Some("vertex"), ..plain("normals", "normal3f[]") });
     }
-    for AttributeInfo { name, components } in attributes {
-        if name == "velocity" && *components == 3 {
+    for attribute in attributes {
+        if attribute.is_velocity() {
             all.push(plain("velocities", "vector3f[]"));
             continue;
         }
+        let AttributeInfo { name, components } = attribute;
         let mut name = format!("primvars:{}", identifier(name));
         while all.iter().any(|other| other.name == name) {
             name.push('_');

@@ -30,8 +30,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
         writeln!(out, "NORMALS Normals float")?;
         write_floats(out, mesh, |vertices| vertices.normals.as_flattened())?;
     }
-    let is_velocity = |a: &AttributeInfo| a.name == "velocity" && a.components == 3;
-    let velocity = attributes.iter().position(is_velocity);
+    let velocity = attributes.iter().position(AttributeInfo::is_velocity);
     if let Some(velocity) = velocity {
         writeln!(out, "VECTORS velocity float")?;
         write_floats(out, mesh, |vertices| &vertices.attributes[velocity])?;

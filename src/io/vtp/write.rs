@@ -3,9 +3,10 @@
 use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
-use crate::io::encode::{write_pieces, write_triangles, write_vertices};
+use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::{MeshSource, Vertices};
+use crate::mesh::source::MeshSource;
+use crate::particles::AttributeInfo;
 
 use super::NORMALS;
 
@@ -31,8 +32,8 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
         xml
     };
     let (point_data, points, polygons) = (point_data(mesh), points(mesh, width), polygons(mesh));
-    let is_velocity = |array: &&Array| array.name == "velocity" && array.components == 3;
-    let vectors = point_data.iter().find(is_velocity).map_or("", |_| " Vectors=\"velocity\"");
+    let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
+    let vectors = if has_velocity { " Vectors=\"velocity\"" } else { "" };
     let normals = if mesh.has_normals() { format!(" Normals=\"{NORMALS}\"") } else { String::new() };
     write!(
         out,
@@ -142,14 +143,7 @@ impl Array {
             Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
             Numbers::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
             Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
-                for position in &*vertices.positions {
-                    match width {
-                        CoordinateWidth::F32 => {
-                            out.extend(position.map(|x| (x as f32).to_le_bytes()).as_flattened());
-                        }
-                        CoordinateWidth::F64 => out.extend(position.map(f64::to_le_bytes).as_flattened()),
-                    }
-                }
+                vertices.positions.iter().for_each(|&position| put_position(out, position, width));
             }),
             Numbers::Corners(width) => write_triangles(out, mesh, |triangles, out| {
                 triangles.as_flattened().iter().for_each(|&corner| width.put(out, corner));
@@ -162,16 +156,6 @@ impl Array {
             }),
         }
     }
-}
-
-fn write_floats(
-    out: &mut dyn Write,
-    mesh: &dyn MeshSource,
-    values: impl for<'a> Fn(&'a Vertices) -> &'a [f32] + Sync,
-) -> io::Result<()> {
-    write_vertices(out, mesh, |vertices, out| {
-        values(vertices).iter().for_each(|value| out.extend(value.to_le_bytes()));
-    })
 }
 
 impl IndexWidth {
