@@ -44,21 +44,17 @@ impl Plateau {
         let blocks = dif.regions(0, 0);
         let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
         let sampled: Vec<_> = blocks.iter().step_by(step).collect();
-        let interior = Histogram::of(&sampled, |&cells| interior_samples(dif, smoothing, domain, cells));
-        if let Some(median) = interior.quantile(0.5) {
-            return Self::Interior { median, lowest: interior.quantile(0.0).unwrap_or(median) };
-        }
+        let interior = |blocks: &[&CellBox]| {
+            let samples = Histogram::of(blocks, |&cells| interior_samples(dif, smoothing, domain, cells));
+            Some(Self::Interior { median: samples.quantile(0.5)?, lowest: samples.quantile(0.0)? })
+        };
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
         let all: Vec<_> = blocks.iter().collect();
-        let interior = Histogram::of(&all, |&cells| interior_samples(dif, smoothing, domain, cells));
-        match interior.quantile(0.5) {
-            Some(median) => Self::Interior { median, lowest: interior.quantile(0.0).unwrap_or(median) },
-            None => {
-                let field =
-                    Histogram::of(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
-                Self::Shallow { greatest: field.quantile(1.0).unwrap_or(0) }
-            }
-        }
+        interior(&sampled).or_else(|| interior(&all)).unwrap_or_else(|| {
+            let field =
+                Histogram::of(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
+            Self::Shallow { greatest: field.quantile(1.0).unwrap_or(0) }
+        })
     }
 
     /// What goes with the plateau.
