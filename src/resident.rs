@@ -117,7 +117,7 @@ impl Pipeline {
             vulkan: Vulkan::new(device.clone())?,
             bin: BinKernels::new(device)?,
             stitch: StitchKernels::new(device)?,
-            table: upload(device, &table())?,
+            table: device.uploaded(&table())?,
         })
     }
 
@@ -160,8 +160,8 @@ impl Pipeline {
         let rows = |count: u32| device.buffer(Place::Device, ROW * u64::from(count));
         let (positions, indices) = (rows(layout.vertices())?, rows(layout.triangles())?);
         let buffers = StitchBuffers {
-            grid: upload(device, &[DeviceGrid::new(grid, domain)])?,
-            blocks: upload(device, layout.blocks())?,
+            grid: device.uploaded(&[DeviceGrid::new(grid, domain)])?,
+            blocks: device.uploaded(layout.blocks())?,
             tiles: parts.tiles,
             ends: parts.ends,
             table: self.table.clone(),
@@ -185,10 +185,4 @@ impl Pipeline {
             census,
         })
     }
-}
-
-fn upload<T: bytemuck::Pod>(device: &Device, values: &[T]) -> Result<View, VulkanError> {
-    let buffer = device.buffer(Place::Upload, size_of_val(values) as u64)?;
-    buffer.write(0, values);
-    Ok(buffer.whole())
 }

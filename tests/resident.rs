@@ -17,9 +17,8 @@ use meniscus::units::{Isovalue, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, VulkanError};
 
 fn positions(device: &Device, particles: &[[f64; 3]]) -> DevicePositions {
-    let buffer = device.buffer(Place::Upload, size_of_val(particles) as u64).unwrap();
-    buffer.write(0, particles);
-    DevicePositions { view: buffer.whole(), count: particles.len(), coordinate: Coordinate::Double }
+    let view = device.uploaded(particles).unwrap();
+    DevicePositions { view, count: particles.len(), coordinate: Coordinate::Double }
 }
 
 fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {

@@ -91,17 +91,12 @@ fn blurred_on(
         let to = padded.index(IVec3::new(dif.cells().lo.x, y, z));
         padded.samples_mut()[to..to + row.len()].copy_from_slice(row);
     }
-    let upload = |bytes: &[u8]| {
-        let buffer = device.buffer(Place::Upload, bytes.len() as u64).unwrap();
-        buffer.write(0, bytes);
-        buffer.whole()
-    };
-    let field = upload(bytemuck::cast_slice(padded.samples()));
-    let weights = upload(bytemuck::cast_slice(kernel.half()));
+    let field = device.uploaded(padded.samples()).unwrap();
+    let weights = device.uploaded(kernel.half()).unwrap();
     let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
     let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
     let blocks = DeviceBlocks {
-        blocks: upload(bytemuck::bytes_of(&block)),
+        blocks: device.uploaded(&[block]).unwrap(),
         count: 1,
         largest: block.words(),
         words: block.words(),

@@ -108,6 +108,16 @@ impl Device {
         Ok(Arc::new(buffer))
     }
 
+    /// Makes a buffer of some values, which the host can write.
+    ///
+    /// # Errors
+    /// Those of [`buffer`](Self::buffer).
+    pub fn uploaded<T: Pod>(&self, values: &[T]) -> Result<View, VulkanError> {
+        let buffer = self.buffer(Place::Upload, size_of_val(values) as u64)?;
+        buffer.write(0, values);
+        Ok(buffer.whole())
+    }
+
     /// Refers to a buffer that the caller has made on the same device, and destroys.
     ///
     /// # Safety

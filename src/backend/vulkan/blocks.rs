@@ -149,11 +149,6 @@ struct Constants {
 
 impl Constants {
     fn new(device: &Device, surfaces: &Surfaces<'_>) -> Result<Self, VulkanError> {
-        let upload = |values: &[u32]| {
-            let buffer = device.buffer(Place::Upload, size_of_val(values) as u64)?;
-            buffer.write(0, values);
-            Ok::<_, VulkanError>(buffer.whole())
-        };
         let recipe = surfaces.recipe;
         let detail = match &recipe.details {
             Details::Smoothed => None,
@@ -168,11 +163,11 @@ impl Constants {
                 .filters()
                 .iter()
                 .chain(detail)
-                .map(|kernel| Ok((kernel.clone(), upload(kernel.half())?)))
+                .map(|kernel| Ok((kernel.clone(), device.uploaded(kernel.half())?)))
                 .collect::<Result<_, VulkanError>>()?,
-            theta: upload(&theta)?,
+            theta: device.uploaded(&theta)?,
             decode: theta.len() as u32,
-            lengths: upload(&lengths())?,
+            lengths: device.uploaded(&lengths())?,
         })
     }
 }

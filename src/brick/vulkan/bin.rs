@@ -277,10 +277,9 @@ pub fn bin(
     if u32::try_from(total).is_err() {
         return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
     }
-    let device_grid = device.buffer(Place::Upload, size_of::<DeviceGrid>() as u64)?;
-    device_grid.write(0, &[DeviceGrid::new(grid, domain)]);
+    let device_grid = device.uploaded(&[DeviceGrid::new(grid, domain)])?;
     let chunks = chunks(positions, device.limits());
-    let binning = Binning { device, kernels, grid: device_grid.whole(), chunks, limit };
+    let binning = Binning { device, kernels, grid: device_grid, chunks, limit };
     let Counted { slots, table, census } = binning.count(total)?;
     let (census, first_invalid) = binning.sum(&census, total);
     if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
