@@ -13,7 +13,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use meniscus::error::{Cause, Error};
-use meniscus::frame::{Resources, Surfacing};
+use meniscus::frame::{Resources, Sampling, Surfacing};
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::io::whole::sweep;
@@ -187,6 +187,17 @@ impl Setup<'_> {
         let Orientation { shown: up, .. } = options.up.orientation(&first.path, format);
         let series = Series { format, sequence, fps: options.sequence.fps, up };
         Conversion::new(self, format, store, state, wanted.len()).run(frames, &series)
+    }
+
+    /// How a frame is sampled by what all have in common.
+    fn sampling(
+        &self,
+        frozen: &Frozen,
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<Sampling, Error> {
+        let indicator = frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?;
+        self.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
     }
 
     /// The surface of a frame by what all have in common.

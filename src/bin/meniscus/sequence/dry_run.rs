@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use bytesize::ByteSize;
 use meniscus::error::Error;
-use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
@@ -15,6 +14,7 @@ use meniscus::sequence::state::{Stamp, State, Store};
 use crate::Verdict;
 use crate::method::Sampled;
 use crate::reconstruct::is_frame;
+use crate::run::unpacking;
 
 use super::Setup;
 use super::freeze::describe;
@@ -58,18 +58,9 @@ impl Setup<'_> {
         let size = |frame: &FrameFile| Stamp::of(&frame.path).map_or(0, |stamp| stamp.bytes);
         let total: u64 = wanted.iter().map(|frame| size(frame)).sum();
         if let Some(largest) = wanted.iter().max_by_key(|frame| size(frame)).filter(|f| !is_frame(&f.path)) {
-            let unpacking =
-                Unpacking { in_memory: self.resources.budget.0 / 8, scratch: &self.resources.scratch };
-            let file = open_particles(&largest.path, unpacking)?;
-            let indicator = frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?;
+            let file = open_particles(&largest.path, unpacking(&self.resources))?;
             let carried = self.options.carried(&largest.path, &file, self.format(largest)?)?;
-            let sampling = self.request.sampling_on(
-                frozen.grid()?,
-                indicator,
-                frozen.spacing,
-                carried,
-                self.resources.clone(),
-            )?;
+            let sampling = self.sampling(&frozen, carried, self.resources.clone())?;
             let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
             let mut laps = Laps::default();
             let counted = self.request.counted(&file.particles, &sampling).map_err(in_file)?;

@@ -4,7 +4,6 @@ use meniscus::error::{Cause, Error};
 use meniscus::frame::{Frame, FrameError};
 use meniscus::grid::Grid;
 use meniscus::io::ReadError;
-use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::plateau::Plateau;
@@ -15,6 +14,7 @@ use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::state::Stamp;
 
 use crate::reconstruct::is_frame;
+use crate::run::unpacking;
 
 use super::watch::Watch;
 use super::{POLL, Setup};
@@ -113,8 +113,7 @@ impl Setup<'_> {
             let measured = Measured { grid, mean, iso: recipe.iso, trust };
             return Ok((frozen(frame.number, input, spacing, None, measured), trust));
         }
-        let budget = self.resources.budget.0 / 8;
-        let file = open_particles(path, Unpacking { in_memory: budget, scratch: &self.resources.scratch })?;
+        let file = open_particles(path, unpacking(&self.resources))?;
         let cells = self.request.cells(path, &file)?;
         if let Some(spacing) = cells.spacing.filter(|_| self.request.rival().is_some()) {
             Spacing::new(spacing / cells.size).map_err(|e| in_file(e.into()))?;

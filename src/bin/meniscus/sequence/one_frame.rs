@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use meniscus::error::Error;
-use meniscus::frame::{Frame, FrameError, Normals, Resources, Sampling, carried_infos};
+use meniscus::frame::{Frame, FrameError, Normals, Resources, carried_infos};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -135,7 +135,7 @@ impl Conversion<'_> {
         laps.lap("open");
         let carried = options.carried(path, &file, self.format)?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let mut sampling = self.sampling(carried, opening)?;
+        let mut sampling = self.setup.sampling(&self.state.frozen, carried, opening)?;
         stage("counting");
         let mut counted = request.counted(&file.particles, &sampling);
         laps.lap("count");
@@ -164,12 +164,6 @@ impl Conversion<'_> {
             }
         };
         Ok(Ready { frame, infos, time: file.time, permit })
-    }
-
-    fn sampling(&self, carried: Vec<usize>, resources: Resources) -> Result<Sampling, Error> {
-        let frozen = &self.state.frozen;
-        let indicator = frozen.indicator(self.setup.request.indicator(frozen.cell_size, frozen.spacing))?;
-        self.setup.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
     }
 
     /// What is left of a lane's memory for the frame, where as much as its surface takes is needed beside it: for the
