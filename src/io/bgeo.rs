@@ -7,8 +7,8 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::Bytes;
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::cursor::{Cursor, malformed};
-use super::{ParticleFile, ReadFault};
+use super::cursor::Cursor;
+use super::{ParticleFile, ReadFault, malformed};
 
 /// Width of every number of a point.
 const NUMBER: u64 = 4;

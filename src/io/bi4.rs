@@ -12,9 +12,9 @@ use crate::units::positive_length;
 
 use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};
-use super::cursor::{Cursor, malformed};
+use super::cursor::Cursor;
 use super::vertices::columns;
-use super::{ParticleFile, ReadError, ReadFault};
+use super::{ParticleFile, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
 /// Rows that are joined at once.

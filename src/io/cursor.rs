@@ -1,7 +1,7 @@
 //! Reading a binary header: every step is checked against the bytes that are there.
 
-use super::ReadFault;
 use super::columns::Endian;
+use super::{ReadFault, malformed};
 
 /// A position in the bytes of a file, which every read moves on.
 #[derive(Debug, Clone)]
@@ -86,10 +86,4 @@ impl<'a> Cursor<'a> {
         let count = self.u32(what)? as i32;
         u64::try_from(count).map_err(|_| malformed(at, format!("{count} {what}")))
     }
-}
-
-/// A fault at byte `at`.
-#[must_use]
-pub fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
-    ReadFault::Malformed { at: at as u64, what: what.into() }
 }

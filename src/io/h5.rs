@@ -12,10 +12,9 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::{Bytes, Unpacked, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::cursor::malformed;
 use super::names::{Quantity, quantities};
 use super::vertices::columns;
-use super::{ParticleFile, ReadFault};
+use super::{ParticleFile, ReadFault, malformed};
 
 /// Of H5Part's groups.
 const STEP: &str = "Step#";

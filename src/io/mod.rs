@@ -128,6 +128,11 @@ pub enum ReadFault {
     },
 }
 
+/// A fault at byte `at`.
+fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
+    ReadFault::Malformed { at: at as u64, what: what.into() }
+}
+
 /// A file that could not be written. Nothing is left of it.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]

@@ -5,8 +5,8 @@
 
 use super::bytes::Bytes;
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::cursor::{Cursor, malformed};
-use super::{ParticleFile, ReadFault};
+use super::cursor::Cursor;
+use super::{ParticleFile, ReadFault, malformed};
 
 /// Reads the header; the array stays where it is.
 ///

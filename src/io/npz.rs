@@ -12,10 +12,9 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Rows};
-use super::cursor::malformed;
 use super::names::{Quantity, quantities};
 use super::npy::{Header, shown};
-use super::{ParticleFile, ReadFault};
+use super::{ParticleFile, ReadFault, malformed};
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;

@@ -1,7 +1,7 @@
 //! Lines, words and numbers of a file that is text, at least where we look.
 
-use super::ReadFault;
 use super::bytes::ByteStore;
+use super::{ReadFault, malformed};
 
 /// No line of a header is longer, so that binary data taken for text is found out early.
 const LONGEST_LINE: usize = 64 << 10;
@@ -143,9 +143,4 @@ impl<'a> Scanner<'a> {
         let line = 1 + self.bytes[..at].iter().filter(|&&b| b == b'\n').count() as u64;
         ReadFault::Line { line, what }
     }
-}
-
-/// A fault at a byte.
-pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
-    ReadFault::Malformed { at: at as u64, what: what.into() }
 }

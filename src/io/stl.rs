@@ -19,8 +19,8 @@ use crate::mesh::source::MeshSource;
 use super::encode::{in_order, write_triangles};
 use super::obj::vector;
 use super::output::MeshFormat;
-use super::scan::{Scanner, malformed};
-use super::{CoordinateWidth, ReadFault};
+use super::scan::Scanner;
+use super::{CoordinateWidth, ReadFault, malformed};
 
 /// Whatever it says, it must not start with "solid", which is how text does.
 const TITLE: &[u8; 80] = b"binary STL, written by meniscus                                                 ";

@@ -6,8 +6,7 @@ use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
 use super::bytes::Bytes;
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::scan::malformed;
-use super::{ParticleFile, ReadFault};
+use super::{ParticleFile, ReadFault, malformed};
 
 /// The vertices of a file, found and checked against its size.
 pub(super) struct Vertices {

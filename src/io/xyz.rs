@@ -13,10 +13,9 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::{Bytes, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
-use super::cursor::malformed;
 use super::names::{Quantity, quantities};
 use super::text::decode_pieces;
-use super::{ParticleFile, ReadFault};
+use super::{ParticleFile, ReadFault, malformed};
 
 /// Lines, blank ones and comments not counted, within which the columns must be named.
 const HEADER_LINES: usize = 32;

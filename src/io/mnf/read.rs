@@ -14,8 +14,8 @@ use crate::brick::{BrickSide, Census, DifField, PageInfo, PageSource};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
-use crate::io::cursor::{Cursor, malformed};
-use crate::io::{ReadError, ReadFault};
+use crate::io::cursor::Cursor;
+use crate::io::{ReadError, ReadFault, malformed};
 use crate::stage::indicator::{Indicator, count_table};
 use crate::units::{MeanCount, positive_length};
 

@@ -4,10 +4,10 @@ use std::ops::{ControlFlow, Range};
 
 use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::{Scanner, malformed};
+use crate::io::scan::Scanner;
 use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
-use crate::io::{ParticleFile, ReadFault};
+use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
 

@@ -1,9 +1,9 @@
 //! Where the arrays of a legacy .vtk file lie: one walk over its sections, no number read.
 
-use crate::io::ReadFault;
 use crate::io::bytes::ByteStore;
 use crate::io::columns::Scalar;
-use crate::io::scan::{Scanner, malformed};
+use crate::io::scan::Scanner;
+use crate::io::{ReadFault, malformed};
 
 /// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
 const MOST_OF_NOTHING: usize = 9;

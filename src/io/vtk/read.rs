@@ -2,10 +2,10 @@
 
 use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::{Scanner, malformed};
+use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
-use crate::io::{ParticleFile, ReadFault};
+use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
 

@@ -9,12 +9,12 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
 
-use crate::io::ReadFault;
 use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::{Scanner, malformed};
+use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
+use crate::io::{ReadFault, malformed};
 
 use super::layout::{Array, Data, Layout, Packing};
 

@@ -5,10 +5,10 @@ use std::ops::Range;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use crate::io::ReadFault;
 use crate::io::bytes::ByteStore;
 use crate::io::columns::{Endian, Scalar};
-use crate::io::scan::{Scanner, malformed};
+use crate::io::scan::Scanner;
+use crate::io::{ReadFault, malformed};
 
 /// What a file's time is called.
 pub(super) const TIME: &str = "TimeValue";

@@ -2,9 +2,8 @@
 
 use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Column, Scalar};
-use crate::io::scan::malformed;
 use crate::io::vertices::{Triangles, Vertices};
-use crate::io::{ParticleFile, ReadFault};
+use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
 
