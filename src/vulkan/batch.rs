@@ -181,34 +181,11 @@ impl Batch {
             return Ok(());
         }
         self.barrier();
+        let set = [self.bound(kernel, buffers)?];
         let raw = &self.device.raw;
         // SAFETY: the handles are this device's, the commands are being recorded, and buffers and kernel are held
         // until they are done.
         unsafe {
-            let layouts = [kernel.sets];
-            let info =
-                vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
-            let set =
-                raw.allocate_descriptor_sets(&info).map_err(VulkanError::of("vkAllocateDescriptorSets"))?;
-            let info = |view: &View| {
-                [vk::DescriptorBufferInfo {
-                    buffer: view.buffer.raw(),
-                    offset: view.offset,
-                    range: view.bytes,
-                }]
-            };
-            let infos: Vec<_> = buffers.iter().map(info).collect();
-            let writes: Vec<_> = (0..)
-                .zip(&infos)
-                .map(|(i, info)| {
-                    vk::WriteDescriptorSet::default()
-                        .dst_set(set[0])
-                        .dst_binding(i)
-                        .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
-                        .buffer_info(info)
-                })
-                .collect();
-            raw.update_descriptor_sets(&writes, &[]);
             let compute = vk::PipelineBindPoint::COMPUTE;
             raw.cmd_bind_pipeline(self.commands, compute, kernel.pipeline);
             raw.cmd_bind_descriptor_sets(self.commands, compute, kernel.layout, 0, &set, &[]);
@@ -221,6 +198,33 @@ impl Batch {
         self.buffers.extend(buffers.iter().map(|view| Arc::clone(&view.buffer)));
         self.kernels.push(Arc::clone(kernel));
         Ok(())
+    }
+
+    /// What binds `buffers` to a kernel.
+    fn bound(&self, kernel: &Kernel, buffers: &[View]) -> Result<vk::DescriptorSet, VulkanError> {
+        let raw = &self.device.raw;
+        let layouts = [kernel.sets];
+        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
+        // SAFETY: the pool and the layout are this device's.
+        let set = unsafe { raw.allocate_descriptor_sets(&info) }
+            .map_err(VulkanError::of("vkAllocateDescriptorSets"))?[0];
+        let info = |view: &View| {
+            [vk::DescriptorBufferInfo { buffer: view.buffer.raw(), offset: view.offset, range: view.bytes }]
+        };
+        let infos: Vec<_> = buffers.iter().map(info).collect();
+        let writes: Vec<_> = (0..)
+            .zip(&infos)
+            .map(|(binding, info)| {
+                vk::WriteDescriptorSet::default()
+                    .dst_set(set)
+                    .dst_binding(binding)
+                    .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+                    .buffer_info(info)
+            })
+            .collect();
+        // SAFETY: the set is new, and the buffers are this device's.
+        unsafe { raw.update_descriptor_sets(&writes, &[]) };
+        Ok(set)
     }
 
     /// Copies one part of a buffer to the begin of another.
