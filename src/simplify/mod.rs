@@ -1,17 +1,16 @@
 //! Fewer triangles within a distance that is asked for, chunk by chunk, seams included.
 //!
 //! A chunk is a cube of 2^3 blocks. What lies wholly in one is simplified with its border locked; then the same is
-//! done once more with chunks that are shifted by half, for what was border before. Both passes measure against
-//! the surface as it was before either, so the distance asked for is kept by both together:
+//! done once more with chunks that are shifted by half, for what was border before and what is next to it. Both passes
+//! measure against the surface as it was before either, so the distance asked for is kept by both together:
 //! no sample of the result lies farther from the surface, and no vertex of the surface farther from the result.
 //!
 //! The vertices that are left are vertices of the surface as it was, and keep their positions, normals and attributes.
 //! Chunks know nothing of threads or memory, and nothing is held but the chunks in work, a bit a vertex, and
 //! what the budget allows of the triangles.
 
+mod collapse;
 mod drops;
-mod mend;
-mod near;
 mod patch;
 mod surface;
 mod topology;
@@ -41,6 +40,10 @@ const CHUNK: i32 = 2;
 /// In the first pass a vertex stays in about every square of so many cells: without them triangles on flat ground would
 /// reach from a seam beyond the chunk that is to simplify it in the second.
 const PIN_SPACING: i32 = 16;
+/// The second pass simplifies triangles that come within so many cells of a seam of the first.
+const BAND: i32 = 4;
+/// Edge of the boxes by which it is found what lies near them, in cells.
+const BOX: i32 = 4;
 
 /// Triangles by the numbers of their vertices in the whole mesh.
 type Triangles = Vec<[u64; 3]>;
@@ -107,12 +110,10 @@ pub fn simplify(
     let mut between = Lists::in_memory();
     // For each list its shifted chunk, and what is to be done with it.
     let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
-    let mut left = VertexSet::none_of(surface.vertex_count());
     for chunks in aligned.chunks(batch) {
         let done: Vec<_> =
             chunks.par_iter().map(|(_, pieces)| passes.first(pieces)).collect::<io::Result<_>>()?;
         for ((home, fate), list) in done.into_iter().flatten() {
-            list.as_flattened().iter().for_each(|&vertex| left.insert(vertex));
             homes.push((home, fate, between.len()));
             between.push(list)?;
         }
@@ -131,7 +132,7 @@ pub fn simplify(
             .map(|(home, pieces)| {
                 let start = homes.partition_point(|(other, ..)| other < home);
                 let lists = homes[start..].iter().take_while(|(other, ..)| other == home);
-                passes.second(pieces, &between, &left, lists.map(|&(_, fate, list)| (fate, list)))
+                passes.second(pieces, &between, lists.map(|&(_, fate, list)| (fate, list)))
             })
             .collect::<io::Result<_>>()?;
         for list in done {
@@ -228,7 +229,6 @@ impl Passes<'_> {
             positions: &chunk.positions,
             reference: &inside,
             triangles: &inside,
-            is_free: &|_| false,
             pinned: &chunk.pins(),
             outside: Outside::DualCells,
         };
@@ -239,15 +239,23 @@ impl Passes<'_> {
         Ok(sorted.lists)
     }
 
+    /// How many cells from a triangle's vertices the surface within the tolerance of it may lie.
+    fn reach(&self) -> i32 {
+        self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1
+    }
+
     /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with it there:
     /// all that is simplified lies so far inside that the surface within the tolerance of it is in the chunk.
     fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
         let block = cells[0].div_euclid(IVec3::splat(BLOCK));
         let chunk = shifted_chunk(block);
         let lo = (chunk * CHUNK - CHUNK / 2) * BLOCK;
-        let reach = self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1;
+        let reach = self.reach();
         let inner = CellBox { lo, hi: lo + CHUNK * BLOCK }.grown(-reach, -reach);
-        let fate = if cells.iter().all(|&cell| inner.contains(cell)) { Fate::Simplify } else { Fate::Keep };
+        let is_beside = |x: i32| (x + BAND).rem_euclid(CHUNK * BLOCK) < 2 * BAND;
+        let is_near_seam = cells.iter().any(|cell| cell.to_array().into_iter().any(is_beside));
+        let is_inside = cells.iter().all(|&cell| inner.contains(cell));
+        let fate = if is_near_seam && is_inside { Fate::Simplify } else { Fate::Keep };
         (MortonKey::of(chunk), fate)
     }
 
@@ -256,7 +264,6 @@ impl Passes<'_> {
         &self,
         pieces: &[usize],
         between: &Lists<[u64; 3]>,
-        left_vertices: &VertexSet,
         lists: impl Iterator<Item = (Fate, usize)>,
     ) -> io::Result<Triangles> {
         let mut result = Triangles::new();
@@ -274,22 +281,19 @@ impl Passes<'_> {
         if left.is_empty() {
             return Ok(result);
         }
+        let near = Boxes::around(&left, &chunk.cells, self.reach());
         let mut reference = Vec::new();
         for &piece in pieces {
-            self.triangles(piece, |_, triangle| reference.extend(chunk.local(triangle)))?;
-        }
-        let mut is_free = vec![false; chunk.positions.len()];
-        reference.as_flattened().iter().for_each(|&vertex| is_free[vertex as usize] = true);
-        for &[first, base, count] in &chunk.ranges {
-            for rank in 0..count {
-                is_free[(base + rank) as usize] &= !left_vertices.contains(first + rank);
-            }
+            self.triangles(piece, |cell, triangle| {
+                if near.contains(cell) {
+                    reference.extend(chunk.local(triangle));
+                }
+            })?;
         }
         let patch = Patch {
             positions: &chunk.positions,
             reference: &reference,
             triangles: &left,
-            is_free: &|vertex| is_free[vertex as usize],
             pinned: &[],
             outside: Outside::Simplified,
         };
@@ -311,6 +315,51 @@ impl Sorted {
             Some((_, list)) => list.push(triangle),
             None => self.lists.push((home, vec![triangle])),
         }
+    }
+}
+
+/// Boxes of cells that triangles come near to.
+struct Boxes {
+    lo: IVec3,
+    size: IVec3,
+    is_near: Vec<bool>,
+}
+
+impl Boxes {
+    /// Those within `reach` cells of triangles whose vertices have these cells.
+    fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
+        let bounds = |vertices: &[u32]| {
+            let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
+            let bounds =
+                cells.map(|cell| [cell, cell]).reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
+            let [lo, hi] = bounds.unwrap_or_default();
+            [lo - reach, hi + reach].map(|cell| cell.div_euclid(IVec3::splat(BOX)))
+        };
+        let [lo, hi] = bounds(triangles.as_flattened());
+        let size = hi - lo + 1;
+        let mut boxes = Self { lo, size, is_near: vec![false; size.as_usizevec3().element_product()] };
+        for triangle in triangles {
+            let [lo, hi] = bounds(triangle);
+            for z in lo.z..=hi.z {
+                for y in lo.y..=hi.y {
+                    for x in lo.x..=hi.x {
+                        let rank = boxes.rank(IVec3::new(x, y, z));
+                        boxes.is_near[rank] = true;
+                    }
+                }
+            }
+        }
+        boxes
+    }
+
+    fn rank(&self, at: IVec3) -> usize {
+        let at = at - self.lo;
+        (at.x + self.size.x * (at.y + self.size.y * at.z)) as usize
+    }
+
+    fn contains(&self, cell: IVec3) -> bool {
+        let at = cell.div_euclid(IVec3::splat(BOX));
+        at.cmpge(self.lo).all() && at.cmplt(self.lo + self.size).all() && self.is_near[self.rank(at)]
     }
 }
 
@@ -336,7 +385,7 @@ impl Chunk {
             for (cell, place) in places {
                 let corner: DVec3 = *corner.get_or_insert(place.floor());
                 let mut position = (place - corner).as_vec3();
-                // meshoptimizer takes vertices at the same place for one.
+                // Triangles with vertices at the same place would face nowhere.
                 while !taken.insert(position.to_array().map(f32::to_bits)) {
                     position.x = position.x.next_up();
                 }

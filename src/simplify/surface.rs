@@ -4,6 +4,8 @@
 
 use glam::Vec3;
 
+use super::collapse::Spoke;
+
 /// No triangle.
 pub const NONE: u32 = u32::MAX;
 /// How many triangles a search looks at before it gives up.
@@ -14,6 +16,7 @@ const DETOUR: f32 = 1.5;
 const STEPS_A_CELL: f32 = 8.0;
 
 /// Triangles, each directed edge at most once.
+#[derive(Clone)]
 pub struct Surface<'a> {
     pub positions: &'a [Vec3],
     pub triangles: Vec<[u32; 3]>,
@@ -25,13 +28,55 @@ pub struct Surface<'a> {
     normals: Vec<Vec3>,
 }
 
+/// The edges of a surface by the vertices that they leave.
+pub struct Leaving {
+    /// For each vertex where its edges end.
+    ends: Vec<u32>,
+    /// Where to, and of which triangle.
+    edges: Vec<(u32, u32)>,
+}
+
+impl Leaving {
+    /// Of all triangles.
+    pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+        let mut ends = vec![0_u32; vertices];
+        for &vertex in triangles.as_flattened() {
+            ends[vertex as usize] += 1;
+        }
+        let mut total = 0;
+        for end in &mut ends {
+            total += std::mem::replace(end, total);
+        }
+        let mut leaving = vec![(0, 0); 3 * triangles.len()];
+        for (number, &triangle) in triangles.iter().enumerate() {
+            for [from, to] in edges(triangle) {
+                let end = &mut ends[from as usize];
+                leaving[*end as usize] = (to, number as u32);
+                *end += 1;
+            }
+        }
+        Self { ends, edges: leaving }
+    }
+
+    /// Those of a vertex.
+    pub fn at(&self, vertex: u32) -> &[(u32, u32)] {
+        let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before as usize]);
+        &self.edges[start as usize..self.ends[vertex as usize] as usize]
+    }
+}
+
 impl<'a> Surface<'a> {
-    /// Where directed edges occur twice, their vertices.
-    pub fn new(positions: &'a [Vec3], triangles: Vec<[u32; 3]>) -> Result<Self, Vec<u32>> {
-        let (across, at) = neighbours(positions.len(), &triangles)?;
+    /// By edges that leave their vertices once each.
+    pub fn new(positions: &'a [Vec3], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
+        let across = |[from, to]: [u32; 2]| {
+            leaving.at(to).iter().find(|(back, _)| *back == from).map_or(NONE, |(_, triangle)| *triangle)
+        };
+        let across = triangles.iter().map(|&triangle| edges(triangle).map(across)).collect();
+        let at = |vertex| leaving.at(vertex).first().map_or(NONE, |(_, triangle)| *triangle);
+        let at = (0..positions.len() as u32).map(at).collect();
         let normals: Vec<Vec3> =
             triangles.iter().map(|&triangle| scaled_normal(positions, triangle)).collect();
-        Ok(Self { positions, triangles, across, at, normals })
+        Self { positions, triangles, across, at, normals }
     }
 
     pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
@@ -50,11 +95,6 @@ impl<'a> Surface<'a> {
     /// A triangle with this vertex, or `NONE`.
     pub fn at(&self, vertex: u32) -> u32 {
         self.at[vertex as usize]
-    }
-
-    /// Of its triangles.
-    pub fn normals(&self) -> &[Vec3] {
-        &self.normals
     }
 
     /// For every vertex the sum of the normals around it.
@@ -101,13 +141,21 @@ impl<'a> Surface<'a> {
         self.star(vertex).find(is_towards).unwrap_or(self.at(vertex))
     }
 
-    /// Looks at triangles towards `point`, from triangle `from` on, and at all that hang together within `distance`
-    /// of it, until `is_found` says so or patience ends.
-    fn search(&self, from: u32, point: Vec3, distance: f32, mut is_found: impl FnMut(u32, f32) -> bool) {
-        if from == NONE {
-            return;
-        }
-        let mut seen = [(0, 0.0); PATIENCE];
+    /// Whether a triangle is within a distance, squared, of a point.
+    pub fn is_near(&self, triangle: u32, point: Vec3, squared: f32) -> bool {
+        squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
+    }
+
+    /// The corner of a triangle after one of its corners.
+    pub fn after(&self, triangle: u32, vertex: u32) -> u32 {
+        self.triangles[triangle as usize][(self.corner(triangle, vertex) + 1) % 3]
+    }
+
+    /// A triangle within `distance` of `point` that does not face the other way than `normal`, if one is found from
+    /// triangle `from` on: of a thin sheet's two sides each has to be near its own. Looks towards the point, and at all
+    /// that hang together within the distance of it, until patience ends.
+    pub fn holder(&self, from: u32, point: Vec3, normal: Vec3, distance: f32) -> Option<u32> {
+        let mut seen = [(NONE, 0.0); PATIENCE];
         let mut count = 0;
         let mut least = f32::INFINITY;
         let mut next = [from, NONE, NONE];
@@ -118,153 +166,77 @@ impl<'a> Surface<'a> {
                     continue;
                 }
                 let squared = self.squared_distance(triangle, point);
-                if is_found(triangle, squared) || count == PATIENCE {
-                    return;
+                if squared <= distance * distance && self.normal(triangle).dot(normal) >= 0.0 {
+                    return Some(triangle);
+                }
+                if count == PATIENCE {
+                    return None;
                 }
                 seen[count] = (triangle, squared);
                 count += 1;
                 least = least.min(squared);
             }
-            let Some(best) = (done..count).min_by(|&a, &b| seen[a].1.total_cmp(&seen[b].1)) else { return };
+            let best = (done..count).min_by(|&a, &b| seen[a].1.total_cmp(&seen[b].1))?;
             if seen[best].1 > (DETOUR * least).max(distance * distance) {
-                return;
+                return None;
             }
             seen.swap(done, best);
             next = self.across[seen[done].0 as usize];
         }
+        None
     }
 
-    /// What a search for `point` finds.
-    pub fn around(&self, from: u32, point: Vec3, distance: f32) -> Vec<u32> {
-        let mut around = Vec::new();
-        self.search(from, point, distance, |triangle, _| {
-            around.push(triangle);
-            false
-        });
-        around
-    }
-
-    /// Of a triangle from a point.
-    pub fn squared_distance(&self, triangle: u32, point: Vec3) -> f32 {
-        closest(point, self.corners(triangle)).0
-    }
-
-    /// A triangle within `distance` of `point` that does not face the other way than `normal`, if one is found from
-    /// triangle `from` on: of a thin sheet's two sides each has to be near its own.
-    pub fn holder(&self, from: u32, point: Vec3, normal: Vec3, distance: f32) -> Option<u32> {
-        let mut holder = None;
-        self.search(from, point, distance, |triangle, squared| {
-            let holds = squared <= distance * distance && self.normal(triangle).dot(normal) >= 0.0;
-            holder = holds.then_some(triangle);
-            holds
-        });
-        holder
-    }
-
-    /// Of the triangles around `point` that do not face the other way the nearest, and the barycentric coordinates of
-    /// its nearest point.
-    pub fn nearest(&self, from: u32, point: Vec3, normal: Vec3, distance: f32) -> Option<(u32, [f32; 3])> {
-        let mut nearest: Option<(u32, f32)> = None;
-        self.search(from, point, distance, |triangle, squared| {
-            let is_nearer = nearest.is_none_or(|(_, least)| squared < least);
-            if is_nearer && self.normal(triangle).dot(normal) >= 0.0 {
-                nearest = Some((triangle, squared));
-            }
-            false
-        });
-        nearest.map(|(triangle, _)| (triangle, closest(point, self.corners(triangle)).1))
-    }
-
-    /// The number of a triangle, whichever corner comes first.
-    pub fn number_of(&self, [a, b, c]: [u32; 3]) -> Option<u32> {
-        let turns = [[a, b, c], [b, c, a], [c, a, b]];
-        self.star(a).find(|&triangle| turns.contains(&self.triangles[triangle as usize]))
+    fn squared_distance(&self, triangle: u32, point: Vec3) -> f32 {
+        let near = squared_near(point, self.corners(triangle), self.normal(triangle), f32::INFINITY);
+        near.map_or(f32::INFINITY, |(squared, _)| squared)
     }
 
     /// Whether one can walk on the surface from one of its vertices to another, in the plane of `normal` and the line
     /// between them, within `distance` of that line and on triangles that do not face the other way.
     pub fn leads(&self, from: u32, to: u32, normal: Vec3, distance: f32) -> bool {
-        let [p, q] = [from, to].map(|vertex| self.positions[vertex as usize]);
-        let ahead = q - p;
-        self.walk([from, to], normal, |triangle, _, offset| {
-            let along = (offset.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);
-            offset.distance_squared(along * ahead) <= distance * distance
-                && self.normal(triangle).dot(normal) >= 0.0
-        })
-    }
-
-    /// The edges that one crosses on such a walk, each with a triangle.
-    pub fn crossing(&self, from: u32, to: u32, normal: Vec3) -> Vec<(u32, [u32; 2])> {
-        let mut crossed = Vec::new();
-        self.walk([from, to], normal, |triangle, edge, _| {
-            crossed.push((triangle, edge));
-            true
-        });
-        crossed
-    }
-
-    /// Walks from one vertex towards another, across one edge after the other, as long as `goes_on` with the triangle
-    /// that one leaves, the edge and the offset from the start. Whether the other is reached.
-    fn walk(
-        &self,
-        [from, to]: [u32; 2],
-        normal: Vec3,
-        mut goes_on: impl FnMut(u32, [u32; 2], Vec3) -> bool,
-    ) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
-        let left = normal.cross(ahead);
-        let offset = |vertex: u32| self.positions[vertex as usize] - start;
-        let crossing = |[a, b]: [u32; 2]| {
-            let [a, b] = [a, b].map(offset);
-            let [right, left] = [a, b].map(|end| left.dot(end));
-            a.lerp(b, right / (right - left))
+        let (leftward, length) = (normal.cross(ahead), ahead.length_squared());
+        let seen = |vertex: u32| {
+            let offset = self.positions[vertex as usize] - start;
+            (vertex, offset, leftward.dot(offset))
         };
-        // The triangle that one is in, and the edge that one leaves it by, its right end first.
+        let crossing = |a: Vec3, right: f32, b: Vec3, left: f32| a + (b - a) * (right / (right - left));
+        // The triangle that one is in, and the ends of the edge that one leaves it by.
         let mut way = None;
         for triangle in self.star(from) {
-            let corners = self.triangles[triangle as usize];
-            let corner = (0..3).find(|&corner| corners[corner] == from).expect("a triangle of its star");
-            let edge = [corners[(corner + 1) % 3], corners[(corner + 2) % 3]];
-            if edge.contains(&to) {
+            let corner = self.corner(triangle, from);
+            let [a, b] = [1, 2].map(|turn| self.triangles[triangle as usize][(corner + turn) % 3]);
+            if a == to || b == to {
                 return true;
             }
-            let [a, b] = edge.map(|end| left.dot(offset(end)));
-            if a < 0.0 && b >= 0.0 && crossing(edge).dot(ahead) > 0.0 {
-                way = Some((triangle, edge));
+            let (a, b) = (seen(a), seen(b));
+            if a.2 < 0.0 && b.2 >= 0.0 && crossing(a.1, a.2, b.1, b.2).dot(ahead) > 0.0 {
+                way = Some((triangle, a, b));
             }
         }
-        let steps = STEPS_A_CELL * ahead.length() + STEPS_A_CELL;
+        let Some((mut triangle, mut a, mut b)) = way else { return false };
+        let steps = STEPS_A_CELL * length.sqrt() + STEPS_A_CELL;
         for _ in 0..steps as usize {
-            let Some((triangle, [a, b])) = way else { return false };
-            if !goes_on(triangle, [a, b], crossing([a, b])) {
+            let offset = crossing(a.1, a.2, b.1, b.2);
+            let along = (offset.dot(ahead) / length).clamp(0.0, 1.0);
+            if offset.distance_squared(along * ahead) > distance * distance
+                || self.normal(triangle).dot(normal) < 0.0
+            {
                 return false;
             }
-            let Some((pair, [_, beyond])) = self.at_edge(triangle, a, b) else { return false };
+            triangle = self.across_from(triangle, a.0);
+            if triangle == NONE {
+                return false;
+            }
+            let beyond = self.after(triangle, a.0);
             if beyond == to {
                 return true;
             }
-            let is_left = left.dot(offset(beyond)) >= 0.0;
-            way = Some((pair[1], if is_left { [a, beyond] } else { [beyond, b] }));
+            let beyond = seen(beyond);
+            *(if beyond.2 >= 0.0 { &mut b } else { &mut a }) = beyond;
         }
         false
-    }
-
-    /// The two triangles at an edge, and the corners across from it; nothing where there is no such edge in
-    /// `triangle`, or it is on the border.
-    pub fn at_edge(&self, triangle: u32, from: u32, to: u32) -> Option<([u32; 2], [u32; 2])> {
-        let corners = self.triangles.get(triangle as usize)?;
-        let side = (0..3).find(|&side| corners[side] == from && corners[(side + 1) % 3] == to)?;
-        let across = self.across[triangle as usize][side];
-        if across == NONE {
-            return None;
-        }
-        let apex = |triangle: u32| {
-            let corners = self.triangles[triangle as usize];
-            let apex = corners.into_iter().find(|&vertex| vertex != from && vertex != to);
-            apex.expect("a triangle has three corners")
-        };
-        Some(([triangle, across], [apex(triangle), apex(across)]))
     }
 
     /// The edges of a triangle that have no other triangle.
@@ -273,152 +245,131 @@ impl<'a> Surface<'a> {
         edges.zip(self.across[triangle as usize]).filter(|(_, across)| *across == NONE).map(|(edge, _)| edge)
     }
 
-    /// The corner of a triangle before one of its corners.
-    pub fn before(&self, triangle: u32, vertex: u32) -> u32 {
-        let corners = self.triangles[triangle as usize];
-        let corner = corners.iter().position(|&corner| corner == vertex).expect("a corner of it");
-        corners[(corner + 2) % 3]
-    }
-
-    /// Whether a vertex has an edge to another, in the fan that is known of it.
-    pub fn joined(&self, vertex: u32, other: u32) -> bool {
-        self.star(vertex).any(|triangle| self.triangles[triangle as usize].contains(&other))
-    }
-
-    /// Puts `parts` in place of whole triangles with the same rim, unless one of them would fold back. Returns whether
-    /// it did; the first parts take the numbers of the whole ones, further ones new numbers.
-    pub fn replace(&mut self, whole: &[u32], parts: &[[u32; 3]]) -> Option<Vec<u32>> {
-        let before: Vec3 = whole.iter().map(|&number| self.normal(number)).sum();
-        if parts.iter().any(|&part| scaled_normal(self.positions, part).dot(before) <= 0.0) {
-            return None;
-        }
-        let mut rim = Vec::new();
-        for &number in whole {
-            let sides = edges(self.triangles[number as usize]).into_iter().zip(self.across[number as usize]);
-            rim.extend(sides.filter(|(_, across)| !whole.contains(across)));
-        }
-        let added = self.triangles.len() as u32..;
-        let numbers: Vec<u32> = whole.iter().copied().chain(added).take(parts.len()).collect();
-        for (&number, &part) in numbers.iter().zip(parts) {
-            let across = edges(part).map(|edge| {
-                let inner = parts.iter().position(|&other| edges(other).contains(&[edge[1], edge[0]]));
-                if let Some(inner) = inner {
-                    return numbers[inner];
-                }
-                let (_, outer) =
-                    rim.iter().find(|(other, _)| *other == edge).expect("the rim stays the same");
-                if *outer != NONE {
-                    let sides = edges(self.triangles[*outer as usize]);
-                    let side = sides.iter().position(|&side| side == [edge[1], edge[0]]).expect("neighbours");
-                    self.across[*outer as usize][side] = number;
-                }
-                *outer
-            });
-            let normal = scaled_normal(self.positions, part);
-            if let Some(triangle) = self.triangles.get_mut(number as usize) {
-                *triangle = part;
-                (self.across[number as usize], self.normals[number as usize]) = (across, normal);
-            } else {
-                self.triangles.push(part);
-                self.across.push(across);
-                self.normals.push(normal);
+    /// The triangles around a vertex inside of the patch, counterclockwise.
+    pub fn spokes(&self, vertex: u32) -> impl Iterator<Item = Spoke> {
+        let start = self.at[vertex as usize];
+        let mut next = start;
+        std::iter::from_fn(move || {
+            let triangle = (next != NONE).then_some(next)?;
+            let corner = self.corner(triangle, vertex);
+            next = self.across[triangle as usize][(corner + 2) % 3];
+            if next == start {
+                next = NONE;
             }
-            part.into_iter().for_each(|vertex| self.at[vertex as usize] = number);
+            let rim = self.triangles[triangle as usize][(corner + 1) % 3];
+            Some(Spoke { triangle, rim, normal: self.normals[triangle as usize] })
+        })
+    }
+
+    fn corner(&self, triangle: u32, vertex: u32) -> usize {
+        let [a, b, _] = self.triangles[triangle as usize];
+        if a == vertex {
+            0
+        } else if b == vertex {
+            1
+        } else {
+            2
         }
-        Some(numbers)
+    }
+
+    /// The triangle across the edge that leaves `vertex`, or `NONE`.
+    pub fn across_from(&self, triangle: u32, vertex: u32) -> u32 {
+        self.across[triangle as usize][self.corner(triangle, vertex)]
+    }
+
+    fn set_across(&mut self, triangle: u32, vertex: u32, to: u32) {
+        if triangle != NONE {
+            let side = self.corner(triangle, vertex);
+            self.across[triangle as usize][side] = to;
+        }
+    }
+
+    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle vanish.
+    pub fn collapse(&mut self, vertex: u32, ring: &[Spoke]) {
+        let last = ring.len() - 1;
+        let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
+        let beyond_left = self.across_from(ring[last].triangle, left);
+        let beyond_right = self.across_from(ring[0].triangle, target);
+        for spoke in &ring[1..last] {
+            let corner = self.corner(spoke.triangle, vertex);
+            self.triangles[spoke.triangle as usize][corner] = target;
+            self.normals[spoke.triangle as usize] =
+                scaled_normal(self.positions, self.triangles[spoke.triangle as usize]);
+        }
+        let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
+        self.set_across(rightmost, target, beyond_right);
+        self.set_across(beyond_right, right, rightmost);
+        self.set_across(leftmost, left, beyond_left);
+        self.set_across(beyond_left, target, leftmost);
+        for spoke in [ring[0], ring[last]] {
+            self.triangles[spoke.triangle as usize] = [NONE; 3];
+        }
+        self.at[vertex as usize] = NONE;
+        self.at[target as usize] = rightmost;
+        self.at[right as usize] = rightmost;
+        self.at[left as usize] = leftmost;
+    }
+
+    /// Undoes what `collapse` did.
+    pub fn restore(&mut self, vertex: u32, ring: &[Spoke]) {
+        let last = ring.len() - 1;
+        let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
+        let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
+        let beyond_right = self.across_from(rightmost, target);
+        let beyond_left = self.across_from(leftmost, left);
+        self.set_across(beyond_right, right, ring[0].triangle);
+        self.set_across(beyond_left, target, ring[last].triangle);
+        self.set_across(rightmost, target, ring[0].triangle);
+        self.set_across(leftmost, left, ring[last].triangle);
+        for spoke in &ring[1..last] {
+            let corner = self.corner(spoke.triangle, target);
+            self.triangles[spoke.triangle as usize][corner] = vertex;
+            self.normals[spoke.triangle as usize] = spoke.normal;
+        }
+        self.put(ring[0].triangle, [vertex, target, right], [ring[last].triangle, beyond_right, rightmost]);
+        self.put(ring[last].triangle, [vertex, left, target], [leftmost, beyond_left, ring[0].triangle]);
+        self.at[vertex as usize] = ring[0].triangle;
+        self.at[target as usize] = ring[0].triangle;
+        self.at[right as usize] = ring[0].triangle;
+        self.at[left as usize] = ring[last].triangle;
+    }
+
+    fn put(&mut self, triangle: u32, corners: [u32; 3], across: [u32; 3]) {
+        self.triangles[triangle as usize] = corners;
+        self.across[triangle as usize] = across;
     }
 }
 
 /// Outward, twice the triangle's area long.
-pub fn scaled_normal(positions: &[Vec3], triangle: [u32; 3]) -> Vec3 {
+fn scaled_normal(positions: &[Vec3], triangle: [u32; 3]) -> Vec3 {
     let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
     (b - a).cross(c - a)
 }
 
-pub fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// What is across the edges of each triangle, and for each vertex a triangle.
-#[expect(clippy::type_complexity)]
-fn neighbours(vertices: usize, triangles: &[[u32; 3]]) -> Result<(Vec<[u32; 3]>, Vec<u32>), Vec<u32>> {
-    // For each vertex the edges that leave it: where to, and of which triangle.
-    let mut ends = vec![0_u32; vertices];
-    for &vertex in triangles.as_flattened() {
-        ends[vertex as usize] += 1;
-    }
-    let mut total = 0;
-    for end in &mut ends {
-        total += std::mem::replace(end, total);
-    }
-    let mut leaving = vec![(0, 0); 3 * triangles.len()];
-    for (number, &triangle) in triangles.iter().enumerate() {
-        for [from, to] in edges(triangle) {
-            let end = &mut ends[from as usize];
-            leaving[*end as usize] = (to, number as u32);
-            *end += 1;
-        }
-    }
-    let of = |vertex: u32| {
-        let start = vertex.checked_sub(1).map_or(0, |before| ends[before as usize]);
-        &leaving[start as usize..ends[vertex as usize] as usize]
-    };
-    let mut twice = Vec::new();
-    for vertex in 0..vertices as u32 {
-        let leaving = of(vertex);
-        for (i, (to, _)) in leaving.iter().enumerate() {
-            if leaving[..i].iter().any(|(other, _)| other == to) {
-                twice.extend([vertex, *to]);
-            }
-        }
-    }
-    if !twice.is_empty() {
-        return Err(twice);
-    }
-    let across =
-        |[from, to]: [u32; 2]| of(to).iter().find(|(back, _)| *back == from).map_or(NONE, |(_, t)| *t);
-    let at = (0..vertices as u32).map(|vertex| of(vertex).first().map_or(NONE, |(_, triangle)| *triangle));
-    Ok((triangles.iter().map(|&triangle| edges(triangle).map(across)).collect(), at.collect()))
-}
-
-/// The squared distance from a point to a triangle, and the barycentric coordinates of the nearest point
-/// (Ericson, Real-Time Collision Detection, 5.1.5).
+/// The squared distance from a point to a triangle with this normal, if it is not above the one given; and whether the
+/// point is right above or below.
 #[inline]
-fn closest(p: Vec3, [a, b, c]: [Vec3; 3]) -> (f32, [f32; 3]) {
-    let found = |weights: [f32; 3]| {
-        let nearest = a * weights[0] + b * weights[1] + c * weights[2];
-        (p.distance_squared(nearest), weights)
-    };
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return found([1.0, 0.0, 0.0]);
+pub fn squared_near(p: Vec3, corners: [Vec3; 3], normal: Vec3, squared: f32) -> Option<(f32, bool)> {
+    let [a, b, c] = corners.map(|corner| corner - p);
+    let (height, length) = (a.dot(normal), normal.length_squared());
+    if height * height > squared * length {
+        return None;
     }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return found([0.0, 1.0, 0.0]);
+    let mut least = f32::INFINITY;
+    for [from, to] in [[a, b], [b, c], [c, a]] {
+        // Beyond this side.
+        if from.cross(to).dot(normal) <= 0.0 {
+            let ahead = to - from;
+            let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);
+            least = least.min((from + ahead * along).length_squared());
+        }
     }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        let v = d1 / (d1 - d3);
-        return found([1.0 - v, v, 0.0]);
+    if least == f32::INFINITY {
+        return Some((height * height / length, true));
     }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return found([0.0, 0.0, 1.0]);
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        let w = d2 / (d2 - d6);
-        return found([1.0 - w, 0.0, w]);
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
-        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-        return found([0.0, 1.0 - w, w]);
-    }
-    let sum = va + vb + vc;
-    found([va / sum, vb / sum, vc / sum])
+    (least <= squared).then_some((least, false))
 }

@@ -1,0 +1,551 @@
+//! Collapses edges as long as the surface stays within the distance.
+//!
+//! A vertex goes onto a neighbour, the least quadric error first (Garland and Heckbert, Surface simplification using
+//! quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et al., Topology preserving edge contraction,
+//! 1999), no triangle turns over or becomes a sliver, and what changes stays near, both ways.
+//!
+//! Every vertex of the reference that is gone has a home, a triangle that is near enough. When triangles change, those
+//! whose home they were must find new ones among them. What lies between two vertices that one triangle is near to, it is
+//! near to as well, for triangles are convex; elsewhere it is halved.
+
+use glam::{Mat3A, Vec3, Vec3A};
+
+use super::surface::{Leaving, NONE, Surface, squared_near};
+use super::topology::Topology;
+
+/// Of the distance, what a sample may take: the rest is for what lies between samples.
+const SAMPLE_SHARE: f32 = 0.93;
+/// Samples along an edge are this far apart at the most, in cells. Around one that takes more than its share of doubt
+/// there are more, so many either way.
+const SAMPLE_STEP: f32 = 0.5;
+const DOUBT_SHARE: f32 = 0.4;
+const FINE: i32 = 4;
+/// Nothing between two vertices is looked at if each takes no more than this share of the distance, and the cosine between
+/// the normals of their homes is not less.
+const CLOSE_SHARE: f32 = 0.75;
+const FLAT: f32 = 0.9;
+/// How often what lies between two vertices is halved.
+const HALVINGS: u32 = 4;
+/// Collapses with a mean error of more than this share of the distance are not tried.
+const QUADRIC_SHARE: f32 = 0.9;
+/// No triangle turns by more, as a cosine.
+const TURN: f32 = 0.2;
+/// Two triangles fold back on each other when the cosine between their normals is below this: 170 degrees.
+const FOLD: f32 = -0.985;
+/// A triangle is a sliver when the squared sine of its least angle is less: 10 degrees.
+const SLIVER: f32 = 0.03;
+
+/// What a patch is measured by.
+pub struct Measure<'a> {
+    pub topology: &'a Topology,
+    /// What it must not leave.
+    pub reference: &'a Surface<'a>,
+    /// Its edges.
+    pub leaving: &'a Leaving,
+    /// Of the reference, for all vertices.
+    pub normals: &'a [Vec3],
+    pub distance: f32,
+}
+
+/// Finds a triangle of `surface` within the distance for vertices of `reference`, from one that has one to the next,
+/// and notes it in `homes`.
+pub fn find_homes(
+    reference: &Surface,
+    surface: &Surface,
+    normals: &[Vec3],
+    distance: f32,
+    homes: &mut [u32],
+) {
+    let vertices = 0..homes.len() as u32;
+    vertices
+        .filter(|&vertex| surface.has(vertex))
+        .for_each(|vertex| homes[vertex as usize] = surface.at(vertex));
+    let lacks = |homes: &[u32], corners: &[u32; 3]| corners.iter().any(|&v| homes[v as usize] == NONE);
+    let mut left: Vec<[u32; 3]> =
+        reference.triangles.iter().copied().filter(|corners| lacks(homes, corners)).collect();
+    let mut found_some = true;
+    while std::mem::take(&mut found_some) {
+        left.retain(|corners| {
+            let Some(&known) = corners.iter().find(|&&vertex| homes[vertex as usize] != NONE) else {
+                return true;
+            };
+            for &vertex in corners {
+                if homes[vertex as usize] != NONE {
+                    continue;
+                }
+                let (place, normal) = (reference.positions[vertex as usize], normals[vertex as usize]);
+                let from =
+                    if surface.has(known) { surface.towards(known, place) } else { homes[known as usize] };
+                if let Some(home) = surface.holder(from, place, normal, SAMPLE_SHARE * distance) {
+                    homes[vertex as usize] = home;
+                    found_some = true;
+                }
+            }
+            // Others may know better, but each is asked but once.
+            false
+        });
+    }
+}
+
+/// Squared distances from planes, weighted, as seen from a vertex.
+#[derive(Clone, Copy)]
+struct Quadric {
+    planes: Mat3A,
+    linear: Vec3A,
+    constant: f32,
+    weight: f32,
+}
+
+impl Quadric {
+    const NONE: Self = Self { planes: Mat3A::ZERO, linear: Vec3A::ZERO, constant: 0.0, weight: 0.0 };
+
+    /// Of a plane through the vertex, by a normal as long as its weight.
+    fn of_plane(normal: Vec3) -> Self {
+        let weight = normal.length();
+        let (normal, unit) = (Vec3A::from(normal), Vec3A::from(normal.normalize_or_zero()));
+        let planes = Mat3A::from_cols(normal * unit.x, normal * unit.y, normal * unit.z);
+        Self { planes, linear: Vec3A::ZERO, constant: 0.0, weight }
+    }
+
+    fn at(&self, offset: Vec3A) -> f32 {
+        (self.planes * offset + 2.0 * self.linear).dot(offset) + self.constant
+    }
+
+    /// As seen from a vertex at `offset`.
+    fn moved(&self, offset: Vec3A) -> Self {
+        Self { linear: self.linear + self.planes * offset, constant: self.at(offset).max(0.0), ..*self }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.planes += other.planes;
+        self.linear += other.linear;
+        self.constant += other.constant;
+        self.weight += other.weight;
+    }
+}
+
+/// In progress.
+struct Work<'a, 'b> {
+    by: &'b Measure<'a>,
+    surface: Surface<'a>,
+    /// For each vertex of the reference that is gone its triangle, if it is this patch that has to be near it.
+    homes: Vec<u32>,
+    /// Whether it takes so little of the distance that what lies around it needs no look.
+    is_close: Vec<bool>,
+    /// For each triangle one of those whose home it is, and for each of these the next.
+    first: Vec<u32>,
+    next: Vec<u32>,
+    quadrics: Vec<Quadric>,
+    /// For each vertex its least error and where to, or `NONE` where that is to be found.
+    best: Vec<(f32, u32)>,
+    /// Vertices whose neighbourhood has changed.
+    changed: Vec<u32>,
+    is_changed: Vec<bool>,
+    ring: Vec<Spoke>,
+    order: Vec<(f32, u32)>,
+    /// The triangles that are to be, and their normals.
+    parts: Vec<([Vec3; 3], Vec3)>,
+    moved: Vec<Moved>,
+    /// For each vertex the last mark that it got, to be told from others without clearing.
+    marks: Vec<u32>,
+    mark: u32,
+}
+
+/// A triangle around a vertex, its first corner after that, and its normal.
+#[derive(Clone, Copy)]
+pub struct Spoke {
+    pub triangle: u32,
+    pub rim: u32,
+    pub normal: Vec3,
+}
+
+/// A vertex that is gone, and its home before and after.
+struct Moved {
+    vertex: u32,
+    from: u32,
+    to: u32,
+    is_close: bool,
+}
+
+impl<'a> Measure<'a> {
+    /// Collapses edges of `surface` except at vertices that are locked. `homes` is what `find_homes` tells.
+    pub fn collapse(&self, surface: Surface<'a>, homes: Vec<u32>, locked: &[bool]) -> Surface<'a> {
+        let vertices = surface.positions.len();
+        let mut work = Work {
+            by: self,
+            first: vec![NONE; surface.triangles.len()],
+            next: vec![NONE; vertices],
+            is_close: vec![false; vertices],
+            quadrics: vec![Quadric::NONE; vertices],
+            best: vec![(f32::INFINITY, NONE); vertices],
+            changed: Vec::new(),
+            is_changed: vec![false; vertices],
+            ring: Vec::new(),
+            order: Vec::new(),
+            parts: Vec::new(),
+            moved: Vec::new(),
+            marks: vec![0; vertices],
+            mark: 0,
+            homes,
+            surface,
+        };
+        for triangle in 0..work.surface.triangles.len() as u32 {
+            let plane = Quadric::of_plane(work.surface.normal(triangle));
+            for corner in work.surface.triangles[triangle as usize] {
+                work.quadrics[corner as usize].add(&plane);
+            }
+        }
+        for vertex in 0..vertices as u32 {
+            if work.homes[vertex as usize] != NONE && !work.surface.has(vertex) {
+                work.settle(vertex, work.homes[vertex as usize]);
+            }
+        }
+        work.run(locked);
+        work.surface
+    }
+
+    /// Whether a sample is too far from the reference, of an edge whose triangles face this way.
+    fn is_stray(&self, from: u32, to: u32, normal: Vec3) -> bool {
+        let (reference, distance) = (self.reference, self.distance);
+        if reference.leads(from, to, normal, SAMPLE_SHARE * distance) {
+            return false;
+        }
+        let [p, q] = [from, to].map(|vertex| reference.positions[vertex as usize]);
+        let steps = ((p.distance(q) / SAMPLE_STEP).ceil() as i32).max(2);
+        let at = |fine: i32| p.lerp(q, fine as f32 / (steps * 2 * FINE) as f32);
+        let mut last = reference.at(from);
+        let mut within = |sample: Vec3, share: f32| {
+            let holder = reference.holder(last, sample, normal, share * distance);
+            last = holder.unwrap_or(last);
+            holder.is_some()
+        };
+        (1..steps).map(|step| step * 2 * FINE).any(|step| {
+            !within(at(step), DOUBT_SHARE)
+                && (step - FINE..=step + FINE).map(at).any(|sample| !within(sample, SAMPLE_SHARE))
+        })
+    }
+}
+
+impl Work<'_, '_> {
+    fn run(&mut self, locked: &[bool]) {
+        let limit = (QUADRIC_SHARE * self.by.distance).powi(2);
+        self.changed.extend((0..locked.len() as u32).filter(|&vertex| self.surface.has(vertex)));
+        let mut queue: Vec<(u32, u32)> = Vec::new();
+        while !self.changed.is_empty() {
+            for i in 0..self.changed.len() {
+                let vertex = self.changed[i];
+                self.is_changed[vertex as usize] = false;
+                if !locked[vertex as usize] && self.surface.has(vertex) {
+                    if self.best[vertex as usize].1 == NONE {
+                        self.best[vertex as usize] = self.best_of(vertex);
+                    }
+                    let (error, _) = self.best[vertex as usize];
+                    if error <= limit {
+                        // Positive numbers sort as their bits do.
+                        queue.push((error.max(0.0).to_bits(), vertex));
+                    }
+                }
+            }
+            self.changed.clear();
+            queue.sort_unstable();
+            for (_, vertex) in queue.drain(..) {
+                // Where something has changed nearby, there may be a better one next time.
+                if !self.is_changed[vertex as usize] {
+                    self.try_vertex(vertex, limit);
+                }
+            }
+        }
+    }
+
+    fn position(&self, vertex: u32) -> Vec3 {
+        self.surface.positions[vertex as usize]
+    }
+
+    fn error(&self, from: u32, to: u32) -> f32 {
+        let quadric = &self.quadrics[from as usize];
+        quadric.at((self.position(to) - self.position(from)).into()) / quadric.weight
+    }
+
+    /// The least error of a vertex, and where to.
+    fn best_of(&self, vertex: u32) -> (f32, u32) {
+        let rim = self.surface.spokes(vertex).map(|spoke| (self.error(vertex, spoke.rim), spoke.rim));
+        rim.fold((f32::INFINITY, NONE), |least, other| if other.0 < least.0 { other } else { least })
+    }
+
+    /// Collapses the best edge of a vertex that can be, if any.
+    fn try_vertex(&mut self, vertex: u32, limit: f32) {
+        let mut ring = std::mem::take(&mut self.ring);
+        ring.clear();
+        ring.extend(self.surface.spokes(vertex));
+        let best = self.best[vertex as usize].1;
+        let turn = ring.iter().position(|spoke| spoke.rim == best).unwrap_or_default();
+        ring.rotate_left(turn);
+        let mut is_done = self.try_edge(vertex, &ring);
+        if !is_done {
+            let mut order = std::mem::take(&mut self.order);
+            order.extend(ring.iter().map(|spoke| (self.error(vertex, spoke.rim), spoke.rim)));
+            order.retain(|&(error, rim)| error <= limit && rim != best);
+            order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            is_done = order.drain(..).any(|(_, rim)| {
+                let turn = ring.iter().position(|spoke| spoke.rim == rim).unwrap_or_default();
+                ring.rotate_left(turn);
+                self.try_edge(vertex, &ring)
+            });
+            self.order = order;
+        }
+        if is_done {
+            self.note_changes(vertex, &ring);
+        }
+        self.ring = ring;
+    }
+
+    /// Sees to what a collapse means for the vertices around it.
+    fn note_changes(&mut self, gone: u32, ring: &[Spoke]) {
+        let target = ring[0].rim;
+        for &Spoke { rim, .. } in ring {
+            if !std::mem::replace(&mut self.is_changed[rim as usize], true) {
+                self.changed.push(rim);
+            }
+            let (error, best) = self.best[rim as usize];
+            if rim == target || best == gone {
+                self.best[rim as usize].1 = NONE;
+            } else if best != NONE {
+                let other = self.error(rim, target);
+                if other < error {
+                    self.best[rim as usize] = (other, target);
+                }
+            }
+        }
+    }
+
+    /// Moves a vertex onto the first of its ring, if it can be.
+    fn try_edge(&mut self, vertex: u32, ring: &[Spoke]) -> bool {
+        let target = ring[0].rim;
+        if !self.may_turn(target, ring) || !self.may_join(vertex, target, ring) {
+            return false;
+        }
+        if !self.find_new_homes(vertex, ring) {
+            return false;
+        }
+        self.surface.collapse(vertex, ring);
+        for moved in &mut self.moved {
+            self.homes[moved.vertex as usize] = moved.to;
+            std::mem::swap(&mut self.is_close[moved.vertex as usize], &mut moved.is_close);
+        }
+        if !self.are_edges_near(target, ring) || !self.is_between_near() {
+            self.surface.restore(vertex, ring);
+            for moved in &self.moved {
+                self.homes[moved.vertex as usize] = moved.from;
+                self.is_close[moved.vertex as usize] = moved.is_close;
+            }
+            return false;
+        }
+        for spoke in ring {
+            self.first[spoke.triangle as usize] = NONE;
+        }
+        for i in 0..self.moved.len() {
+            self.settle(self.moved[i].vertex, self.moved[i].to);
+        }
+        let offset = self.position(target) - self.position(vertex);
+        let quadric = self.quadrics[vertex as usize].moved(offset.into());
+        self.quadrics[target as usize].add(&quadric);
+        true
+    }
+
+    fn settle(&mut self, vertex: u32, home: u32) {
+        self.next[vertex as usize] = std::mem::replace(&mut self.first[home as usize], vertex);
+    }
+
+    /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
+    fn may_turn(&mut self, target: u32, ring: &[Spoke]) -> bool {
+        let fold = |m: Vec3, n: Vec3| {
+            let dot = m.dot(n);
+            dot < 0.0 && dot * dot > FOLD * FOLD * m.length_squared() * n.length_squared()
+        };
+        let place = self.position(target);
+        let mut worst = f32::INFINITY;
+        self.parts.clear();
+        for pair in ring[1..].windows(2) {
+            let corners = [place, self.position(pair[0].rim), self.position(pair[1].rim)];
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+            let dot = normal.dot(pair[0].normal);
+            let squared = normal.length_squared();
+            if dot <= 0.0 || dot * dot < TURN * TURN * squared * pair[0].normal.length_squared() {
+                return false;
+            }
+            worst = worst.min(shape(corners, normal));
+            let outer = self.surface.across_from(pair[0].triangle, pair[0].rim);
+            if outer != NONE && fold(normal, self.surface.normal(outer))
+                || self.parts.last().is_some_and(|&(_, last)| fold(last, normal))
+            {
+                return false;
+            }
+            self.parts.push((corners, normal));
+        }
+        let shapes = ring.iter().map(|spoke| shape(self.surface.corners(spoke.triangle), spoke.normal));
+        if self.parts.is_empty() || worst < SLIVER && shapes.fold(f32::INFINITY, f32::min) > worst {
+            return false;
+        }
+        // What is across from the triangles that vanish.
+        let last = ring[ring.len() - 1];
+        let sides =
+            [(ring[0].triangle, target, self.parts.first()), (last.triangle, last.rim, self.parts.last())];
+        sides.into_iter().all(|(triangle, from, part)| {
+            let outer = self.surface.across_from(triangle, from);
+            outer == NONE || part.is_some_and(|&(_, normal)| !fold(normal, self.surface.normal(outer)))
+        })
+    }
+
+    /// Whether the mesh stays a 2-manifold.
+    fn may_join(&mut self, vertex: u32, target: u32, ring: &[Spoke]) -> bool {
+        let topology = self.by.topology;
+        let inner = &ring[2..ring.len() - 1];
+        if topology.is_pinched(target)
+            || inner.iter().any(|spoke| topology.is_chord(&self.surface, target, spoke.rim))
+        {
+            return false;
+        }
+        self.mark += 1;
+        for spoke in inner {
+            self.marks[spoke.rim as usize] = self.mark;
+        }
+        let beside = [ring[1].rim, ring[ring.len() - 1].rim];
+        self.surface.star(target).all(|triangle| {
+            let corners = self.surface.triangles[triangle as usize];
+            corners.iter().all(|&corner| self.marks[corner as usize] != self.mark)
+                // Nothing is left of a tetrahedron.
+                && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
+        })
+    }
+
+    /// Finds homes among the triangles that are to be for all whose home changes.
+    fn find_new_homes(&mut self, vertex: u32, ring: &[Spoke]) -> bool {
+        self.moved.clear();
+        self.mark += 1;
+        let within = (SAMPLE_SHARE * self.by.distance).powi(2);
+        let close = (CLOSE_SHARE * self.by.distance).powi(2);
+        let last = self.parts.len();
+        let home = |gone: u32, before: usize| {
+            let (place, normal) = (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
+            // The triangle that it was before, first, and those beside it.
+            let mut nearest = None;
+            let mut least = within;
+            for part in (before..last).chain(0..before) {
+                let (corners, scaled) = &self.parts[part];
+                if scaled.dot(normal) < 0.0 {
+                    continue;
+                }
+                if let Some((squared, is_above)) = squared_near(place, *corners, *scaled, least) {
+                    least = squared;
+                    nearest = Some((part, squared <= close));
+                    if is_above {
+                        break;
+                    }
+                }
+            }
+            nearest
+        };
+        let Some((to, is_close)) = home(vertex, 0) else { return false };
+        self.moved.push(Moved { vertex, from: NONE, to: ring[to + 1].triangle, is_close });
+        self.marks[vertex as usize] = self.mark;
+        for (turn, spoke) in ring.iter().enumerate() {
+            let mut gone = self.first[spoke.triangle as usize];
+            while gone != NONE {
+                let Some((to, is_close)) = home(gone, turn.clamp(1, last) - 1) else { return false };
+                self.moved.push(Moved {
+                    vertex: gone,
+                    from: spoke.triangle,
+                    to: ring[to + 1].triangle,
+                    is_close,
+                });
+                self.marks[gone as usize] = self.mark;
+                gone = self.next[gone as usize];
+            }
+        }
+        true
+    }
+
+    /// Whether new edges are near the reference.
+    fn are_edges_near(&self, target: u32, ring: &[Spoke]) -> bool {
+        (2..ring.len() - 1).all(|turn| {
+            let normal =
+                self.surface.normal(ring[turn - 1].triangle) + self.surface.normal(ring[turn].triangle);
+            !self.by.is_stray(target, ring[turn].rim, normal)
+        })
+    }
+
+    /// Whether edges of the reference are near whose ends have new homes.
+    fn is_between_near(&self) -> bool {
+        self.moved.iter().all(|moved| {
+            let home = self.homes[moved.vertex as usize];
+            self.by.leaving.at(moved.vertex).iter().all(|&(other, _)| {
+                // Where both ends have moved, one is enough.
+                let is_done = self.marks[other as usize] == self.mark && other < moved.vertex;
+                is_done || self.is_edge_near(moved.vertex, home, other)
+            })
+        })
+    }
+
+    /// Whether an edge of the reference is near, one end of which is gone.
+    fn is_edge_near(&self, gone: u32, home: u32, other: u32) -> bool {
+        let is_left = self.surface.has(other);
+        let mut other_home = if is_left { self.surface.at(other) } else { self.homes[other as usize] };
+        if home == other_home
+            || other_home == NONE
+            || is_left && self.surface.triangles[home as usize].contains(&other)
+        {
+            return true;
+        }
+        if is_flat(self.surface.normal(home), self.surface.normal(other_home), FLAT)
+            && self.is_close[gone as usize]
+            && (is_left || self.is_close[other as usize])
+        {
+            return true;
+        }
+        if is_left {
+            other_home = self.surface.towards(other, self.position(gone));
+        }
+        self.are_near([home, other_home], [gone, other].map(|end| self.position(end)), HALVINGS)
+    }
+
+    /// Whether triangles are near all between two points, each of which has one that is near.
+    fn are_near(&self, homes: [u32; 2], [mut p, mut q]: [Vec3; 2], halvings: u32) -> bool {
+        let within = SAMPLE_SHARE * self.by.distance;
+        let [from, to] =
+            homes.map(|home| move |place: Vec3| self.surface.is_near(home, place, within * within));
+        if homes[0] == homes[1] || from(q) || to(p) {
+            return true;
+        }
+        for left in (0..halvings).rev() {
+            let middle = p.midpoint(q);
+            match (from(middle), to(middle)) {
+                (true, true) => return true,
+                (true, false) => p = middle,
+                (false, true) => q = middle,
+                (false, false) => {
+                    // A crest's normal says little of where it faces.
+                    let between = self.surface.holder(homes[0], middle, Vec3::ZERO, within);
+                    return between.is_some_and(|between| {
+                        self.are_near([homes[0], between], [p, middle], left)
+                            && self.are_near([between, homes[1]], [middle, q], left)
+                    });
+                }
+            }
+        }
+        true
+    }
+}
+
+/// The squared sine of a triangle's least angle.
+fn shape([a, b, c]: [Vec3; 3], normal: Vec3) -> f32 {
+    let mut sides = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
+    let least = sides[0].min(sides[1]).min(sides[2]);
+    sides.iter_mut().filter(|side| **side == least).take(1).for_each(|side| *side = 1.0);
+    normal.length_squared() / (sides[0] * sides[1] * sides[2]).max(f32::MIN_POSITIVE)
+}
+
+/// Whether the cosine between two normals is at least so much.
+fn is_flat(m: Vec3, n: Vec3, cosine: f32) -> bool {
+    let dot = m.dot(n);
+    dot > 0.0 && dot * dot >= cosine * cosine * m.length_squared() * n.length_squared()
+}
