@@ -165,7 +165,7 @@ pub fn simplify(
 }
 
 fn aligned_chunk(block: IVec3) -> IVec3 {
-    block.div_euclid(IVec3::splat(CHUNK))
+    block >> CHUNK.ilog2()
 }
 
 fn shifted_chunk(block: IVec3) -> IVec3 {
@@ -247,7 +247,7 @@ impl Passes<'_> {
     /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with it there:
     /// all that is simplified lies so far inside that the surface within the tolerance of it is in the chunk.
     fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
-        let block = cells[0].div_euclid(IVec3::splat(BLOCK));
+        let block = cells[0] >> BLOCK.ilog2();
         let chunk = shifted_chunk(block);
         let lo = (chunk * CHUNK - CHUNK / 2) * BLOCK;
         let reach = self.reach();
@@ -333,7 +333,7 @@ impl Boxes {
             let bounds =
                 cells.map(|cell| [cell, cell]).reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
             let [lo, hi] = bounds.unwrap_or_default();
-            [lo - reach, hi + reach].map(|cell| cell.div_euclid(IVec3::splat(BOX)))
+            [lo - reach, hi + reach].map(|cell| cell >> BOX.ilog2())
         };
         let [lo, hi] = bounds(triangles.as_flattened());
         let size = hi - lo + 1;
@@ -358,7 +358,7 @@ impl Boxes {
     }
 
     fn contains(&self, cell: IVec3) -> bool {
-        let at = cell.div_euclid(IVec3::splat(BOX));
+        let at = cell >> BOX.ilog2();
         at.cmpge(self.lo).all() && at.cmplt(self.lo + self.size).all() && self.is_near[self.rank(at)]
     }
 }
@@ -375,9 +375,14 @@ struct Chunk {
 
 impl Chunk {
     fn load(surface: &Stitched, pieces: &[usize]) -> io::Result<Self> {
-        let mut chunk = Self { ranges: Vec::new(), cells: Vec::new(), positions: Vec::new() };
+        let vertices = pieces.iter().map(|&piece| surface.piece_vertices(piece)).sum();
+        let mut chunk = Self {
+            ranges: Vec::with_capacity(pieces.len()),
+            cells: Vec::with_capacity(vertices),
+            positions: Vec::with_capacity(vertices),
+        };
         let mut corner = None;
-        let mut taken = HashSet::new();
+        let mut taken = HashSet::with_capacity(vertices);
         for &piece in pieces {
             let places = surface.places(piece)?;
             let first = surface.first_vertex(piece);

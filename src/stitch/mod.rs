@@ -152,8 +152,11 @@ impl Stitched {
     pub fn places(&self, piece: usize) -> io::Result<Vec<(IVec3, DVec3)>> {
         let block = self.spool.get(piece)?;
         let positions = self.positions(&block);
-        let in_cells = positions.iter().map(|&world| self.grid.cells_from_world(world).into());
-        Ok(block.edges().map(|(cell, _)| cell).zip(in_cells).collect())
+        let mut places = Vec::with_capacity(positions.len());
+        block.edges().for_each(|(cell, _)| {
+            places.push((cell, self.grid.cells_from_world(positions[places.len()]).into()));
+        });
+        Ok(places)
     }
 
     /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it lies in.
