@@ -175,6 +175,32 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
+fn cells_are_two_thirds_of_the_spacing_and_smoothed_over_all_of_it_but_whole_where_details_are_kept() {
+    let folder = folder_with_ball();
+    for (more, cell, sigma, indicator) in [
+        (&[][..], 2.0 / 6.0, 1.5, "counting"),
+        (&["--adaptive"], 0.5, 1.0, "symmetry"),
+        (&["--detail"], 0.5, 1.0, "symmetry"),
+        (&["--cell", "0.5"], 0.25, 2.0, "counting"),
+        (&["--cell", "2"], 1.0, 1.0, "symmetry"),
+        (&["--cell", "0.5", "--sigma", "0.8"], 0.25, 0.8, "counting"),
+        (&["--cell-size", "0.2"], 0.2, 2.5, "counting"),
+    ] {
+        let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
+        let given = [&given[..], &["--spacing", "0.5"], more].concat();
+        assert!(meniscus(folder.path(), &given).status.success());
+        let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        let number = |name: &str| record[name].as_f64().unwrap();
+        assert!(
+            (number("cell_size") - cell).abs() < 1e-12 && (number("sigma") - sigma).abs() < 1e-12,
+            "{record}"
+        );
+        assert_eq!(record["indicator"], indicator, "{more:?}");
+    }
+}
+
+#[test]
 fn cells_smaller_than_the_spacing_are_counted_unless_asked_otherwise() {
     let folder = folder_with_ball();
     let symmetry = ["--indicator", "symmetry"];

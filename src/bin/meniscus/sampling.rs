@@ -29,7 +29,7 @@ pub struct SamplingOptions {
     /// Edge of a cell.
     #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
     cell_size: Option<f64>,
-    /// Edge of a cell, times the spacing [default: 0.6667].
+    /// Edge of a cell, times the spacing [default: 0.6667; 1 where details are to be kept].
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].
@@ -140,8 +140,8 @@ impl SamplingOptions {
         self.indicator.is_some() || self.mu0.is_some()
     }
 
-    /// Refuses what is wrong whatever the particles are.
-    pub fn validate(&self) -> Result<SamplingRequest, Error> {
+    /// Refuses what is wrong whatever the particles are. Cells are so many spacings if nothing else is asked for.
+    pub fn validate(&self, cell: f64) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator, self.mu0) {
             (Some(IndicatorName::Counting), mu0) => {
                 Some(Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? })
@@ -159,7 +159,7 @@ impl SamplingOptions {
         };
         let cell = match self.cell_size {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(CELL))?),
+            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(cell))?),
         };
         let origin = DVec3::from(self.origin.unwrap_or_default());
         let walls =
@@ -195,7 +195,9 @@ impl Cells {
 
 /// Edge of a cell in spacings. In cells of a whole one a level pool shows where its layers lie on the grid, by half a
 /// spacing and more; in these, smoothed over a spacing, by a tenth of that, and fewer do not pay.
-const CELL: f64 = 2.0 / 3.0;
+pub const CELL: f64 = 2.0 / 3.0;
+/// The same where details are to be kept: they are of full cells, and in smaller ones no longer hang together.
+pub const CELL_FOR_DETAILS: f64 = 1.0;
 
 impl SamplingRequest {
     /// The same for a kernel method instead of a DIF.
