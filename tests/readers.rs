@@ -415,6 +415,21 @@ fn a_truncated_gzip_is_refused_at_every_prefix() {
 }
 
 #[test]
+fn gzip_streams_one_after_the_other_are_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frame.xyz");
+    let [one, two] =
+        [7, 5].map(|count| build::raw(&(0..count).map(|i| [f64::from(i); 3]).collect::<Vec<_>>()));
+    for (parts, count) in [(vec![&one, &two], 12), (vec![&one, &one], 14), (vec![&one, &two, &one], 19)] {
+        std::fs::write(&path, parts.iter().flat_map(|part| gzip(part)).collect::<Vec<u8>>()).unwrap();
+        assert_eq!(open_particles(&path).unwrap().particles.len(), count);
+    }
+    // What follows a stream and is none is damage.
+    std::fs::write(&path, [gzip(&one), b"\x1f\x8brest".to_vec()].concat()).unwrap();
+    assert!(matches!(open_particles(&path).expect_err("refused").fault, ReadFault::Compression(_)));
+}
+
+#[test]
 fn a_gzip_bomb_is_refused_before_it_fills_the_memory() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bomb.xyz");

@@ -31,6 +31,8 @@ impl Sample for u16 {
             &[w0, w1] => blur_narrow(to, taps, step, &[w0, w1]),
             &[w0, w1, w2] => blur_narrow(to, taps, step, &[w0, w1, w2]),
             &[w0, w1, w2, w3] => blur_narrow(to, taps, step, &[w0, w1, w2, w3]),
+            &[w0, w1, w2, w3, w4] => blur_narrow(to, taps, step, &[w0, w1, w2, w3, w4]),
+            &[w0, w1, w2, w3, w4, w5] => blur_narrow(to, taps, step, &[w0, w1, w2, w3, w4, w5]),
             half => blur_wide(to, taps, step, half),
         }
     }
