@@ -109,9 +109,7 @@ impl<'a> Surface<'a> {
     /// The triangles around a vertex, all of one fan.
     pub fn star(&self, vertex: u32) -> impl Iterator<Item = u32> {
         let beside = move |triangle: u32, turn: usize| {
-            let corners = self.triangles[triangle as usize];
-            let corner = corners.iter().position(|&corner| corner == vertex).expect("a corner of each");
-            self.across[triangle as usize][(corner + turn) % 3]
+            self.across[triangle as usize][(self.corner(triangle, vertex) + turn) % 3]
         };
         let start = self.at[vertex as usize];
         let (mut next, mut turn) = (start, 0);
@@ -133,7 +131,7 @@ impl<'a> Surface<'a> {
         let start = self.positions[vertex as usize];
         let is_towards = |&triangle: &u32| {
             let corners = self.triangles[triangle as usize];
-            let corner = corners.iter().position(|&corner| corner == vertex).unwrap_or_default();
+            let corner = self.corner(triangle, vertex);
             let [a, b] = [1, 2].map(|turn| self.positions[corners[(corner + turn) % 3] as usize] - start);
             let normal = self.normal(triangle);
             normal.cross(a).dot(point - start) >= 0.0 && normal.cross(b).dot(point - start) <= 0.0
@@ -261,6 +259,7 @@ impl<'a> Surface<'a> {
         })
     }
 
+    /// Which of a triangle's corners this vertex is.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
         let [a, b, _] = self.triangles[triangle as usize];
         if a == vertex {

@@ -15,7 +15,7 @@ use meniscus::units::{FULL, Isovalue};
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};
-use crate::methods::{COUNTING, grid, indicator_name, sampling, surfacing};
+use crate::methods::{COUNTING, grid, sampling, surfacing};
 use crate::sample::{Lattice, fill, place};
 use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
@@ -83,7 +83,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                 };
                 let lattice =
                     |shift| Lattice { shift, turn: DQuat::IDENTITY, jitter, inset: options.inset, seed: 3 };
-                let about = [indicator_name(indicator).into(), sampling.into(), figure(cell)];
+                let about = [indicator.name().into(), sampling.into(), figure(cell)];
                 let count = options.choose(8, 2);
                 if jitter == 0.0 {
                     let diagonal: Vec<Lattice> = (0..count)

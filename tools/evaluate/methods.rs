@@ -108,7 +108,7 @@ impl Method {
                     Detail::Recovered => ", details recovered",
                     Detail::Spared => ", details spared",
                 };
-                format!("{}{filter}{at}{detail}", indicator_name(indicator))
+                format!("{}{filter}{at}{detail}", indicator.name())
             }
             Self::Rival(Rival::Mueller { iso }) => format!("Mueller, iso {iso}"),
             Self::Rival(Rival::ZhuBridson) => "Zhu-Bridson".into(),
@@ -159,13 +159,6 @@ impl Iso {
             Self::Auto => None,
             Self::At(c) => Some(Isovalue::new(c).expect("between 0 and 1")),
         }
-    }
-}
-
-pub fn indicator_name(indicator: Indicator) -> &'static str {
-    match indicator {
-        Indicator::Symmetry => "symmetry",
-        Indicator::Counting { .. } => "counting",
     }
 }
 

@@ -107,9 +107,9 @@ fn inspect(path: &Path) -> Result<Info, Error> {
 
 fn inspect_frame(path: &Path) -> Result<Info, Error> {
     let (facts, dif) = open_frame(path, 0)?;
-    let (indicator, mu0) = match facts.indicator {
-        Indicator::Symmetry => ("symmetry", None),
-        Indicator::Counting { mean } => ("counting", mean.map(MeanCount::particles)),
+    let mu0 = match facts.indicator {
+        Indicator::Symmetry => None,
+        Indicator::Counting { mean } => mean.map(MeanCount::particles),
     };
     let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
     let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
@@ -122,7 +122,7 @@ fn inspect_frame(path: &Path) -> Result<Info, Error> {
         cell_size: facts.grid.cell_size(),
         origin: facts.grid.origin().to_array(),
         domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-        indicator,
+        indicator: facts.indicator.name(),
         mu0,
     })
 }

@@ -194,7 +194,7 @@ impl Cells {
 }
 
 /// Edge of a cell in spacings. In cells of a whole one a level pool shows where its layers lie on the grid, by half a
-/// spacing and more; in these, smoothed over a spacing, by a tenth of that, and fewer do not pay.
+/// spacing and more; in these, smoothed over a spacing, by a tenth of that, and smaller ones do not pay.
 pub const CELL: f64 = 2.0 / 3.0;
 /// The same where details are to be kept: they are of full cells, and in smaller ones no longer hang together.
 pub const CELL_FOR_DETAILS: f64 = 1.0;
@@ -246,10 +246,9 @@ impl SamplingRequest {
     ) -> Result<Sampling, Error> {
         let cells = self.cells(path, file)?;
         let indicator = self.indicator(cells.size, cells.spacing);
-        let by = match (self.field, indicator) {
-            (FieldRequest::Kernels(_), _) => "",
-            (FieldRequest::Dif(_), Indicator::Symmetry) => ", indicator symmetry",
-            (FieldRequest::Dif(_), Indicator::Counting { .. }) => ", indicator counting",
+        let by = match self.field {
+            FieldRequest::Kernels(_) => String::new(),
+            FieldRequest::Dif(_) => format!(", indicator {}", indicator.name()),
         };
         cells.describe().iter().for_each(|text| notes.say(format!("{text}{by}")));
         self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)

@@ -14,7 +14,6 @@ use meniscus::laps::Laps;
 use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::rivals::Method;
-use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, MeanCount};
 use serde_json::{Value, json};
 
@@ -65,10 +64,7 @@ impl Options {
     fn dif_facts(&self, frame: &Frame, iso: Option<Isovalue>) -> Value {
         let FrameFacts { grid, domain, indicator, census, .. } = frame.facts();
         let of_dif = json!({
-            "indicator": match indicator {
-                Indicator::Symmetry => "symmetry",
-                Indicator::Counting { .. } => "counting",
-            },
+            "indicator": indicator.name(),
             "mu0": frame.mean_count().map(MeanCount::particles),
             "sigma": self.sigma.unwrap_or(frame.sigma(None).cells()),
             "isovalue": iso.map(Isovalue::value),

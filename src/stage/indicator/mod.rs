@@ -41,4 +41,13 @@ impl Indicator {
             _ => Self::Symmetry,
         }
     }
+
+    /// What it is called.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Symmetry => "symmetry",
+            Self::Counting { .. } => "counting",
+        }
+    }
 }
