@@ -1,8 +1,10 @@
 //! with wide
 // Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
-// shared memory, then theta, or for counting the number of particles.
+// shared memory, then theta, or for counting the number of particles, and for clouds their centroid's place besides.
 
 struct Push {
+    // Samples of a cell.
+    channels: u32,
     // 0 for symmetry.
     counting: u32,
 }
@@ -100,9 +102,23 @@ fn symmetry(n: u32, s: array<vec2<u32>, 3>) -> u32 {
     return FULL - ((distance * THETA_PER_DISTANCE + (1u << 14u)) >> 15u);
 }
 
-fn value(cell: u32) -> u32 {
+// The place of the centroid along an axis.
+fn place(n: u32, s: vec2<u32>) -> u32 {
+    if n == 0u {
+        return 0u;
+    }
+    var sum = vec2(s.x << 1u, (s.y << 1u) | (s.x >> 31u));
+    sum.x += n;
+    sum.y += u32(sum.x < n);
+    return divided(sum, n, FRACTION_BITS + 1u).x / 2u;
+}
+
+fn value(cell: u32, channel: u32) -> u32 {
     let at = cell * SUMS;
     let n = atomicLoad(&sums[at]);
+    if channel > 0u {
+        return place(n, vec2(atomicLoad(&sums[at + channel]), atomicLoad(&sums[at + channel + 3u])));
+    }
     if push.counting != 0u {
         return min(n, FULL);
     }
@@ -145,6 +161,9 @@ fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         let inside = vec3(cell % OCTANT, cell / OCTANT % OCTANT, cell / (OCTANT * OCTANT));
         let at = octant * OCTANT + inside;
         let word = (at.x + u32(BIN) * (at.y + u32(BIN) * at.z)) / 2u;
-        pages[group.y * PAGE_WORDS + word] = value(cell) | (value(cell + 1u) << 16u);
+        for (var channel = 0u; channel < push.channels; channel++) {
+            let first = (group.y * push.channels + channel) * PAGE_WORDS;
+            pages[first + word] = value(cell, channel) | (value(cell + 1u, channel) << 16u);
+        }
     }
 }

@@ -3,6 +3,8 @@
 struct Push {
     // Words of the field.
     words: u32,
+    // The least theta of a full cell.
+    least: u32,
 }
 
 var<immediate> push: Push;
@@ -15,6 +17,6 @@ fn occupancy(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgrou
         return;
     }
     let pair = vec2(field[word] & 0xffffu, field[word] >> 16u);
-    let full = select(vec2(0u), vec2(FULL), pair > vec2(0u));
+    let full = select(vec2(0u), vec2(FULL), pair >= vec2(push.least));
     field[word] = full.x | full.y << 16u;
 }

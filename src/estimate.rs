@@ -4,7 +4,7 @@
 use bytesize::ByteSize;
 use thiserror::Error;
 
-use crate::brick::BrickSide;
+use crate::brick::PageShape;
 use crate::units::MemoryBudget;
 
 /// Bytes that the program takes before there is any data, and that each thread works in.
@@ -93,12 +93,12 @@ impl Estimate {
     #[must_use]
     pub fn of(
         counts: impl Iterator<Item = usize>,
-        side: BrickSide,
+        shape: PageShape,
         carried_components: usize,
         in_memory: u64,
     ) -> Self {
-        let brick_bytes = (size_of::<u16>() * side.samples()) as u64;
-        let bricks_a_bin = side.bricks_a_bin() as u64;
+        let brick_bytes = (size_of::<u16>() * shape.brick_samples()) as u64;
+        let bricks_a_bin = shape.side.bricks_a_bin() as u64;
         let components = 4 * carried_components as u64;
         let mut estimate = Self {
             program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + in_memory,
@@ -119,8 +119,8 @@ impl Estimate {
     /// For pages with so many full cells each, of which the DIF is in a file, and `in_memory` bytes that are taken all
     /// the time.
     #[must_use]
-    pub fn of_surface(full_cells: impl Iterator<Item = usize>, in_memory: u64) -> Self {
-        Self { particles: 0, spilled: 0, ..Self::of(full_cells, BrickSide::default(), 0, in_memory) }
+    pub fn of_surface(full_cells: impl Iterator<Item = usize>, shape: PageShape, in_memory: u64) -> Self {
+        Self { particles: 0, spilled: 0, ..Self::of(full_cells, shape, 0, in_memory) }
     }
 
     /// The peak with everything in memory.

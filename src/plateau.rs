@@ -87,7 +87,7 @@ pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isoval
     let details = match detail {
         Detail::Smoothed => Details::Smoothed,
         Detail::Recovered => Details::Recovered(Kernel::gaussian(sigma.half())),
-        Detail::Spared => Details::Spared(Adaptive::new(sigma)),
+        Detail::Spared => Details::Spared(Adaptive::new(indicator, sigma)),
     };
     Recipe { smoothing: Smoothing::new(indicator, sigma), details, iso }
 }
@@ -163,9 +163,10 @@ fn interior_samples(
     domain: Option<&Domain>,
     cells: CellBox,
 ) -> Vec<u16> {
-    // Closing is a dilation and an erosion by one cell; then the filters' reach is taken off.
-    let closing = 1;
-    let erosion = closing + smoothing.reach();
+    // Closing is a dilation and an erosion by one cell; then what decides a cell's field is taken off. A DIF that reaches
+    // beyond full cells is as good as dilated.
+    let closing = 1 - dif.reach();
+    let erosion = 1 + dif.reach() + smoothing.reach();
     let seen = closing + erosion;
     let wide = gather(dif, cells.grown(seen, seen), domain);
     let full: Vec<u8> = wide.samples().iter().map(|&theta| u8::from(theta > 0)).collect();

@@ -10,16 +10,18 @@ use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
-use crate::stage::indicator::vulkan::{INDICATE, OCTANT};
-use crate::stage::indicator::{DISTANCE_SCALE, THETA_PER_DISTANCE};
+use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, OCTANT};
+use crate::stage::indicator::{
+    AMOUNT_FINE_BITS, CHANNELS, DISTANCE_SCALE, MOST, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
+};
 use crate::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES};
 use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 19] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD, &BLEND,
-    &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
+pub const PROGRAMS: [&Program; 20] = [
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &CLOUDS, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD,
+    &BLEND, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
 ];
 
 /// Constants of the sources: name, type and value.
@@ -34,6 +36,11 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("AXIS_BITS", "u32", AXIS_BITS.into()),
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),
         ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
+        ("SHARE_BITS", "u32", SHARE_BITS.into()),
+        ("AMOUNT_FINE_BITS", "u32", AMOUNT_FINE_BITS.into()),
+        ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
+        ("MOST", "u32", MOST.into()),
+        ("CLOUD_CHANNELS", "u32", CHANNELS as i64),
         ("TILE", "u32", TILE.into()),
         ("BIN", "i32", BIN.into()),
         ("BIN_BITS", "u32", BIN.ilog2().into()),

@@ -8,6 +8,7 @@ use crate::grid::{CellBox, Domain};
 use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
 use crate::stage::blur::{Kernel, Smoothing, filter};
 use crate::stage::detail::{lost, raise};
+use crate::stage::indicator;
 use crate::units::Isovalue;
 
 /// Everything between the DIF and the isosurface.
@@ -91,7 +92,7 @@ impl Recipe {
             }
             Details::Spared(adaptive) => {
                 let smooth = smooth(fields, dif.clone())?;
-                let occupancy = fields.occupancy(dif)?;
+                let occupancy = fields.occupancy(dif, adaptive.least)?;
                 let fine = fields.blur(occupancy, &adaptive.fine)?;
                 let near = fields.spread(&smooth, adaptive.near)?;
                 fields.blend(fine, smooth, near, self.iso)
@@ -132,8 +133,8 @@ pub trait Fields {
     /// Of two fields the greater, cell by cell.
     fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
 
-    /// 1 in every full cell.
-    fn occupancy(&mut self, dif: Self::Field) -> Result<Self::Field, Self::Error>;
+    /// 1 in every full cell, whose theta is not less than `least`.
+    fn occupancy(&mut self, dif: Self::Field, least: u16) -> Result<Self::Field, Self::Error>;
 
     /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
     fn spread(&mut self, field: &Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
@@ -170,8 +171,8 @@ impl Fields for Blocks {
         Ok(field)
     }
 
-    fn occupancy(&mut self, dif: Rc<Block>) -> Result<Rc<Block>, Infallible> {
-        Ok(Rc::new(occupancy(Rc::unwrap_or_clone(dif))))
+    fn occupancy(&mut self, dif: Rc<Block>, least: u16) -> Result<Rc<Block>, Infallible> {
+        Ok(Rc::new(occupancy(Rc::unwrap_or_clone(dif), least)))
     }
 
     fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Infallible> {
@@ -196,9 +197,13 @@ impl Fields for Blocks {
 /// Cuts `cells` out of the DIF; beyond the walls of a domain the edge cells are repeated.
 #[must_use]
 pub fn gather(dif: &DifField, cells: CellBox, domain: Option<&Domain>) -> Block {
-    let mut block = dif.gather(cells);
-    if let Some(domain) = domain {
-        block.repeat_edges(domain.cells());
+    let walls = domain.map(Domain::cells);
+    let mut block = match dif.clouds() {
+        None => dif.gather(cells),
+        Some(amount) => indicator::clouds(dif, amount, cells, walls),
+    };
+    if let Some(walls) = walls {
+        block.repeat_edges(walls);
     }
     block
 }

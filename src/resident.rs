@@ -20,7 +20,7 @@ use crate::grid::{Domain, Grid};
 use crate::plateau::{self, Plateau};
 use crate::stage::detail::Detail;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{Indicator, count_table};
+use crate::stage::indicator::Indicator;
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use crate::units::{Isovalue, MeanCount, Sigma, UnitError};
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
@@ -143,13 +143,15 @@ impl Pipeline {
         let side = BrickSide::default();
         let pages = frame.indicate(&bins, *indicator, side)?;
         drop(bins);
-        let mut dif = DifField::in_memory(side, pages);
-        if let Indicator::Counting { mean } = *indicator {
-            let measured = || MeanCount::measured(census.binned as u64, dif.full_cells());
-            let mean = mean.map_or_else(measured, Ok).map_err(ResidentError::MeanCount)?;
-            dif = dif.with_decode(&count_table(mean));
-        }
-        let (recipe, plateau) = plateau::recipe(&dif, *indicator, domain, *sigma, *detail, *iso);
+        let stored = DifField::in_memory(indicator.shape(side), pages);
+        let measured = || MeanCount::measured(census.binned as u64, stored.full_cells());
+        let mean = match indicator.counts() {
+            true => Some(indicator.mean().map_or_else(measured, Ok).map_err(ResidentError::MeanCount)?),
+            false => None,
+        };
+        let indicator = indicator.with_mean(mean);
+        let dif = indicator.decode(stored);
+        let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
         if parts.blocks.is_empty() {

@@ -9,12 +9,11 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use common::scene::{Random, splash};
-use common::{reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::stage::indicator::Indicator;
 use meniscus::units::MemoryBudget;
 use tempfile::TempDir;
 
@@ -54,7 +53,7 @@ impl Particles for Moving {
 fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
     let particles = Moving::new(splashes(31));
     let scratch = TempDir::new().unwrap();
-    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+    for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
             let mut sampling = Sampling { indicator, carried, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));

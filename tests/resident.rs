@@ -5,14 +5,13 @@ mod common;
 #[path = "../tools/examples/resident.rs"]
 mod example;
 
-use common::{device, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
 use meniscus::frame::{Sampling, Surfacing};
 use meniscus::mesh::Mesh;
 use meniscus::resident::{Pipeline, ResidentError, ResidentSurface, Settings};
 use meniscus::stage::detail::Detail;
-use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, VulkanError};
 
@@ -56,7 +55,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
-    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+    for indicator in INDICATORS {
         for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Spared, 1.0)] {
             for walls in [false, true] {
                 let mut sampling = Sampling { indicator, ..sampling() };

@@ -5,7 +5,7 @@ mod common;
 
 use std::collections::HashMap;
 
-use common::{fill, sampling, splashes, surfacing};
+use common::{INDICATORS, fill, sampling, splashes, surfacing};
 use glam::DVec3;
 use meniscus::frame::{Frame, Normals, Sampling, Surfacing};
 use meniscus::laps::Laps;
@@ -15,7 +15,6 @@ use meniscus::mesh::compare::compare;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::source::MeshSource;
 use meniscus::simplify::{Reduction, simplify};
-use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::Tolerance;
 
@@ -54,7 +53,7 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
 
 #[test]
 fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle() {
-    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+    for indicator in INDICATORS {
         for seed in [1, 2] {
             let (particles, sampling) = (splashes(seed), Sampling { indicator, ..sampling() });
             let whole = surface(&particles, &sampling).to_mesh().unwrap();
@@ -82,7 +81,7 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
     // Triangles with an angle below 10 degrees.
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
     for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
-        for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+        for indicator in INDICATORS {
             let sampling = Sampling { indicator, ..sampling() };
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {

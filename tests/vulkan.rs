@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use common::scene::Random;
-use common::{device, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tank};
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
@@ -25,7 +25,6 @@ use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
-const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
 const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Spared];
 
 /// Runs a test on a device of its own, and looks at what validation found when all of it is gone.
@@ -204,11 +203,11 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
         let dense: Vec<u16> = (0..4096).map(|_| random.bits() as u16 | 1).collect();
-        meniscus::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen).unwrap()
+        meniscus::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into()).unwrap()
     });
     let mut pages: Vec<_> = pages.collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
-    let dif = DifField::in_memory(BrickSide::Sixteen, pages);
+    let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     let recipe = Recipe {
         smoothing: Smoothing::new(Indicator::Symmetry, Sigma::new(0.2).unwrap()),
         details: Details::Smoothed,

@@ -75,7 +75,7 @@ impl Surfaces<'_> {
     #[must_use]
     pub fn regions(&self) -> Vec<CellBox> {
         // A dual cell reaches one cell up from its lowest corner.
-        let reach = self.recipe.reach();
+        let reach = self.dif.reach() + self.recipe.reach();
         let within = self.walls().map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let regions = self.dif.regions(reach + 1, reach).into_iter().map(cut);

@@ -8,59 +8,96 @@ use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use crate::units::FULL;
 
 use super::store::Store;
-use super::{Block, BrickSide, PageInfo, PageSource, Samples};
+use super::{Block, BrickSide, PageInfo, PageShape, PageSource, Samples};
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
 ///
-/// A cell is full, in the paper's sense, exactly where the DIF is not 0. What is stored may be counts of
-/// particles, which a table turns into the DIF on the way out.
+/// A cell is full, in the paper's sense, exactly where what is stored is not 0.
 #[derive(Debug)]
 pub struct DifField {
-    side: BrickSide,
+    shape: PageShape,
     infos: Vec<PageInfo>,
     rank: HashMap<IVec3, u32>,
     store: Store,
-    decode: Option<DecodeTable>,
+    stored: Stored,
+}
+
+/// What the samples of a field's cells are.
+#[derive(Debug)]
+enum Stored {
+    /// The DIF itself.
+    Theta,
+    /// Numbers of particles, which a table turns into the DIF on the way out.
+    Counts(DecodeTable),
+    /// Numbers of particles and their centroids, each of which makes so much of the DIF around it a particle.
+    Clouds { amount: u32 },
 }
 
 impl DifField {
     /// Of pages in memory, in the order of their keys.
     #[must_use]
-    pub fn in_memory(side: BrickSide, pages: Vec<(PageInfo, Box<[u16]>)>) -> Self {
+    pub fn in_memory(shape: PageShape, pages: Vec<(PageInfo, Box<[u16]>)>) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
-        Self::new(side, infos, Store::Memory(samples))
+        Self::new(shape, infos, Store::Memory(samples))
     }
 
     /// Of pages in the order of their keys whose samples come from `source`; those last used stay in memory
     /// as long as they take no more than `cache_bytes`.
     #[must_use]
     pub fn paged(
-        side: BrickSide,
+        shape: PageShape,
         infos: Vec<PageInfo>,
         source: Box<dyn PageSource>,
         cache_bytes: u64,
     ) -> Self {
-        let mean_bytes = sample_bytes(&infos, side) / infos.len().max(1) as u64;
-        Self::new(side, infos, Store::paged(source, cache_bytes, mean_bytes))
+        let mean_bytes = sample_bytes(&infos, shape) / infos.len().max(1) as u64;
+        Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
     }
 
-    fn new(side: BrickSide, infos: Vec<PageInfo>, store: Store) -> Self {
+    fn new(shape: PageShape, infos: Vec<PageInfo>, store: Store) -> Self {
         debug_assert!(infos.is_sorted_by(|a, b| a.key < b.key), "pages are in order");
         let rank = (0..).zip(&infos).map(|(rank, info)| (info.key.coord(), rank)).collect();
-        Self { side, infos, rank, store, decode: None }
+        Self { shape, infos, rank, store, stored: Stored::Theta }
     }
 
     /// Takes what is stored for numbers of particles, and `theta` for the DIF by number: 0 for none, more
     /// than 0 for any, and 1 beyond its end.
     #[must_use]
     pub fn with_decode(self, theta: &[u16]) -> Self {
-        Self { decode: Some(DecodeTable::new(theta)), ..self }
+        Self { stored: Stored::Counts(DecodeTable::new(theta)), ..self }
+    }
+
+    /// Takes what is stored for numbers of particles and their centroids, a particle for so much of the DIF around it.
+    #[must_use]
+    pub fn with_clouds(self, amount: u32) -> Self {
+        Self { stored: Stored::Clouds { amount }, ..self }
+    }
+
+    /// How much of the DIF a particle makes, if what is stored is particles and their centroids.
+    #[must_use]
+    pub fn clouds(&self) -> Option<u32> {
+        match self.stored {
+            Stored::Clouds { amount } => Some(amount),
+            _ => None,
+        }
+    }
+
+    /// How far from a full cell the DIF can be more than 0, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.clouds().map_or(0, |_| 1)
+    }
+
+    /// How its pages' samples lie.
+    #[must_use]
+    pub fn shape(&self) -> PageShape {
+        self.shape
     }
 
     /// Edge of a brick.
     #[must_use]
     pub fn side(&self) -> BrickSide {
-        self.side
+        self.shape.side
     }
 
     /// Cells that hold particles.
@@ -69,20 +106,23 @@ impl DifField {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// Mean of the DIF over the full cells, in 0 to 1. Reads all pages.
+    /// Mean of the DIF over the full cells, in 0 to 1, where it is 0 in all others. Reads all pages.
     #[must_use]
-    pub fn mean_of_full(&self) -> f64 {
-        let sum: u64 = (0..self.infos.len())
+    pub fn mean_of_full(&self) -> Option<f64> {
+        let sum: Option<u64> = (0..self.infos.len())
             .into_par_iter()
             .map(|page| {
                 let samples = self.stored(page);
-                match &self.decode {
-                    None => samples.iter().map(|&theta| u64::from(theta)).sum::<u64>(),
-                    Some(table) => samples.iter().map(|&count| u64::from(table.theta(count))).sum(),
+                match &self.stored {
+                    Stored::Theta => Some(samples.iter().map(|&theta| u64::from(theta)).sum::<u64>()),
+                    Stored::Counts(table) => {
+                        Some(samples.iter().map(|&count| u64::from(table.theta(count))).sum())
+                    }
+                    Stored::Clouds { .. } => None,
                 }
             })
             .sum();
-        sum as f64 / (self.full_cells() as f64 * f64::from(FULL))
+        sum.map(|sum| sum as f64 / (self.full_cells() as f64 * f64::from(FULL)))
     }
 
     /// Bricks that hold particles.
@@ -94,45 +134,70 @@ impl DifField {
     /// Bytes of samples, wherever they are, not compressed.
     #[must_use]
     pub fn sample_bytes(&self) -> u64 {
-        sample_bytes(&self.infos, self.side)
+        sample_bytes(&self.infos, self.shape)
     }
 
-    /// Cuts the samples of `cells` out of the bricks.
+    /// Cuts the samples of `cells` out of the bricks: the first of each cell, or the DIF by it.
     #[must_use]
     pub fn gather(&self, cells: CellBox) -> Block {
         let mut block = Block::zero(cells);
-        let edge = self.side.cells();
+        self.each_brick(cells, |part, from, samples| match &self.stored {
+            Stored::Counts(table) => block.copy_part(part, from, samples, |count| table.theta(count)),
+            _ => block.copy_part(part, from, samples, |theta| theta),
+        });
+        block
+    }
+
+    /// Calls `visit` with all samples of each full cell among `cells`, if there are so many.
+    pub fn each_full_cell<const N: usize>(&self, cells: CellBox, mut visit: impl FnMut(IVec3, [u16; N])) {
+        let size = self.shape.side.samples();
+        self.each_brick(cells, |part, from, samples| {
+            let channels: [&[u16]; N] =
+                std::array::from_fn(|channel| &samples[channel * size..(channel + 1) * size]);
+            let edge = from.size().x;
+            for z in part.lo.z..part.hi.z {
+                for y in part.lo.y..part.hi.y {
+                    let row = (edge * (y - from.lo.y + edge * (z - from.lo.z))) as usize;
+                    for x in part.lo.x..part.hi.x {
+                        let at = row + (x - from.lo.x) as usize;
+                        if channels[0][at] > 0 {
+                            visit(IVec3::new(x, y, z), channels.map(|samples| samples[at]));
+                        }
+                    }
+                }
+            }
+        });
+    }
+
+    /// Calls `visit` with the part of every brick that is among `cells`, the brick's cells, and its samples. What no part
+    /// holds is 0.
+    fn each_brick(&self, cells: CellBox, mut visit: impl FnMut(CellBox, CellBox, &[u16])) {
+        let edge = self.shape.side.cells();
         let per_bin = BIN / edge;
         for bin in cells.cubes(BIN) {
             let Some(&rank) = self.rank.get(&bin) else { continue };
             let info = &self.infos[rank as usize];
-            // What lies around the full cells is 0, as the block is.
             let inside = cells.intersection(&info.full);
             if inside.is_empty() {
                 continue;
             }
             let samples = self.store.cached(rank);
             for brick in inside.cubes(edge) {
-                let Some(samples) = info.brick(&samples, brick - bin * per_bin, self.side) else { continue };
+                let Some(samples) = info.brick(&samples, brick - bin * per_bin, self.shape) else { continue };
                 let from = CellBox::cube(brick, edge);
-                let part = inside.intersection(&from);
-                match &self.decode {
-                    None => block.copy_part(part, from, samples, |theta| theta),
-                    Some(table) => block.copy_part(part, from, samples, |count| table.theta(count)),
-                }
+                visit(inside.intersection(&from), from, samples);
             }
         }
-        block
     }
 
-    /// Writes the samples of a whole bin as they are stored, x fastest: counts, where there is a table for them.
+    /// Writes the samples of a whole bin as they are stored, channel by channel, x fastest.
     ///
     /// # Panics
     /// If no page is there, or `dense` is not as long as a bin.
     pub fn write_stored(&self, bin: IVec3, dense: &mut [u16]) {
         let rank = self.rank[&bin];
         let samples = self.store.cached(rank);
-        self.infos[rank as usize].write_dense(&samples, dense, self.side);
+        self.infos[rank as usize].write_dense(&samples, dense, self.shape);
     }
 
     /// Whether a bin has a page.
@@ -144,7 +209,10 @@ impl DifField {
     /// theta by the number of particles, and 1 for all numbers beyond, where what is stored is counts.
     #[must_use]
     pub fn decode_table(&self) -> Option<&[u16]> {
-        self.decode.as_ref().map(|table| &*table.0)
+        match &self.stored {
+            Stored::Counts(table) => Some(&table.0),
+            _ => None,
+        }
     }
 
     /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell along
@@ -165,15 +233,15 @@ impl DifField {
         &self.infos
     }
 
-    /// The samples of page number `page` as they are stored: counts, where there is a table for them.
+    /// The samples of page number `page` as they are stored.
     #[must_use]
     pub fn stored(&self, page: usize) -> Samples<'_> {
         self.store.once(page)
     }
 }
 
-fn sample_bytes(infos: &[PageInfo], side: BrickSide) -> u64 {
-    infos.iter().map(|info| (info.samples(side) * size_of::<u16>()) as u64).sum()
+fn sample_bytes(infos: &[PageInfo], shape: PageShape) -> u64 {
+    infos.iter().map(|info| (info.samples(shape) * size_of::<u16>()) as u64).sum()
 }
 
 /// theta by the number of particles; the last one, 1, for all numbers from there on.

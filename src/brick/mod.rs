@@ -16,7 +16,7 @@ pub use bin::{BinError, BinPlan, Census, InvalidParticles};
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS};
 pub use block::Block;
 pub use field::DifField;
-pub use page::{BrickSide, PageInfo};
+pub use page::{BrickSide, PageInfo, PageShape};
 pub use place::COORD_BITS;
 pub use spill::{SortedStore, SpilledBins};
 pub use store::{PageSource, Samples};

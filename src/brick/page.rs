@@ -53,25 +53,58 @@ pub struct PageInfo {
     pub full_count: u32,
 }
 
-impl PageInfo {
-    /// Keeps the bricks of `dense`, a whole bin with x fastest, that have a full cell; their samples lie one
-    /// brick after the other in Morton order, x fastest in each. `None` where no cell is full.
+/// How the samples of a page lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PageShape {
+    /// Of its bricks.
+    pub side: BrickSide,
+    /// Samples of a cell. A cell is full where the first is not 0.
+    pub channels: usize,
+}
+
+impl From<BrickSide> for PageShape {
+    /// One sample a cell.
+    fn from(side: BrickSide) -> Self {
+        Self { side, channels: 1 }
+    }
+}
+
+impl PageShape {
+    /// Samples of a brick.
     #[must_use]
-    pub fn from_dense(bin: IVec3, dense: &[u16], side: BrickSide) -> Option<(Self, Box<[u16]>)> {
-        let edge = side.cells();
+    pub fn brick_samples(self) -> usize {
+        self.side.samples() * self.channels
+    }
+
+    /// Samples of a whole bin.
+    #[must_use]
+    pub fn bin_samples(self) -> usize {
+        BIN.pow(3) as usize * self.channels
+    }
+}
+
+impl PageInfo {
+    /// Keeps the bricks of `dense` that have a full cell: a whole bin, channel by channel, x fastest in each. Their samples
+    /// lie one brick after the other in Morton order, each channel by channel, x fastest. `None` where no cell is full.
+    #[must_use]
+    pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, Box<[u16]>)> {
+        let edge = shape.side.cells();
         let mut page = Self::empty(MortonKey::of(bin));
         let mut samples = Vec::with_capacity(dense.len());
-        for index in 0..side.bricks_a_bin() {
-            let brick = CellBox::cube(local_from_morton(index), edge);
+        for index in 0..shape.side.bricks_a_bin() {
+            let corner = local_from_morton(index) * edge;
             let begin = samples.len();
-            for z in brick.lo.z..brick.hi.z {
-                for y in brick.lo.y..brick.hi.y {
-                    let first = (brick.lo.x + BIN * (y + BIN * z)) as usize;
+            for dense in dense.chunks_exact(BIN.pow(3) as usize) {
+                for first in rows(corner, edge) {
                     samples.extend_from_slice(&dense[first..first + edge as usize]);
                 }
-            }
-            if !page.add(bin, index, &samples[begin..], side) {
-                samples.truncate(begin);
+                // One channel says whether there is anything.
+                if samples.len() - begin == shape.side.samples()
+                    && !page.add(bin, index, &samples[begin..], shape.side)
+                {
+                    samples.truncate(begin);
+                    break;
+                }
             }
         }
         (page.bricks != 0).then(|| (page, samples.into()))
@@ -82,12 +115,13 @@ impl PageInfo {
     /// # Panics
     /// If the samples are not of the bricks' number.
     #[must_use]
-    pub fn from_samples(key: MortonKey, bricks: u64, samples: &[u16], side: BrickSide) -> Option<Self> {
+    pub fn from_samples(key: MortonKey, bricks: u64, samples: &[u16], shape: PageShape) -> Option<Self> {
+        let PageShape { side, .. } = shape;
         let mut page = Self::empty(key);
         let set = (0..side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
-        assert_eq!(set.clone().count() * side.samples(), samples.len());
-        set.zip(samples.chunks_exact(side.samples()))
-            .all(|(index, brick)| page.add(key.coord(), index, brick, side))
+        assert_eq!(set.clone().count() * shape.brick_samples(), samples.len());
+        set.zip(samples.chunks_exact(shape.brick_samples()))
+            .all(|(index, brick)| page.add(key.coord(), index, &brick[..side.samples()], side))
             .then_some(page)
             .filter(|page| page.bricks == bricks)
     }
@@ -96,7 +130,7 @@ impl PageInfo {
         Self { key, bricks: 0, full: CellBox::EMPTY, full_count: 0 }
     }
 
-    /// Counts brick number `index` in, unless it has no full cell.
+    /// Counts brick number `index` in by its first channel, unless it has no full cell.
     fn add(&mut self, bin: IVec3, index: usize, samples: &[u16], side: BrickSide) -> bool {
         let edge = side.cells();
         let (mut full, mut full_count) = (CellBox::EMPTY, 0);
@@ -120,34 +154,40 @@ impl PageInfo {
     }
 
     /// The inverse of [`from_dense`](Self::from_dense).
-    pub(super) fn write_dense(&self, samples: &[u16], dense: &mut [u16], side: BrickSide) {
+    pub(super) fn write_dense(&self, samples: &[u16], dense: &mut [u16], shape: PageShape) {
         dense.fill(0);
-        let edge = side.cells();
-        for index in (0..side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
+        let edge = shape.side.cells();
+        for index in (0..shape.side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
             let local = local_from_morton(index);
-            let Some(samples) = self.brick(samples, local, side) else { continue };
-            let corner = local * edge;
-            for (row, from) in (0..).zip(samples.chunks_exact(edge as usize)) {
-                let (y, z) = (corner.y + row % edge, corner.z + row / edge);
-                let first = (corner.x + BIN * (y + BIN * z)) as usize;
-                dense[first..first + edge as usize].copy_from_slice(from);
+            let Some(samples) = self.brick(samples, local, shape) else { continue };
+            let channels = dense.chunks_exact_mut(BIN.pow(3) as usize);
+            for (dense, samples) in channels.zip(samples.chunks_exact(shape.side.samples())) {
+                for (first, from) in rows(local * edge, edge).zip(samples.chunks_exact(edge as usize)) {
+                    dense[first..first + edge as usize].copy_from_slice(from);
+                }
             }
         }
     }
 
     /// How many samples are stored.
     #[must_use]
-    pub fn samples(&self, side: BrickSide) -> usize {
-        self.bricks.count_ones() as usize * side.samples()
+    pub fn samples(&self, shape: PageShape) -> usize {
+        self.bricks.count_ones() as usize * shape.brick_samples()
     }
 
     /// The part of the page's `samples` that is one brick, given its place in the bin counted in bricks.
-    pub(super) fn brick<'a>(&self, samples: &'a [u16], local: IVec3, side: BrickSide) -> Option<&'a [u16]> {
+    pub(super) fn brick<'a>(&self, samples: &'a [u16], local: IVec3, shape: PageShape) -> Option<&'a [u16]> {
         let bit = 1_u64 << local_morton(local);
         (self.bricks & bit != 0).then(|| {
-            let size = side.samples();
+            let size = shape.brick_samples();
             let rank = (self.bricks & (bit - 1)).count_ones() as usize;
             &samples[rank * size..(rank + 1) * size]
         })
     }
+}
+
+/// Where the rows of a brick begin among the cells of its bin, given its lowest cell there.
+fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
+    let first = move |y, z| (corner.x + BIN * (corner.y + y + BIN * (corner.z + z))) as usize;
+    (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }

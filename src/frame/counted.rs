@@ -42,7 +42,8 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let attributes = particles.attributes();
         let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
         let in_memory = particles.resident_bytes() + resources.host_bytes();
-        let estimate = Estimate::of(plan.counts(), sampling.side, components, in_memory);
+        let estimate =
+            Estimate::of(plan.counts(), sampling.indicator.shape(sampling.side), components, in_memory);
         Ok(Self { particles, sampling, plan, estimate, kernels: None })
     }
 

@@ -146,7 +146,8 @@ impl Frame {
         let plan = estimate.plan(resources.budget);
         resources.check_room(estimate.least_scratch(plan))?;
         let in_scratch = resources.scratch_error();
-        let mut sink = FieldSink::new(plan, &estimate, *side, &resources.scratch).map_err(&in_scratch)?;
+        let mut sink = FieldSink::new(plan, &estimate, indicator.shape(*side), &resources.scratch)
+            .map_err(&in_scratch)?;
 
         let stages = resources.backend.start(resources.budget);
         let bins = match plan {
@@ -163,15 +164,14 @@ impl Frame {
         };
         let carried = bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
-        let indicator = match *indicator {
-            Indicator::Counting { mean: None } => {
-                let mean = MeanCount::measured(census.binned as u64, sink.full_cells());
-                Indicator::Counting { mean: Some(mean.map_err(FrameError::MeanCount)?) }
-            }
-            known => known,
+        let measured = || MeanCount::measured(census.binned as u64, sink.full_cells());
+        let mean = match indicator.counts() {
+            true => Some(indicator.mean().map_or_else(measured, Ok).map_err(FrameError::MeanCount)?),
+            false => None,
         };
+        let indicator = indicator.with_mean(mean);
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
-        let dif = sink.finish(&facts, *side, plan).map_err(&in_scratch)?;
+        let dif = sink.finish(&facts, indicator.shape(*side), plan).map_err(&in_scratch)?;
         laps.lap("indicate");
         let surface_share = estimate.surface_share(resources.budget);
         Ok(Self { facts, dif, carried, surface_share, resources: resources.clone(), stages })
@@ -181,7 +181,7 @@ impl Frame {
     #[must_use]
     pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
         let full_cells = dif.infos().iter().map(|info| info.full_count as usize);
-        let estimate = Estimate::of_surface(full_cells, resources.host_bytes());
+        let estimate = Estimate::of_surface(full_cells, dif.shape(), resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.start(resources.budget);
         Self { facts, dif, carried: None, surface_share, resources, stages }
@@ -228,17 +228,15 @@ impl Frame {
     /// `mu0`, where the indicator counts.
     #[must_use]
     pub fn mean_count(&self) -> Option<MeanCount> {
-        match self.facts.indicator {
-            Indicator::Symmetry => None,
-            Indicator::Counting { mean } => mean,
-        }
+        self.facts.indicator.mean()
     }
 
     /// The Gaussian's width, asked for or not.
     #[must_use]
     pub fn sigma(&self, asked: Option<Sigma>) -> Sigma {
-        let FrameFacts { grid, spacing, .. } = &self.facts;
-        asked.unwrap_or_else(|| Sigma::of_spacing(spacing.map(|spacing| spacing / grid.cell_size())))
+        let FrameFacts { grid, spacing, indicator, .. } = &self.facts;
+        let width = |spacing: f64| indicator.spacings_smoothed() * spacing / grid.cell_size();
+        asked.unwrap_or_else(|| Sigma::of_spacing(spacing.map(width)))
     }
 
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.

@@ -5,10 +5,10 @@ use std::io;
 use std::path::Path;
 
 use crate::backend::Stages;
-use crate::brick::{Bins, BrickSide, DifField, PageInfo};
+use crate::brick::{Bins, BrickSide, DifField, PageInfo, PageShape};
 use crate::estimate::{Estimate, Plan, Shares};
 use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
-use crate::stage::indicator::{Indicator, count_table};
+use crate::stage::indicator::Indicator;
 
 /// Bins whose pages are made at once.
 const BATCH: usize = 1024;
@@ -21,11 +21,11 @@ pub(super) enum FieldSink {
 
 impl FieldSink {
     /// In memory, unless a plan says otherwise.
-    pub(super) fn new(plan: Plan, estimate: &Estimate, side: BrickSide, folder: &Path) -> io::Result<Self> {
+    pub(super) fn new(plan: Plan, estimate: &Estimate, shape: PageShape, folder: &Path) -> io::Result<Self> {
         match plan {
             Plan::OutOfCore(shares) if estimate.field > shares.field => {
                 let file = tempfile::tempfile_in(folder)?;
-                let writer = FrameWriter::create(file.try_clone()?, side)?;
+                let writer = FrameWriter::create(file.try_clone()?, shape)?;
                 Ok(Self::File { file, writer, full_cells: 0 })
             }
             _ => Ok(Self::Memory(Vec::new())),
@@ -63,7 +63,7 @@ impl FieldSink {
     }
 
     /// The DIF, whose indicator is known by now; of a file as much in memory as a plan allows.
-    pub(super) fn finish(self, facts: &FrameFacts, side: BrickSide, plan: Plan) -> io::Result<DifField> {
+    pub(super) fn finish(self, facts: &FrameFacts, shape: PageShape, plan: Plan) -> io::Result<DifField> {
         match (self, plan) {
             (Self::File { file, writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
                 writer.finish(facts)?;
@@ -71,13 +71,7 @@ impl FieldSink {
                 Ok(dif)
             }
             (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
-            (Self::Memory(pages), _) => {
-                let dif = DifField::in_memory(side, pages);
-                Ok(match facts.indicator {
-                    Indicator::Counting { mean: Some(mean) } => dif.with_decode(&count_table(mean)),
-                    _ => dif,
-                })
-            }
+            (Self::Memory(pages), _) => Ok(facts.indicator.decode(DifField::in_memory(shape, pages))),
         }
     }
 }

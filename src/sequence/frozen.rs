@@ -151,12 +151,7 @@ impl Frozen {
     /// # Errors
     /// [`UnitError`] for a number that cannot have been measured.
     pub fn indicator(&self, indicator: Indicator) -> Result<Indicator, UnitError> {
-        Ok(match indicator {
-            Indicator::Symmetry => indicator,
-            Indicator::Counting { .. } => {
-                Indicator::Counting { mean: self.mu0.map(MeanCount::new).transpose()? }
-            }
-        })
+        Ok(indicator.with_mean(self.mu0.map(MeanCount::new).transpose()?))
     }
 
     /// The isovalue of all frames.

@@ -10,11 +10,11 @@ use glam::{DVec3, IVec3};
 use meniscus::grid::CellBox;
 use meniscus::stage::detail::Detail;
 use meniscus::stage::dual_mc::table::TABLE;
+use meniscus::stage::indicator::Indicator;
 
 /// What is to be computed. Cells have edge 1 and the grid's origin is 0.
 pub struct Method {
-    /// `None`: symmetry. `Some(mu0)`: counting.
-    pub mu0: Option<f64>,
+    pub indicator: Indicator,
     pub sigma: f64,
     pub detail: Detail,
     /// In 1 / 65535.
@@ -50,6 +50,12 @@ impl<T: Copy + Default> Dense<T> {
         })
     }
 
+    /// The value of the cell of the box that is nearest to `cell`.
+    fn nearest(&mut self, cell: IVec3) -> &mut T {
+        let (local, size) = (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
+        &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
+    }
+
     /// Zero outside of the box, unless the box has walls: then the edge cell is repeated.
     pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
         let cell = if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
@@ -75,7 +81,22 @@ fn integer_weights(half: &[f64]) -> Vec<u64> {
     weights
 }
 
+/// A cell and its neighbours, from it.
+fn cube() -> impl Iterator<Item = IVec3> {
+    (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)
+}
+
+/// The quadratic B-spline, 1 wide on either side and a half more.
+fn b_spline(x: f64) -> f64 {
+    let x = x.abs();
+    if x < 0.5 { 0.75 - x * x } else { 0.5 * (1.5 - x).max(0.0).powi(2) }
+}
+
 impl Method {
+    fn mu0(&self) -> f64 {
+        self.indicator.mean().map_or(f64::NAN, |mean| mean.particles())
+    }
+
     /// All cells that the field can reach, or those between the walls.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
@@ -114,17 +135,30 @@ impl Method {
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
-        let theta = Dense::new(cells, |cell| {
+        let mut theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0.0 };
             let n = offsets.len() as f64;
-            match self.mu0 {
-                Some(mu0) => n.min(mu0) / mu0,
-                None => {
+            match self.indicator {
+                Indicator::Counting { .. } => n.min(self.mu0()) / self.mu0(),
+                Indicator::Symmetry => {
                     let centroid = offsets.iter().sum::<DVec3>() / n;
                     1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
                 }
+                Indicator::Cloud { .. } => 0.0,
             }
         });
+        if let Indicator::Cloud { .. } = self.indicator {
+            for (cell, offsets) in &by_cell {
+                let n = offsets.len() as f64;
+                let centroid = offsets.iter().sum::<DVec3>() / n;
+                for away in cube() {
+                    let share: f64 =
+                        (0..3).map(|axis| b_spline(f64::from(away[axis]) + 0.5 - centroid[axis])).product();
+                    *theta.nearest(IVec3::from(*cell) + away) += n.min(2.0 * self.mu0()) * share;
+                }
+            }
+            theta.values.iter_mut().for_each(|rho| *rho = (*rho / (2.0 * self.mu0())).min(1.0));
+        }
         let blur = |field: &Dense<f64>, half: &[f64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
@@ -137,10 +171,12 @@ impl Method {
             })
         };
         let mut smooth = blur(&theta, &gaussian(self.sigma));
-        if self.mu0.is_some() {
+        if let Indicator::Counting { .. } = self.indicator {
             smooth = blur(&smooth, &[1.0 / 3.0; 2]);
         }
         let c = self.iso / 65535.0;
+        // A tenth of a particle.
+        let least = if let Indicator::Cloud { .. } = self.indicator { 0.1 / (2.0 * self.mu0()) } else { 0.0 };
         let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
         let dense = |value: &dyn Fn(IVec3) -> f64| Dense::new(cells, value);
         match self.detail {
@@ -151,7 +187,7 @@ impl Method {
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
             Detail::Spared => {
-                let occupancy = dense(&|cell| if theta(cell) > 0.0 { 1.0 } else { 0.0 });
+                let occupancy = dense(&|cell| if theta(cell) > least { 1.0 } else { 0.0 });
                 let blurred = blur(&occupancy, &gaussian((self.sigma / 2.0).min(0.5)));
                 let near = self.near(&dense(&smooth));
                 dense(&|cell| {
@@ -167,12 +203,15 @@ impl Method {
     pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
-        let theta = Dense::new(cells, |cell| {
+        let mut theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
-            match self.mu0 {
-                Some(mu0) => (((n as f64).min(mu0) / mu0) * 65535.0).round() as u16,
-                None => {
+            match self.indicator {
+                Indicator::Cloud { .. } => 0,
+                Indicator::Counting { .. } => {
+                    (((n as f64).min(self.mu0()) / self.mu0()) * 65535.0).round() as u16
+                }
+                Indicator::Symmetry => {
                     let mut square = 0;
                     for axis in 0..3 {
                         let sum: i128 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as i128).sum();
@@ -186,6 +225,29 @@ impl Method {
                 }
             }
         });
+        // What a particle makes, in 16ths of theta's unit.
+        let amount = (65535.0 * 16.0 / (2.0 * self.mu0())).round() as u64;
+        if let Indicator::Cloud { .. } = self.indicator {
+            let mut sums = Dense::new(cells, |_| 0);
+            for (cell, offsets) in &by_cell {
+                let n = offsets.len() as u64;
+                let shares = [0, 1, 2].map(|axis| {
+                    let sum: u64 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as u64).sum();
+                    let twice = 2 * ((2 * sum + n) / (2 * n)) + 1;
+                    let [below, above] =
+                        [16384 - twice, twice].map(|length| (length * length + 65536) / 131_072);
+                    [below, 4096 - below - above, above]
+                });
+                for away in cube() {
+                    let of_axis = |axis: usize| shares[axis][(away[axis] + 1) as usize];
+                    let cloud = (n * amount).min((1 << 20) - 1);
+                    let share = cloud * of_axis(2) / 4096 * of_axis(1) / 4096 * of_axis(0) / 4096;
+                    *sums.nearest(IVec3::from(*cell) + away) += share;
+                }
+            }
+            theta = Dense::new(cells, |cell| ((sums.at(cell, None) + 8) / 16).min(65535) as u16);
+        }
+        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 160).max(1) } else { 1 };
         let blur = |field: &Dense<u16>, half: &[u64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
@@ -199,7 +261,7 @@ impl Method {
             })
         };
         let mut smooth = blur(&theta, &integer_weights(&gaussian(self.sigma)));
-        if self.mu0.is_some() {
+        if let Indicator::Counting { .. } = self.indicator {
             smooth = blur(&smooth, &[21846, 21845]);
         }
         let t = self.iso.floor() as u64;
@@ -213,7 +275,7 @@ impl Method {
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
             Detail::Spared => {
-                let occupancy = dense(&|cell| if theta(cell) > 0 { 65535 } else { 0 });
+                let occupancy = dense(&|cell| if u64::from(theta(cell)) >= least { 65535 } else { 0 });
                 let blurred = blur(&occupancy, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
                 let near = self.near(&dense(&smooth));
                 dense(&|cell| {

@@ -17,6 +17,9 @@ use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, MemoryBudget};
 use scene::Random;
 
+pub const INDICATORS: [Indicator; 3] =
+    [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::Cloud { mean: None }];
+
 /// Settings that tests start from: cells of edge 1 at the origin, the defaults of the command line.
 pub fn sampling() -> Sampling {
     Sampling {

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use crate::common::scene::Random;
-use crate::common::{Reconstructed, fill, reconstruct, splashes, surfacing, tank};
+use crate::common::{INDICATORS, Reconstructed, fill, reconstruct, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
 use meniscus::backend::Surfaces;
 use meniscus::brick::{BrickSide, DifField, PageInfo};
@@ -27,8 +27,6 @@ fn assert_watertight(mesh: &Mesh, what: &str) {
     let report = check(mesh);
     assert!(report.is_closed_oriented_manifold(), "{what}: {report}");
 }
-
-const INDICATORS: [Indicator; 2] = [Indicator::Symmetry, Indicator::Counting { mean: None }];
 
 /// Name, genus, volume in cells and inside of a shape no part of which is thinner than 32 cells.
 type Shape = (&'static str, i64, f64, fn(DVec3) -> bool);
@@ -84,11 +82,11 @@ fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> 
     let page = |bin: IVec3| {
         let rows = CellBox::cube(bin, BIN);
         let dense: Vec<u16> = rows.cubes(1).map(&sample).collect();
-        PageInfo::from_dense(bin, &dense, BrickSide::Sixteen)
+        PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into())
     };
     let mut pages: Vec<_> = cells.cubes(BIN).filter_map(page).collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
-    let dif = DifField::in_memory(BrickSide::Sixteen, pages);
+    let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     // So narrow a filter changes nothing.
     let smoothing = Smoothing::new(Indicator::Symmetry, Sigma::new(0.01).unwrap());
     let recipe = Recipe { smoothing, details: Details::Smoothed, iso };
@@ -264,7 +262,7 @@ fn a_million_particles_in_one_place_are_one_drop() {
                 assert_watertight(&surface.mesh.to_mesh().unwrap(), "one place")
             }
             // Sixteen bits hold no mean of a million.
-            (Indicator::Counting { .. }, Err(FrameError::MeanCount(_))) => {}
+            (Indicator::Counting { .. } | Indicator::Cloud { .. }, Err(FrameError::MeanCount(_))) => {}
             (indicator, other) => panic!("{indicator:?} gave {other:?}"),
         }
     }

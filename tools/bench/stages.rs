@@ -64,10 +64,7 @@ fn main() {
     for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
         let (seconds, _) =
             best_seconds(3, || indicate(&bins, 0..bins.keys().len(), indicator, BrickSide::Eight));
-        let name = match indicator {
-            Indicator::Symmetry => "symmetry",
-            Indicator::Counting { .. } => "counting",
-        };
+        let name = indicator.name();
         row(&format!("accumulate, {name}"), count, "M particles/s", seconds);
         row(&format!("bin and accumulate, {name}"), count, "M particles/s", bin_seconds + seconds);
     }

@@ -15,7 +15,7 @@ use meniscus::units::{FULL, Isovalue};
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};
-use crate::methods::{COUNTING, grid, sampling, surfacing};
+use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::sample::{Lattice, fill, place};
 use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
@@ -74,7 +74,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     let mut averages = table(&["indicator", "sampling", "cell / spacing", "lattices"]);
     let mut along = table(&["indicator", "cell / spacing", "place", "plateau"]);
     let cells = options.choose(&CELLS[..], &CELLS[2..3]);
-    for indicator in [Indicator::Symmetry, COUNTING] {
+    for indicator in [CLOUD, Indicator::Symmetry, COUNTING] {
         for (sampling, jitter) in SAMPLINGS {
             for &cell in cells {
                 let measure = |lattices: &[Lattice]| -> Outcome<Vec<Vec<Found>>> {

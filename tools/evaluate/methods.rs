@@ -41,18 +41,21 @@ pub enum Iso {
 }
 
 pub const COUNTING: Indicator = Indicator::Counting { mean: None };
+pub const CLOUD: Indicator = Indicator::Cloud { mean: None };
 
 impl Method {
     pub const SYMMETRY: Self = Self::by_default(Indicator::Symmetry, Detail::Smoothed);
     pub const COUNTING: Self = Self::by_default(COUNTING, Detail::Smoothed);
+    pub const CLOUD: Self = Self::by_default(CLOUD, Detail::Smoothed);
     pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
     pub const ZHU_BRIDSON: Self = Self::Rival(Rival::ZhuBridson);
     pub const YU_TURK: Self = Self::Rival(Rival::YuTurk { iso: Rival::HALF });
     /// The paper's five, with the surface half-way between inside and outside; ours first.
     pub const ALL: &[Self] =
-        &[Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
+        &[Self::CLOUD, Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
     /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.
     pub const WITH_OTHER_ISOVALUES: &[Self] = &[
+        Self::CLOUD,
         Self::SYMMETRY,
         Self::COUNTING,
         Self::MUELLER,
@@ -83,8 +86,8 @@ impl Method {
     }
 
     /// By default, with what smoothing loses treated otherwise.
-    pub fn detailed(detail: Detail) -> [Self; 2] {
-        [Indicator::Symmetry, COUNTING].map(|indicator| Self::by_default(indicator, detail))
+    pub fn detailed(detail: Detail) -> [Self; 3] {
+        [Indicator::Symmetry, COUNTING, CLOUD].map(|indicator| Self::by_default(indicator, detail))
     }
 
     const fn by_default(indicator: Indicator, detail: Detail) -> Self {

@@ -7,7 +7,7 @@ use meniscus::laps::Laps;
 use meniscus::sequence::frozen::{Measured, Origin, measure};
 use meniscus::stage::indicator::Indicator;
 
-use crate::methods::{grid, sampling, surfacing};
+use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::roughness::{WIDTH, is_central};
 use crate::sample::cuboid;
 use crate::scene::Random;
@@ -23,12 +23,15 @@ const STEPS: u32 = 8;
 pub fn run(options: &Options) -> Outcome<()> {
     let jitters = JITTERS.map(|jitter| format!("jittered by {jitter}"));
     let head: Vec<&str> =
-        std::iter::once("cell / spacing").chain(jitters.iter().map(String::as_str)).collect();
+        ["indicator", "cell / spacing"].into_iter().chain(jitters.iter().map(String::as_str)).collect();
     let mut table = Table::new(&head);
-    for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
-        let moves: Outcome<Vec<String>> =
-            JITTERS.into_iter().map(|jitter| Ok(figure(greatest_move(cell, jitter)?))).collect();
-        table.row([figure(cell)].into_iter().chain(moves?));
+    for indicator in [CLOUD, COUNTING, Indicator::Symmetry] {
+        for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
+            let moves = JITTERS.into_iter().map(|jitter| greatest_move(indicator, cell, jitter));
+            let moves: Outcome<Vec<f64>> = moves.collect();
+            let about = [indicator.name().to_owned(), figure(cell)];
+            table.row(about.into_iter().chain(moves?.into_iter().map(figure)));
+        }
     }
     table.print(&format!(
         "a level pool is raised by a cell in {STEPS} steps: how far its surface moves against it in one step at the most, in cells"
@@ -36,20 +39,16 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-fn greatest_move(cell: f64, jitter: f64) -> Outcome<f64> {
+fn greatest_move(indicator: Indicator, cell: f64, jitter: f64) -> Outcome<f64> {
     let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(5));
     let rise = |step: u32| cell * f64::from(step) / f64::from(STEPS);
     let raised =
         |step: u32| -> Vec<[f64; 3]> { pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect() };
 
     let asked = surfacing(None, None);
-    let free = sampling(grid(cell)?, 1.0, Indicator::of_spacing(Some(1.0 / cell)));
+    let free = sampling(grid(cell)?, 1.0, indicator);
     let Measured { grid, mean: mu0, iso, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
-    let indicator = match free.indicator {
-        Indicator::Symmetry => Indicator::Symmetry,
-        Indicator::Counting { .. } => Indicator::Counting { mean: mu0 },
-    };
-    let frozen = Sampling { grid, indicator, ..free };
+    let frozen = Sampling { grid, indicator: indicator.with_mean(mu0), ..free };
 
     let height = |step: u32| -> Outcome<f64> {
         let laps = &mut Laps::default();

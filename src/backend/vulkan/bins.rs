@@ -8,18 +8,14 @@ use rayon::prelude::*;
 
 use crate::backend::Pages;
 use crate::brick::vulkan::DeviceBins;
-use crate::brick::vulkan::PAGE_WORDS;
-use crate::brick::{Bins, BrickSide, PageInfo};
+use crate::brick::{Bins, BrickSide, PageInfo, PageShape};
 use crate::grid::MortonKey;
 use crate::stage::indicator::Indicator;
 use crate::stage::indicator::vulkan::indicate;
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
-use super::{BIN_BATCH, DeviceFrame, Fault, PAGE_BYTES, State};
-
-/// Samples of a page.
-const SAMPLES: usize = 2 * PAGE_WORDS as usize;
+use super::{BIN_BATCH, DeviceFrame, Fault, State, page_bytes};
 
 /// A bin's particles among those of a batch, as `indicate.wgsl` has it.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -47,7 +43,8 @@ impl DeviceFrame {
         side: BrickSide,
         done: &mut Pages,
     ) -> Result<(), Fault> {
-        state.make_resident(&self.device, bins.keys());
+        let shape = indicator.shape(side);
+        state.make_resident(&self.device, bins.keys(), shape);
         let room = state.batch_bytes;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         state.make_lanes(&self.device)?;
@@ -55,13 +52,13 @@ impl DeviceFrame {
         fly(
             &mut state.lanes,
             |lane| {
-                let batch = bin_batch(bins, next..range.end, room);
+                let batch = bin_batch(bins, next..range.end, shape, room);
                 next = batch.end;
                 let start = || self.start_bins(lane, bins, batch.clone(), indicator, resident.as_ref());
                 (!batch.is_empty()).then(start).transpose()
             },
             |lane, batch| {
-                done.extend(read_pages(lane, batch, bins.keys(), side)?);
+                done.extend(read_pages(lane, batch, bins.keys(), shape)?);
                 Ok(())
             },
         )
@@ -112,10 +109,11 @@ impl DeviceFrame {
         resident: Option<&Arc<Buffer>>,
     ) -> Result<BinBatch, VulkanError> {
         let device = &self.device;
-        let bytes = bins.len() as u64 * PAGE_BYTES;
+        let page_bytes = page_bytes(indicator.shape(BrickSide::default()));
+        let bytes = bins.len() as u64 * page_bytes;
         let read = lane.buffer(device, "pages read", Place::Download, bytes)?;
         let pages = match resident {
-            Some(resident) => resident.part(bins.start as u64 * PAGE_BYTES, bytes),
+            Some(resident) => resident.part(bins.start as u64 * page_bytes, bytes),
             None => lane.buffer(device, "pages", Place::Device, bytes)?,
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
@@ -133,7 +131,8 @@ impl DeviceFrame {
         indicator: Indicator,
         side: BrickSide,
     ) -> Result<Pages, VulkanError> {
-        state.make_resident(&self.device, &bins.keys);
+        let shape = indicator.shape(side);
+        state.make_resident(&self.device, &bins.keys, shape);
         state.make_lanes(&self.device)?;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
@@ -162,7 +161,7 @@ impl DeviceFrame {
                 self.compute_bins(lane, range, &inputs, &records, indicator, resident.as_ref()).map(Some)
             },
             |lane, batch| {
-                pages.extend(read_pages(lane, batch, &bins.keys, side)?);
+                pages.extend(read_pages(lane, batch, &bins.keys, shape)?);
                 Ok::<_, VulkanError>(())
             },
         )?;
@@ -175,31 +174,31 @@ fn read_pages(
     lane: &mut Lane,
     batch: BinBatch,
     keys: &[MortonKey],
-    side: BrickSide,
+    shape: PageShape,
 ) -> Result<Pages, VulkanError> {
     // Submitted only now, the copy leaves its queue free for the next batch's upload.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
-    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * SAMPLES);
+    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * shape.bin_samples());
     let page = |(dense, bin): (&[u16], usize)| {
-        PageInfo::from_dense(keys[bin].coord(), dense, side).expect("a bin holds particles")
+        PageInfo::from_dense(keys[bin].coord(), dense, shape).expect("a bin holds particles")
     };
-    Ok(samples.par_chunks_exact(SAMPLES).zip(batch.bins).map(page).collect())
+    Ok(samples.par_chunks_exact(shape.bin_samples()).zip(batch.bins).map(page).collect())
 }
 
 /// Bytes of a bin with so many particles, on the device and staged.
-pub(super) fn bin_bytes(count: usize) -> u64 {
-    2 * (8 * count as u64 + PAGE_BYTES)
+pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
+    2 * (8 * count as u64 + page_bytes(shape))
 }
 
 /// As many bins as a batch has room for, at least one.
-fn bin_batch(bins: &Bins, range: Range<usize>, room: u64) -> Range<usize> {
+fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;
     while end < range.end && end - range.start < BIN_BATCH {
-        bytes += bin_bytes(bins.count(end));
+        bytes += bin_bytes(bins.count(end), shape);
         if end > range.start && bytes > room {
             break;
         }

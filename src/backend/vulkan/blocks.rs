@@ -9,17 +9,18 @@ use rayon::prelude::*;
 
 use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
-use crate::grid::{BIN, BLOCK, CellBox};
+use crate::grid::{BLOCK, CellBox};
 use crate::mesh::{BlockMesh, Tile};
 use crate::recipe::Details;
 use crate::stage::blur::Kernel;
 use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
+use crate::stage::indicator::vulkan::clouds;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
 use super::fields::{Padded, PaddedFields};
 use super::lane::{Lane, Layout, fly, part};
-use super::{BLOCK_BATCH, DeviceFrame, PAGE_BYTES, Resident, State};
+use super::{BLOCK_BATCH, DeviceFrame, Resident, State, page_bytes};
 
 /// Vertices of a block on average that a batch has room for; a batch that has more is emitted again.
 const BLOCK_ROOM: u64 = 6144;
@@ -198,7 +199,8 @@ impl BlockBatch {
             room: MOST_VERTICES,
         };
         let limit = work.frame.device.limits().storage_range;
-        let halo = work.surfaces.recipe.halo();
+        let halo = work.surfaces.dif.reach() + work.surfaces.recipe.halo();
+        let page_bytes = page_bytes(work.surfaces.dif.shape());
         let mut numbers: HashMap<IVec3, u32> = HashMap::new();
         let mut taken = batch.room * work.vertex_bytes() * 2;
         for &region in regions.iter().take(BLOCK_BATCH) {
@@ -208,10 +210,10 @@ impl BlockBatch {
             let dif = work.surfaces.dif;
             let unknown = |bin: &&IVec3| dif.has_page(**bin) && !numbers.contains_key(*bin);
             let new = if work.resident.is_some() { 0 } else { bins.iter().filter(unknown).count() as u64 };
-            taken += work.block_bytes(&block) + new * 2 * PAGE_BYTES + 8 * bins.len() as u64;
+            taken += work.block_bytes(&block) + new * 2 * page_bytes + 8 * bins.len() as u64;
             let field_bytes = 4 * (u64::from(batch.words) + u64::from(block.words()));
-            let page_bytes = (batch.sent.len() as u64 + new) * PAGE_BYTES;
-            if !batch.blocks.is_empty() && (taken > work.bytes || field_bytes.max(page_bytes) > limit) {
+            let sent_bytes = (batch.sent.len() as u64 + new) * page_bytes;
+            if !batch.blocks.is_empty() && (taken > work.bytes || field_bytes.max(sent_bytes) > limit) {
                 break;
             }
             block.field = batch.words;
@@ -295,10 +297,12 @@ impl Contouring<'_> {
     fn start(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
         let device = &self.frame.device;
         let kernels = &self.frame.kernels;
+        let dif = self.surfaces.dif;
+        let page_bytes = page_bytes(dif.shape());
         let mut layout = Layout::default();
         let blocks_at = layout.place(size_of_val(&batch.blocks[..]) as u64);
         let tables_at = layout.place(size_of_val(&batch.tables[..]) as u64);
-        let pages_at = layout.place(batch.sent.len() as u64 * PAGE_BYTES);
+        let pages_at = layout.place(batch.sent.len() as u64 * page_bytes);
         lane.begin()?;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
@@ -315,10 +319,10 @@ impl Contouring<'_> {
         staged.write(blocks_at.start, &batch.blocks);
         staged.write(tables_at.start, &batch.tables);
         batch.sent.par_iter().enumerate().for_each_init(
-            || vec![0; BIN.pow(3) as usize],
+            || vec![0; dif.shape().bin_samples()],
             |dense, (number, &bin)| {
-                self.surfaces.dif.write_stored(bin, dense);
-                staged.write(pages_at.start + number as u64 * PAGE_BYTES, dense);
+                dif.write_stored(bin, dense);
+                staged.write(pages_at.start + number as u64 * page_bytes, dense);
             },
         );
         let uploaded = lane.send(&staged, &inputs)?;
@@ -337,9 +341,12 @@ impl Contouring<'_> {
             decode: self.constants.decode,
         };
         commands.stage("gather", pages.pages.bytes() + field_bytes);
-        gather(commands, &kernels.gather, &blocks, &pages, &first)?;
-        let dif = Rc::new(Padded { samples: first, margin: 0 });
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        match dif.clouds() {
+            None => gather(commands, &kernels.gather, &blocks, &pages, &first)?,
+            Some(amount) => clouds(commands, &kernels.clouds, &blocks, &pages, amount, walls, &first)?,
+        }
+        let dif = Rc::new(Padded { samples: first, margin: dif.reach() });
         let weights = &self.constants.weights;
         let mut fields = PaddedFields { kernels, weights, walls, commands, blocks: &blocks, free };
         let field = self.surfaces.recipe.apply(&mut fields, dif)?;

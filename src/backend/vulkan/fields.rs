@@ -83,9 +83,9 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    fn occupancy(&mut self, dif: Rc<Padded>) -> Result<Rc<Padded>, VulkanError> {
+    fn occupancy(&mut self, dif: Rc<Padded>, least: u16) -> Result<Rc<Padded>, VulkanError> {
         self.stage("detail", 1);
-        occupancy(self.commands, &self.kernels.occupancy, self.blocks, &dif.samples)?;
+        occupancy(self.commands, &self.kernels.occupancy, self.blocks, least, &dif.samples)?;
         Ok(dif)
     }
 

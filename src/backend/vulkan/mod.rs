@@ -17,8 +17,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::IVec3;
 use hashbrown::HashMap;
 
-use crate::brick::vulkan::{DeviceBins, GATHER, PAGE_WORDS};
-use crate::brick::{Bins, BrickSide};
+use crate::brick::vulkan::{DeviceBins, GATHER};
+use crate::brick::{Bins, BrickSide, PageShape};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
 use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
@@ -26,7 +26,7 @@ use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::stage::indicator::Indicator;
-use crate::stage::indicator::vulkan::INDICATE;
+use crate::stage::indicator::vulkan::{CLOUDS, INDICATE};
 use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
@@ -43,8 +43,6 @@ const BLOCK_BATCH: usize = 1024;
 /// Bytes of a batch at the most, and at which the processor takes over.
 const LARGEST_BATCH: u64 = 128 << 20;
 const SMALLEST_BATCH: u64 = 1 << 20;
-/// Bytes of a page on the device.
-const PAGE_BYTES: u64 = 4 * PAGE_WORDS as u64;
 /// What a driver takes of the host's memory.
 const DRIVER: u64 = 96 << 20;
 
@@ -60,6 +58,7 @@ pub struct Vulkan {
 struct Kernels {
     indicate: Arc<Kernel>,
     gather: Arc<Kernel>,
+    clouds: Arc<Kernel>,
     blur: Arc<Kernel>,
     lost: Arc<Kernel>,
     greater: Arc<Kernel>,
@@ -90,6 +89,7 @@ impl Vulkan {
         let kernels = Kernels {
             indicate: kernel(&INDICATE)?,
             gather: kernel(&GATHER)?,
+            clouds: kernel(&CLOUDS)?,
             blur: kernel(&BLUR)?,
             lost: kernel(&LOST)?,
             greater: kernel(&GREATER)?,
@@ -249,10 +249,12 @@ impl Stages for DeviceFrame {
     ) -> io::Result<Pages> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let mut pages = Pages::with_capacity(range.len());
+        let shape = indicator.shape(side);
         while !state.on_cpu && pages.len() < range.len() {
             let begin = range.start + pages.len();
             let room = state.batch_bytes.min(self.device.limits().storage_range);
-            let end = (begin..range.end).find(|&bin| bin_bytes(bins.count(bin)) > room).unwrap_or(range.end);
+            let end =
+                (begin..range.end).find(|&bin| bin_bytes(bins.count(bin), shape) > room).unwrap_or(range.end);
             if end == begin {
                 // A bin too large for any batch. Without its page the others are of no use on the device.
                 (state.resident, state.resident_bytes) = (None, 0);
@@ -335,9 +337,9 @@ impl State {
     }
 
     /// Makes room for the pages of all `bins`, unless they are too many; pages of other bins are forgotten.
-    fn make_resident(&mut self, device: &Device, keys: &[MortonKey]) {
+    fn make_resident(&mut self, device: &Device, keys: &[MortonKey], shape: PageShape) {
         let count = keys.len();
-        let bytes = count as u64 * PAGE_BYTES;
+        let bytes = count as u64 * page_bytes(shape);
         let known = self.resident.as_ref().is_some_and(|resident| {
             resident.numbers.len() == count && resident.numbers.contains_key(&keys[0].coord())
         });
@@ -355,4 +357,9 @@ impl State {
         // Only once: runs of bins that follow one another do not fit together.
         self.resident_bytes = 0;
     }
+}
+
+/// Bytes of a page on the device.
+fn page_bytes(shape: PageShape) -> u64 {
+    (size_of::<u16>() * shape.bin_samples()) as u64
 }

@@ -107,10 +107,7 @@ fn inspect(path: &Path) -> Result<Info, Error> {
 
 fn inspect_frame(path: &Path) -> Result<Info, Error> {
     let (facts, dif) = open_frame(path, 0)?;
-    let mu0 = match facts.indicator {
-        Indicator::Symmetry => None,
-        Indicator::Counting { mean } => mean.map(MeanCount::particles),
-    };
+    let mu0 = facts.indicator.mean().map(MeanCount::particles);
     let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
     let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
     Ok(Info::Frame {

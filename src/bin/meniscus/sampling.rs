@@ -42,7 +42,7 @@ pub struct SamplingOptions {
     /// be smaller than 0.9 spacings].
     #[arg(long, value_enum)]
     indicator: Option<IndicatorName>,
-    /// Mean number of particles in a full cell, for counting [default: measured].
+    /// Mean number of particles in a full cell, for counting and cloud [default: measured].
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     mu0: Option<f64>,
     /// Drop particles that are not finite or too far away, and count them.
@@ -54,6 +54,7 @@ pub struct SamplingOptions {
 enum IndicatorName {
     Symmetry,
     Counting,
+    Cloud,
 }
 
 fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -113,6 +114,7 @@ impl SamplingOptions {
             None => "auto",
             Some(IndicatorName::Symmetry) => "symmetry",
             Some(IndicatorName::Counting) => "counting",
+            Some(IndicatorName::Cloud) => "cloud",
         };
         let settings = serde_json::json!({
             "spacing": self.spacing.or(self.radius.map(|radius| 2.0 * radius)),
@@ -143,13 +145,16 @@ impl SamplingOptions {
     /// Refuses what is wrong whatever the particles are. Cells are so many spacings if nothing else is asked for.
     pub fn validate(&self, cell: f64) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator, self.mu0) {
-            (Some(IndicatorName::Counting), mu0) => {
-                Some(Indicator::Counting { mean: mu0.map(MeanCount::new).transpose()? })
+            (Some(IndicatorName::Symmetry) | None, Some(_)) => {
+                return Err(Error::Request("--mu0 goes with --indicator counting or cloud".into()));
             }
-            (Some(IndicatorName::Symmetry), None) => Some(Indicator::Symmetry),
-            (None, None) => None,
-            (_, Some(_)) => {
-                return Err(Error::Request("--mu0 goes with --indicator counting".into()));
+            (name, mu0) => {
+                let mean = mu0.map(MeanCount::new).transpose()?;
+                name.map(|name| match name {
+                    IndicatorName::Symmetry => Indicator::Symmetry,
+                    IndicatorName::Counting => Indicator::Counting { mean },
+                    IndicatorName::Cloud => Indicator::Cloud { mean },
+                })
             }
         };
         let spacing = match (self.spacing, self.radius) {

@@ -20,7 +20,7 @@ use glam::IVec3;
 use crate::grid::{BIN, CellBox};
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-/// Words of a page on the device: all cells of a bin, x fastest, two samples to a word.
+/// Words of a page's channel on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
 /// Threads of a work group.
 const GROUP: u32 = 256;
@@ -138,7 +138,7 @@ pub const GATHER: Program = Program {
 pub struct DevicePages {
     /// For every bin of every block one more than its page's number, or 0.
     pub tables: View,
-    /// [`PAGE_WORDS`] each.
+    /// [`PAGE_WORDS`] for each channel of each.
     pub pages: View,
     /// theta by number of particles, and 1 for all beyond, where pages hold numbers.
     pub theta: View,

@@ -12,7 +12,7 @@
 //! | footer | 3 x 8 | origin of the grid, f64 |
 //! | | 8 | edge of a cell, f64 |
 //! | | 4 | 1 if there are walls, else 0 |
-//! | | 4 | indicator: 0 symmetry, 1 counting |
+//! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
 //! | | 6 x 8 | lower and upper corner of the walls, f64; 0 if there are none |
 //! | | 8 | mu0, f64; 0 for symmetry |
 //! | | 8 | spacing of the particles, f64; 0 if it is not known |
@@ -32,7 +32,9 @@
 //!
 //! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
 //! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
-//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded.
+//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has
+//! four samples a cell: these numbers for all of its cells, then all centroids' places along x, along y and along z,
+//! in 8192ths of a cell from its lower face, rounded down.
 
 mod read;
 mod write;

@@ -10,13 +10,13 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use zstd::bulk::Decompressor;
 
-use crate::brick::{BrickSide, Census, DifField, PageInfo, PageSource};
+use crate::brick::{BrickSide, Census, DifField, PageInfo, PageShape, PageSource};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
-use crate::stage::indicator::{Indicator, count_table};
+use crate::stage::indicator::Indicator;
 use crate::units::{MeanCount, positive_length};
 
 use super::{END_MAGIC, ENTRY, FACTS, FrameFacts, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
@@ -81,7 +81,7 @@ impl Window {
 #[derive(Debug)]
 struct MappedPages {
     window: Window,
-    side: BrickSide,
+    shape: PageShape,
     /// Where each page begins, and where the last one ends.
     first: Vec<u64>,
     /// Bricks of each page.
@@ -100,7 +100,7 @@ impl MappedPages {
         thread_local! {
             static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
         }
-        let count = usize::from(self.bricks[page]) * self.side.samples();
+        let count = usize::from(self.bricks[page]) * self.shape.brick_samples();
         SCRATCH.with_borrow_mut(|(decompressor, planes)| {
             planes.resize(count * size_of::<u16>(), 0);
             let found = decompressor.decompress_to_buffer(self.compressed(page), &mut planes[..]).ok()?;
@@ -118,7 +118,7 @@ impl MappedPages {
                 match self.decompress(page) {
                     None => Some("does not decompress to its size"),
                     Some(samples) => {
-                        let found = PageInfo::from_samples(info.key, info.bricks, &samples, self.side);
+                        let found = PageInfo::from_samples(info.key, info.bricks, &samples, self.shape);
                         (found != Some(*info)).then_some("holds other cells than the index says")
                     }
                 }
@@ -131,11 +131,7 @@ impl MappedPages {
 
     fn into_field(mut self, infos: Vec<PageInfo>, facts: &FrameFacts, cache_bytes: u64) -> DifField {
         self.checksums = Vec::new();
-        let field = DifField::paged(self.side, infos, Box::new(self), cache_bytes);
-        match facts.indicator {
-            Indicator::Counting { mean: Some(mean) } => field.with_decode(&count_table(mean)),
-            _ => field,
-        }
+        facts.indicator.decode(DifField::paged(self.shape, infos, Box::new(self), cache_bytes))
     }
 }
 
@@ -190,7 +186,8 @@ fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), 
     if full_cells > facts.census.binned as u64 {
         return Err(malformed(footer, format!("more full cells than particles: {full_cells}")));
     }
-    Ok((facts, infos, MappedPages { window, side, first, bricks, checksums }))
+    let shape = facts.indicator.shape(side);
+    Ok((facts, infos, MappedPages { window, shape, first, bricks, checksums }))
 }
 
 fn read_header(bytes: &[u8]) -> Result<BrickSide, ReadFault> {
@@ -262,8 +259,11 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, u64), ReadFault> {
     let mean = cursor.f64("mu0")?;
     let indicator = match indicator {
         0 => Indicator::Symmetry,
-        1 => Indicator::Counting { mean: Some(MeanCount::new(mean).map_err(|e| fault(&e))?) },
-        other => return Err(fault(&format!("indicator {other}; there are 0 and 1"))),
+        1 | 2 => {
+            let mean = Some(MeanCount::new(mean).map_err(|e| fault(&e))?);
+            if indicator == 1 { Indicator::Counting { mean } } else { Indicator::Cloud { mean } }
+        }
+        other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
     };
     let spacing = match cursor.f64("the spacing")? {
         0.0 => None,

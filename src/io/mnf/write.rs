@@ -5,9 +5,10 @@ use rayon::prelude::*;
 use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
-use crate::brick::{BrickSide, DifField, PageInfo};
+use crate::brick::{DifField, PageInfo, PageShape};
 use crate::grid::BIN;
 use crate::stage::indicator::Indicator;
+use crate::units::MeanCount;
 
 use super::{END_MAGIC, FrameFacts, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
 
@@ -22,7 +23,7 @@ const CHUNK: usize = 64;
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     out: W,
-    side: BrickSide,
+    shape: PageShape,
     header: [u8; HEADER],
     /// Bytes written so far.
     at: u64,
@@ -39,17 +40,17 @@ struct Compressed {
 }
 
 impl<W: Write> FrameWriter<W> {
-    /// Begins a frame of bricks of one `side`. Writes are large; `out` needs no buffer.
+    /// Begins a frame of pages of one shape. Writes are large; `out` needs no buffer.
     ///
     /// # Errors
     /// Those of `out`, here and below.
-    pub fn create(mut out: W, side: BrickSide) -> io::Result<Self> {
+    pub fn create(mut out: W, shape: PageShape) -> io::Result<Self> {
         let mut header = [0; HEADER];
         header[..8].copy_from_slice(&MAGIC);
         header[8..12].copy_from_slice(&VERSION.to_le_bytes());
-        header[12..].copy_from_slice(&side.cells().to_le_bytes());
+        header[12..].copy_from_slice(&shape.side.cells().to_le_bytes());
         out.write_all(&header)?;
-        Ok(Self { out, side, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
+        Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
     }
 
     /// Appends pages, with their samples as they are stored: compresses them on all threads, and writes them in
@@ -60,7 +61,7 @@ impl<W: Write> FrameWriter<W> {
     pub fn push(&mut self, pages: &[(PageInfo, impl AsRef<[u16]> + Sync)]) -> io::Result<()> {
         for (info, samples) in pages {
             assert!(self.last.is_none_or(|last| last.key < info.key), "pages are in order");
-            assert_eq!(samples.as_ref().len(), info.samples(self.side), "samples of {info:?}");
+            assert_eq!(samples.as_ref().len(), info.samples(self.shape), "samples of {info:?}");
             self.last = Some(*info);
         }
         let compressed: Vec<io::Result<Compressed>> = pages.par_chunks(CHUNK).map(compress).collect();
@@ -116,9 +117,11 @@ fn footer(facts: &FrameFacts) -> Vec<u8> {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
         [lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]]
     });
+    let known = |mean: Option<MeanCount>| mean.expect("a finished frame knows its mu0").particles();
     let (indicator, mean) = match facts.indicator {
         Indicator::Symmetry => (0_u32, 0.0),
-        Indicator::Counting { mean } => (1, mean.expect("a finished frame knows its mu0").particles()),
+        Indicator::Counting { mean } => (1, known(mean)),
+        Indicator::Cloud { mean } => (2, known(mean)),
     };
     let census = &facts.census;
     let particles = [census.binned, census.not_finite, census.too_far, census.outside];
@@ -155,7 +158,7 @@ fn compress(pages: &[(PageInfo, impl AsRef<[u16]>)]) -> io::Result<Compressed> {
 /// # Panics
 /// If the indicator counts and its mu0 is not known.
 pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io::Result<u64> {
-    let mut writer = FrameWriter::create(out, field.side())?;
+    let mut writer = FrameWriter::create(out, field.shape())?;
     // Two chunks a thread at a time: the last to end is not waited for long.
     let batch = 2 * CHUNK * rayon::current_num_threads();
     for first in (0..field.infos().len()).step_by(batch) {

@@ -7,10 +7,10 @@ use crate::units::{FULL, Isovalue};
 
 use super::{FINE_BITS, fine_scale};
 
-/// 1 in every full cell.
+/// 1 in every full cell, whose theta is not less than `least`.
 #[must_use]
-pub fn occupancy(mut dif: Block) -> Block {
-    dif.samples_mut().iter_mut().for_each(|theta| *theta = if *theta > 0 { FULL } else { 0 });
+pub fn occupancy(mut dif: Block, least: u16) -> Block {
+    dif.samples_mut().iter_mut().for_each(|theta| *theta = if *theta >= least { FULL } else { 0 });
     dif
 }
 

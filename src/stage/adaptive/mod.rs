@@ -20,6 +20,7 @@ pub mod vulkan;
 pub use cpu::{blend, occupancy, spread};
 
 use crate::stage::blur::Kernel;
+use crate::stage::indicator::Indicator;
 use crate::units::{Isovalue, Sigma};
 
 /// The widest Gaussian on details, in cells.
@@ -28,6 +29,8 @@ const WIDEST_FINE: f64 = 0.5;
 /// The filters beside those of the smoothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adaptive {
+    /// The least theta of cells that count as full.
+    pub least: u16,
     /// For the occupancy.
     pub fine: Kernel,
     /// From a cell to those that tell whether there is bulk, along each axis.
@@ -37,10 +40,10 @@ pub struct Adaptive {
 impl Adaptive {
     /// Beside a Gaussian of `sigma`.
     #[must_use]
-    pub fn new(sigma: Sigma) -> Self {
+    pub fn new(indicator: Indicator, sigma: Sigma) -> Self {
         let fine = sigma.half().cells().min(WIDEST_FINE);
         let fine = Sigma::new(fine).expect("less than a sigma, and more than 0");
-        Self { fine: Kernel::gaussian(fine), near: 1 + sigma.cells().ceil() as i32 }
+        Self { least: indicator.least(), fine: Kernel::gaussian(fine), near: 1 + sigma.cells().ceil() as i32 }
     }
 }
 

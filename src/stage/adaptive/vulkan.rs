@@ -12,6 +12,7 @@ push_block! {
     /// Of [`OCCUPANCY`].
     struct OccupancyPush {
         words: u32,
+        least: u32,
     }
 }
 
@@ -51,7 +52,7 @@ pub const BLEND: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Makes 1 of every full cell of `field`.
+/// Makes 1 of every full cell of `field`, whose theta is not less than `least`.
 ///
 /// # Errors
 /// Those of the device.
@@ -59,9 +60,10 @@ pub fn occupancy(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
     blocks: &DeviceBlocks,
+    least: u16,
     field: &View,
 ) -> Result<(), VulkanError> {
-    let push = OccupancyPush { words: blocks.words };
+    let push = OccupancyPush { words: blocks.words, least: least.into() };
     batch.dispatch(kernel, std::slice::from_ref(field), &push, blocks.flat_groups())
 }
 

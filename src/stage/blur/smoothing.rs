@@ -19,7 +19,7 @@ impl Smoothing {
     pub fn new(indicator: Indicator, sigma: Sigma) -> Self {
         let gaussian = Kernel::gaussian(sigma);
         let filters = match indicator {
-            Indicator::Symmetry => vec![gaussian],
+            Indicator::Symmetry | Indicator::Cloud { .. } => vec![gaussian],
             Indicator::Counting { .. } => vec![gaussian, Kernel::box3()],
         };
         Self { filters }

@@ -11,6 +11,7 @@ use crate::grid::{BIN, FRACTIONS};
 use crate::units::{FULL, MeanCount};
 
 use super::Indicator;
+use super::cloud::place;
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
@@ -57,6 +58,26 @@ fn counts(cells: &[[f64; 4]], counts: &mut [u16]) {
     counts.iter_mut().zip(cells).for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
 }
 
+/// N, capped, and the places of centroids, channel by channel.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+fn centroids(cells: &[[f64; 4]], stored: &mut [u16]) {
+    let mut channels = stored.chunks_exact_mut(cells.len());
+    let [counts, x, y, z] = std::array::from_fn(|_| channels.next().unwrap_or_default());
+    let rows = cells.as_chunks::<ROW>().0.iter().zip(counts.as_chunks_mut::<ROW>().0);
+    let places =
+        x.as_chunks_mut::<ROW>().0.iter_mut().zip(y.as_chunks_mut::<ROW>().0).zip(z.as_chunks_mut::<ROW>().0);
+    for ((cells, counts), ((x, y), z)) in rows.zip(places) {
+        [*counts, *x, *y, *z] = [[0; ROW]; 4];
+        if cells.iter().any(|&[n, ..]| n > 0.0) {
+            for (i, &[n, sx, sy, sz]) in cells.iter().enumerate() {
+                counts[i] = n.min(FULL.into()) as u16;
+                // Of none it is NaN, and 0.
+                [x[i], y[i], z[i]] = [sx, sy, sz].map(|s| place(n, s) as i32 as u16);
+            }
+        }
+    }
+}
+
 /// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
 #[must_use]
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
@@ -64,8 +85,8 @@ pub fn count_table(mean: MeanCount) -> Vec<u16> {
     (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
 }
 
-/// The pages of a range of bins: theta by symmetry; the numbers of particles for counting, whose mu0 is known
-/// when all bins are done, and turns them into theta by [`count_table`].
+/// The pages of a range of bins: theta by symmetry; the numbers of particles for counting, and their centroids' places
+/// too for clouds. These become theta when all bins are done and mu0 is known, by [`Indicator::decode`].
 ///
 /// # Errors
 /// Where particles are in a scratch file that cannot be read.
@@ -78,15 +99,17 @@ pub fn indicate(
     let values = match indicator {
         Indicator::Symmetry => symmetry_all,
         Indicator::Counting { .. } => counts,
+        Indicator::Cloud { .. } => centroids,
     };
+    let shape = indicator.shape(side);
     range
         .into_par_iter()
         .map_init(
-            || (CellSums::default(), vec![0; BIN.pow(3) as usize]),
+            || (CellSums::default(), vec![0; shape.bin_samples()]),
             |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
                 sums.accumulate(bins.contents(bin)?.particles());
                 values(sums.cells(), dense);
-                let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, side);
+                let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, shape);
                 Ok(page.expect("a bin holds particles"))
             },
         )

@@ -6,15 +6,27 @@
 //! to S in steps of h / F, each offset standing for the middle of its step, the centroid is at
 //! (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S + N - N F|.
 //!
-//! Both depend on the cell's own particles alone, so this stage has no reach. A full cell's theta is
-//! never 0: the farthest centroid is half a step away from a corner.
+//! Both depend on the cell's own particles alone, and jump where a particle passes from one cell to the next: layers of
+//! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
+//! farthest centroid is half a step away from a corner.
+//!
+//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds, no more than 2 mu0 of a cell. A cell's
+//! particles lie around their centroid as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood
+//! (Computer Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the
+//! cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
+//! how wide they lie, save for a constant, and nothing jumps. What is kept of a cell is N and its centroid; theta
+//! reaches one cell farther.
 
+mod cloud;
 mod cpu;
 pub mod vulkan;
 
+pub use cloud::{AMOUNT_FINE_BITS, MOST, SHARE_BITS, SQUARE_BITS, amount, clouds};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
+use crate::brick::{BrickSide, DifField, PageShape};
 use crate::units::MeanCount;
+pub use cloud::CHANNELS;
 
 /// Which indicator, and what it needs to know.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +36,11 @@ pub enum Indicator {
     /// By their number (eq. 6).
     Counting {
         /// `mu0`; measured on the frame itself (eq. 4) where it is `None`.
+        mean: Option<MeanCount>,
+    },
+    /// By how much of their clouds lies in a cell.
+    Cloud {
+        /// As for counting.
         mean: Option<MeanCount>,
     },
 }
@@ -48,6 +65,65 @@ impl Indicator {
         match self {
             Self::Symmetry => "symmetry",
             Self::Counting { .. } => "counting",
+            Self::Cloud { .. } => "cloud",
+        }
+    }
+
+    /// Whether it has to know mu0.
+    #[must_use]
+    pub fn counts(self) -> bool {
+        self != Self::Symmetry
+    }
+
+    /// mu0, where it is known.
+    #[must_use]
+    pub fn mean(self) -> Option<MeanCount> {
+        match self {
+            Self::Symmetry => None,
+            Self::Counting { mean } | Self::Cloud { mean } => mean,
+        }
+    }
+
+    /// The same with another mu0, if it has to know it.
+    #[must_use]
+    pub fn with_mean(self, mean: Option<MeanCount>) -> Self {
+        match self {
+            Self::Symmetry => self,
+            Self::Counting { .. } => Self::Counting { mean },
+            Self::Cloud { .. } => Self::Cloud { mean },
+        }
+    }
+
+    /// How wide a Gaussian suits it, in spacings. Clouds have a width of their own.
+    #[must_use]
+    pub fn spacings_smoothed(self) -> f64 {
+        if matches!(self, Self::Cloud { .. }) { 0.8 } else { 1.0 }
+    }
+
+    /// The least theta of cells that count as full where details are told from nothing, once mu0 is known. Of a particle's
+    /// cloud at least an eighth lies in one cell.
+    #[must_use]
+    pub fn least(self) -> u16 {
+        match self {
+            Self::Cloud { mean: Some(mean) } => ((amount(mean) / 10) >> AMOUNT_FINE_BITS).max(1) as u16,
+            _ => 1,
+        }
+    }
+
+    /// How what it stores lies in pages.
+    #[must_use]
+    pub fn shape(self, side: BrickSide) -> PageShape {
+        let channels = if matches!(self, Self::Cloud { .. }) { CHANNELS } else { 1 };
+        PageShape { side, channels }
+    }
+
+    /// The DIF by what was stored, once mu0 is known.
+    #[must_use]
+    pub fn decode(self, stored: DifField) -> DifField {
+        match self {
+            Self::Counting { mean: Some(mean) } => stored.with_decode(&count_table(mean)),
+            Self::Cloud { mean: Some(mean) } => stored.with_clouds(amount(mean)),
+            _ => stored,
         }
     }
 }

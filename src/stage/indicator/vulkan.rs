@@ -2,6 +2,9 @@
 
 use std::sync::Arc;
 
+use crate::brick::BrickSide;
+use crate::brick::vulkan::{DeviceBlocks, DevicePages, wall_bounds};
+use crate::grid::CellBox;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
 use super::Indicator;
@@ -12,7 +15,17 @@ pub const OCTANT: u32 = 8;
 push_block! {
     /// Of [`INDICATE`].
     struct Push {
+        channels: u32,
         counting: u32,
+    }
+}
+
+push_block! {
+    /// Of [`CLOUDS`].
+    struct CloudsPush {
+        walls_lo: [i32; 3],
+        amount: u32,
+        walls_hi: [i32; 3],
     }
 }
 
@@ -25,7 +38,17 @@ pub const INDICATE: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Writes the pages of `count` bins, dense: theta by symmetry; the numbers of particles for counting.
+/// Cuts blocks out of pages of particles' numbers and centroids: the twin of [`clouds`](super::clouds).
+pub const CLOUDS: Program = Program {
+    name: "clouds",
+    code: include_bytes!("../../../spirv/clouds.spv"),
+    buffers: &["blocks", "tables", "pages", "field"],
+    push: CloudsPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Writes the pages of `count` bins, dense: theta by symmetry; the numbers of particles for counting, and their centroids'
+/// places too for clouds.
 ///
 /// # Errors
 /// Those of the device.
@@ -36,6 +59,27 @@ pub fn indicate(
     indicator: Indicator,
     [bins, records, pages]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let push = Push { counting: matches!(indicator, Indicator::Counting { .. }).into() };
+    let channels = indicator.shape(BrickSide::default()).channels as u32;
+    let push = Push { channels, counting: indicator.counts().into() };
     batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [8, count, 1])
+}
+
+/// Fills `field` with the DIF of all blocks, where a particle's cloud makes `amount`. At the blocks' faces clouds of cells
+/// beyond them are missing.
+///
+/// # Errors
+/// Those of the device.
+pub fn clouds(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    pages: &DevicePages,
+    amount: u32,
+    walls: Option<CellBox>,
+    field: &View,
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let push = CloudsPush { walls_lo, amount, walls_hi };
+    let buffers = [&blocks.blocks, &pages.tables, &pages.pages, field].map(Clone::clone);
+    batch.dispatch(kernel, &buffers, &push, blocks.groups())
 }
