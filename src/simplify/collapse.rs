@@ -8,9 +8,9 @@
 //! whose home they were must find new ones among them. What lies between two vertices that one triangle is near to, it is
 //! near to as well, for triangles are convex; elsewhere it is halved.
 
-use glam::{Mat3A, Vec3, Vec3A};
+use glam::{Mat3A, Vec3A};
 
-use super::surface::{Leaving, NONE, Surface, squared_near};
+use super::surface::{Edge, Leaving, NONE, Spot, Surface, scaled_normal, squared_near};
 use super::topology::Topology;
 
 /// Of the distance, what a sample may take: the rest is for what lies between samples.
@@ -24,6 +24,7 @@ const FINE: i32 = 4;
 /// the normals of their homes is not less.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
+const STEADY: f32 = 0.98;
 /// How often what lies between two vertices is halved.
 const HALVINGS: u32 = 4;
 /// Collapses with a mean error of more than this share of the distance are not tried.
@@ -43,7 +44,7 @@ pub struct Measure<'a> {
     /// Its edges.
     pub leaving: &'a Leaving,
     /// Of the reference, for all vertices.
-    pub normals: &'a [Vec3],
+    pub normals: &'a [Vec3A],
     pub distance: f32,
 }
 
@@ -52,7 +53,7 @@ pub struct Measure<'a> {
 pub fn find_homes(
     reference: &Surface,
     surface: &Surface,
-    normals: &[Vec3],
+    normals: &[Vec3A],
     distance: f32,
     homes: &mut [u32],
 ) {
@@ -100,9 +101,9 @@ impl Quadric {
     const NONE: Self = Self { planes: Mat3A::ZERO, linear: Vec3A::ZERO, constant: 0.0, weight: 0.0 };
 
     /// Of a plane through the vertex, by a normal as long as its weight.
-    fn of_plane(normal: Vec3) -> Self {
+    fn of_plane(normal: Vec3A) -> Self {
         let weight = normal.length();
-        let (normal, unit) = (Vec3A::from(normal), Vec3A::from(normal.normalize_or_zero()));
+        let unit = normal.normalize_or_zero();
         let planes = Mat3A::from_cols(normal * unit.x, normal * unit.y, normal * unit.z);
         Self { planes, linear: Vec3A::ZERO, constant: 0.0, weight }
     }
@@ -128,13 +129,11 @@ impl Quadric {
 struct Work<'a, 'b> {
     by: &'b Measure<'a>,
     surface: Surface<'a>,
-    /// For each vertex of the reference that is gone its triangle, if it is this patch that has to be near it.
-    homes: Vec<u32>,
-    /// Whether it takes so little of the distance that what lies around it needs no look.
-    is_close: Vec<bool>,
     /// For each triangle one of those whose home it is, and for each of these the next.
     first: Vec<u32>,
     next: Vec<u32>,
+    /// For each vertex that is gone the normal of its home when it was last found that all around is flat, or zero.
+    calm: Vec<Vec3A>,
     quadrics: Vec<Quadric>,
     /// For each vertex its least error and where to, or `NONE` where that is to be found.
     best: Vec<(f32, u32)>,
@@ -144,7 +143,7 @@ struct Work<'a, 'b> {
     ring: Vec<Spoke>,
     order: Vec<(f32, u32)>,
     /// The triangles that are to be, and their normals.
-    parts: Vec<([Vec3; 3], Vec3)>,
+    parts: Vec<([Vec3A; 3], Vec3A)>,
     moved: Vec<Moved>,
     /// For each vertex the last mark that it got, to be told from others without clearing.
     marks: Vec<u32>,
@@ -156,15 +155,16 @@ struct Work<'a, 'b> {
 pub struct Spoke {
     pub triangle: u32,
     pub rim: u32,
-    pub normal: Vec3,
+    pub normal: Vec3A,
 }
 
 /// A vertex that is gone, and its home before and after.
+#[derive(Clone, Copy)]
 struct Moved {
     vertex: u32,
-    from: u32,
-    to: u32,
-    is_close: bool,
+    from: Spot,
+    to: Spot,
+    calm: Vec3A,
 }
 
 impl<'a> Measure<'a> {
@@ -175,7 +175,7 @@ impl<'a> Measure<'a> {
             by: self,
             first: vec![NONE; surface.triangles.len()],
             next: vec![NONE; vertices],
-            is_close: vec![false; vertices],
+            calm: vec![Vec3A::ZERO; vertices],
             quadrics: vec![Quadric::NONE; vertices],
             best: vec![(f32::INFINITY, NONE); vertices],
             changed: Vec::new(),
@@ -186,18 +186,17 @@ impl<'a> Measure<'a> {
             moved: Vec::new(),
             marks: vec![0; vertices],
             mark: 0,
-            homes,
             surface,
         };
-        for triangle in 0..work.surface.triangles.len() as u32 {
-            let plane = Quadric::of_plane(work.surface.normal(triangle));
-            for corner in work.surface.triangles[triangle as usize] {
+        for &triangle in &work.surface.triangles {
+            let plane = Quadric::of_plane(scaled_normal(work.surface.positions, triangle));
+            for corner in triangle {
                 work.quadrics[corner as usize].add(&plane);
             }
         }
-        for vertex in 0..vertices as u32 {
-            if work.homes[vertex as usize] != NONE && !work.surface.has(vertex) {
-                work.settle(vertex, work.homes[vertex as usize]);
+        for (vertex, home) in (0..).zip(homes) {
+            if home != NONE && !work.surface.has(vertex) {
+                work.settle(vertex, Spot::gone(home, false));
             }
         }
         work.run(locked);
@@ -205,16 +204,18 @@ impl<'a> Measure<'a> {
     }
 
     /// Whether a sample is too far from the reference, of an edge whose triangles face this way.
-    fn is_stray(&self, from: u32, to: u32, normal: Vec3) -> bool {
+    fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
-        if reference.leads(from, to, normal, SAMPLE_SHARE * distance) {
+        let is_next = |edge: &Edge| edge.to == to || edge.before == to;
+        if self.leaving.at(from).iter().any(is_next)
+            || reference.leads(from, to, normal, SAMPLE_SHARE * distance) {
             return false;
         }
         let [p, q] = [from, to].map(|vertex| reference.positions[vertex as usize]);
         let steps = ((p.distance(q) / SAMPLE_STEP).ceil() as i32).max(2);
         let at = |fine: i32| p.lerp(q, fine as f32 / (steps * 2 * FINE) as f32);
         let mut last = reference.at(from);
-        let mut within = |sample: Vec3, share: f32| {
+        let mut within = |sample: Vec3A, share: f32| {
             let holder = reference.holder(last, sample, normal, share * distance);
             last = holder.unwrap_or(last);
             holder.is_some()
@@ -257,13 +258,13 @@ impl Work<'_, '_> {
         }
     }
 
-    fn position(&self, vertex: u32) -> Vec3 {
+    fn position(&self, vertex: u32) -> Vec3A {
         self.surface.positions[vertex as usize]
     }
 
     fn error(&self, from: u32, to: u32) -> f32 {
         let quadric = &self.quadrics[from as usize];
-        quadric.at((self.position(to) - self.position(from)).into()) / quadric.weight
+        quadric.at(self.position(to) - self.position(from)) / quadric.weight
     }
 
     /// The least error of a vertex, and where to.
@@ -321,69 +322,69 @@ impl Work<'_, '_> {
     /// Moves a vertex onto the first of its ring, if it can be.
     fn try_edge(&mut self, vertex: u32, ring: &[Spoke]) -> bool {
         let target = ring[0].rim;
-        if !self.may_turn(target, ring) || !self.may_join(vertex, target, ring) {
-            return false;
-        }
-        if !self.find_new_homes(vertex, ring) {
+        if !self.may_turn(target, ring)
+            || !self.may_join(vertex, target, ring)
+            || !self.find_new_homes(vertex, ring)
+            || !self.are_edges_near(target, ring)
+        {
             return false;
         }
         self.surface.collapse(vertex, ring);
-        for moved in &mut self.moved {
-            self.homes[moved.vertex as usize] = moved.to;
-            std::mem::swap(&mut self.is_close[moved.vertex as usize], &mut moved.is_close);
+        for moved in &self.moved {
+            self.surface.settle(moved.vertex, moved.to);
         }
-        if !self.are_edges_near(target, ring) || !self.is_between_near() {
-            self.surface.restore(vertex, ring);
+        if !self.is_between_near() {
             for moved in &self.moved {
-                self.homes[moved.vertex as usize] = moved.from;
-                self.is_close[moved.vertex as usize] = moved.is_close;
+                self.surface.settle(moved.vertex, moved.from);
             }
+            self.surface.restore(vertex, ring);
             return false;
         }
         for spoke in ring {
             self.first[spoke.triangle as usize] = NONE;
         }
         for i in 0..self.moved.len() {
-            self.settle(self.moved[i].vertex, self.moved[i].to);
+            let Moved { vertex, to, calm, .. } = self.moved[i];
+            self.settle(vertex, to);
+            self.calm[vertex as usize] = calm;
         }
         let offset = self.position(target) - self.position(vertex);
-        let quadric = self.quadrics[vertex as usize].moved(offset.into());
+        let quadric = self.quadrics[vertex as usize].moved(offset);
         self.quadrics[target as usize].add(&quadric);
         true
     }
 
-    fn settle(&mut self, vertex: u32, home: u32) {
-        self.next[vertex as usize] = std::mem::replace(&mut self.first[home as usize], vertex);
+    fn settle(&mut self, vertex: u32, spot: Spot) {
+        self.surface.settle(vertex, spot);
+        self.next[vertex as usize] = std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
     }
 
     /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
     fn may_turn(&mut self, target: u32, ring: &[Spoke]) -> bool {
-        let fold = |m: Vec3, n: Vec3| {
-            let dot = m.dot(n);
-            dot < 0.0 && dot * dot > FOLD * FOLD * m.length_squared() * n.length_squared()
-        };
+        let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD;
         let place = self.position(target);
-        let mut worst = f32::INFINITY;
         self.parts.clear();
         for pair in ring[1..].windows(2) {
             let corners = [place, self.position(pair[0].rim), self.position(pair[1].rim)];
-            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-            let dot = normal.dot(pair[0].normal);
-            let squared = normal.length_squared();
-            if dot <= 0.0 || dot * dot < TURN * TURN * squared * pair[0].normal.length_squared() {
-                return false;
-            }
-            worst = worst.min(shape(corners, normal));
-            let outer = self.surface.across_from(pair[0].triangle, pair[0].rim);
-            if outer != NONE && fold(normal, self.surface.normal(outer))
-                || self.parts.last().is_some_and(|&(_, last)| fold(last, normal))
-            {
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+            if normal.dot(pair[0].normal) < TURN {
                 return false;
             }
             self.parts.push((corners, normal));
         }
-        let shapes = ring.iter().map(|spoke| shape(self.surface.corners(spoke.triangle), spoke.normal));
-        if self.parts.is_empty() || worst < SLIVER && shapes.fold(f32::INFINITY, f32::min) > worst {
+        let mut worst = f32::INFINITY;
+        for (i, &(corners, normal)) in self.parts.iter().enumerate() {
+            let spoke = &ring[i + 1];
+            worst = worst.min(shape(corners));
+            let outer = self.surface.across_from(spoke.triangle, spoke.rim);
+            if outer != NONE && fold(normal, self.surface.normal(outer))
+                || i > 0 && fold(self.parts[i - 1].1, normal)
+            {
+                return false;
+            }
+        }
+        let mut shapes = ring.iter().map(|spoke| shape(self.surface.corners(spoke.triangle)));
+        if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
             return false;
         }
         // What is across from the triangles that vanish.
@@ -431,11 +432,11 @@ impl Work<'_, '_> {
             let mut nearest = None;
             let mut least = within;
             for part in (before..last).chain(0..before) {
-                let (corners, scaled) = &self.parts[part];
-                if scaled.dot(normal) < 0.0 {
+                let (corners, facing) = &self.parts[part];
+                if facing.dot(normal) < 0.0 {
                     continue;
                 }
-                if let Some((squared, is_above)) = squared_near(place, *corners, *scaled, least) {
+                if let Some((squared, is_above)) = squared_near(place, *corners, *facing, least) {
                     least = squared;
                     nearest = Some((part, squared <= close));
                     if is_above {
@@ -443,21 +444,16 @@ impl Work<'_, '_> {
                     }
                 }
             }
-            nearest
+            nearest.map(|(part, is_close)| Spot::gone(ring[part + 1].triangle, is_close))
         };
-        let Some((to, is_close)) = home(vertex, 0) else { return false };
-        self.moved.push(Moved { vertex, from: NONE, to: ring[to + 1].triangle, is_close });
+        let Some(to) = home(vertex, 0) else { return false };
+        self.moved.push(Moved { vertex, from: Spot::NOWHERE, to, calm: Vec3A::ZERO });
         self.marks[vertex as usize] = self.mark;
         for (turn, spoke) in ring.iter().enumerate() {
             let mut gone = self.first[spoke.triangle as usize];
             while gone != NONE {
-                let Some((to, is_close)) = home(gone, turn.clamp(1, last) - 1) else { return false };
-                self.moved.push(Moved {
-                    vertex: gone,
-                    from: spoke.triangle,
-                    to: ring[to + 1].triangle,
-                    is_close,
-                });
+                let Some(to) = home(gone, turn.clamp(1, last) - 1) else { return false };
+                self.moved.push(Moved { vertex: gone, from: self.surface.spot(gone), to, calm: Vec3A::ZERO });
                 self.marks[gone as usize] = self.mark;
                 gone = self.next[gone as usize];
             }
@@ -467,52 +463,59 @@ impl Work<'_, '_> {
 
     /// Whether new edges are near the reference.
     fn are_edges_near(&self, target: u32, ring: &[Spoke]) -> bool {
-        (2..ring.len() - 1).all(|turn| {
-            let normal =
-                self.surface.normal(ring[turn - 1].triangle) + self.surface.normal(ring[turn].triangle);
-            !self.by.is_stray(target, ring[turn].rim, normal)
+        self.parts.windows(2).zip(&ring[2..]).all(|(parts, spoke)| {
+            let normal = parts[0].1 + parts[1].1;
+            !self.by.is_stray(target, spoke.rim, normal)
         })
     }
 
     /// Whether edges of the reference are near whose ends have new homes.
-    fn is_between_near(&self) -> bool {
-        self.moved.iter().all(|moved| {
-            let home = self.homes[moved.vertex as usize];
-            self.by.leaving.at(moved.vertex).iter().all(|&(other, _)| {
+    fn is_between_near(&mut self) -> bool {
+        let mut moved = std::mem::take(&mut self.moved);
+        let is_near = moved.iter_mut().all(|moved| {
+            let (home, is_close) = (moved.to.triangle(), moved.to.is_close());
+            let (corners, normal) = (self.surface.triangles[home as usize], self.surface.normal(home));
+            let calm = self.calm[moved.vertex as usize];
+            if is_close && normal.dot(calm) >= STEADY {
+                moved.calm = calm;
+                return true;
+            }
+            let mut is_calm = is_close;
+            let is_near = self.by.leaving.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
+                let spot = self.surface.spot(other);
+                // Without branches, for none could be foreseen.
+                let is_flat = (spot.triangle() == home)
+                    | (!spot.is_gone() & corners.contains(&other))
+                    | self.surface.normal_of(spot).is_none_or(|facing| {
+                        is_close & spot.is_close() & (normal.dot(facing) >= FLAT)
+                    });
+                is_calm &= is_flat;
                 // Where both ends have moved, one is enough.
-                let is_done = self.marks[other as usize] == self.mark && other < moved.vertex;
-                is_done || self.is_edge_near(moved.vertex, home, other)
-            })
-        })
+                is_flat
+                    || self.marks[other as usize] == self.mark && other < moved.vertex
+                    || self.is_edge_near(moved.vertex, home, other)
+            });
+            moved.calm = if is_calm { normal } else { Vec3A::ZERO };
+            is_near
+        });
+        self.moved = moved;
+        is_near
     }
 
     /// Whether an edge of the reference is near, one end of which is gone.
     fn is_edge_near(&self, gone: u32, home: u32, other: u32) -> bool {
-        let is_left = self.surface.has(other);
-        let mut other_home = if is_left { self.surface.at(other) } else { self.homes[other as usize] };
-        if home == other_home
-            || other_home == NONE
-            || is_left && self.surface.triangles[home as usize].contains(&other)
-        {
-            return true;
-        }
-        if is_flat(self.surface.normal(home), self.surface.normal(other_home), FLAT)
-            && self.is_close[gone as usize]
-            && (is_left || self.is_close[other as usize])
-        {
-            return true;
-        }
-        if is_left {
-            other_home = self.surface.towards(other, self.position(gone));
-        }
+        let other_home = match self.surface.has(other) {
+            true => self.surface.towards(other, self.position(gone)),
+            false => self.surface.at(other),
+        };
         self.are_near([home, other_home], [gone, other].map(|end| self.position(end)), HALVINGS)
     }
 
     /// Whether triangles are near all between two points, each of which has one that is near.
-    fn are_near(&self, homes: [u32; 2], [mut p, mut q]: [Vec3; 2], halvings: u32) -> bool {
+    fn are_near(&self, homes: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
         let within = SAMPLE_SHARE * self.by.distance;
         let [from, to] =
-            homes.map(|home| move |place: Vec3| self.surface.is_near(home, place, within * within));
+            homes.map(|home| move |place: Vec3A| self.surface.is_near(home, place, within * within));
         if homes[0] == homes[1] || from(q) || to(p) {
             return true;
         }
@@ -524,7 +527,7 @@ impl Work<'_, '_> {
                 (false, true) => q = middle,
                 (false, false) => {
                     // A crest's normal says little of where it faces.
-                    let between = self.surface.holder(homes[0], middle, Vec3::ZERO, within);
+                    let between = self.surface.holder(homes[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|between| {
                         self.are_near([homes[0], between], [p, middle], left)
                             && self.are_near([between, homes[1]], [middle, q], left)
@@ -537,15 +540,9 @@ impl Work<'_, '_> {
 }
 
 /// The squared sine of a triangle's least angle.
-fn shape([a, b, c]: [Vec3; 3], normal: Vec3) -> f32 {
-    let mut sides = [a.distance_squared(b), b.distance_squared(c), c.distance_squared(a)];
-    let least = sides[0].min(sides[1]).min(sides[2]);
-    sides.iter_mut().filter(|side| **side == least).take(1).for_each(|side| *side = 1.0);
-    normal.length_squared() / (sides[0] * sides[1] * sides[2]).max(f32::MIN_POSITIVE)
-}
-
-/// Whether the cosine between two normals is at least so much.
-fn is_flat(m: Vec3, n: Vec3, cosine: f32) -> bool {
-    let dot = m.dot(n);
-    dot > 0.0 && dot * dot >= cosine * cosine * m.length_squared() * n.length_squared()
+fn shape([a, b, c]: [Vec3A; 3]) -> f32 {
+    let sides = [b - a, c - b, a - c];
+    let [ab, bc, ca] = sides.map(Vec3A::length_squared);
+    let area = sides[0].cross(sides[1]).length_squared();
+    area * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
 }

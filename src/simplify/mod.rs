@@ -20,7 +20,7 @@ use std::borrow::Cow;
 use std::io;
 use std::path::Path;
 
-use glam::{DVec3, IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3A};
 use hashbrown::HashSet;
 use rayon::prelude::*;
 
@@ -370,7 +370,7 @@ struct Chunk {
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
     /// In cells from the chunk's corner, no two alike.
-    positions: Vec<Vec3>,
+    positions: Vec<Vec3A>,
 }
 
 impl Chunk {
@@ -389,7 +389,7 @@ impl Chunk {
             chunk.ranges.push([first, chunk.cells.len() as u64, places.len() as u64]);
             for (cell, place) in places {
                 let corner: DVec3 = *corner.get_or_insert(place.floor());
-                let mut position = (place - corner).as_vec3();
+                let mut position = (place - corner).as_vec3a();
                 // Triangles with vertices at the same place would face nowhere.
                 while !taken.insert(position.to_array().map(f32::to_bits)) {
                     position.x = position.x.next_up();

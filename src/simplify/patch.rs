@@ -1,6 +1,6 @@
 //! One patch of a surface, simplified within a distance.
 
-use glam::Vec3;
+use glam::Vec3A;
 
 use super::collapse::{Measure, find_homes};
 use super::surface::{Leaving, NONE, Surface};
@@ -10,7 +10,7 @@ use super::topology::{Outside, Topology};
 #[derive(Clone, Copy)]
 pub struct Patch<'a> {
     /// In cells; no two alike.
-    pub positions: &'a [Vec3],
+    pub positions: &'a [Vec3A],
     /// The surface that the result must not leave.
     pub reference: &'a [[u32; 3]],
     /// What is to be simplified.

@@ -2,12 +2,15 @@
 //!
 //! Nothing is looked up by place. What is asked lies near a triangle that is known, and is searched for from there.
 
-use glam::Vec3;
+use glam::Vec3A;
 
 use super::collapse::Spoke;
 
 /// No triangle.
 pub const NONE: u32 = u32::MAX;
+/// A triangle's corners, and the sides that leave them, in turn.
+const NEXT: [usize; 3] = [1, 2, 0];
+const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// How many triangles a search looks at before it gives up.
 const PATIENCE: usize = 32;
 /// It goes on from a triangle whose squared distance is so many times the least so far.
@@ -18,22 +21,62 @@ const STEPS_A_CELL: f32 = 8.0;
 /// Triangles, each directed edge at most once.
 #[derive(Clone)]
 pub struct Surface<'a> {
-    pub positions: &'a [Vec3],
+    pub positions: &'a [Vec3A],
     pub triangles: Vec<[u32; 3]>,
     /// For each triangle its neighbours: along the edge from its first corner to the second, and so on.
     across: Vec<[u32; 3]>,
-    /// For each vertex a triangle with it, or `NONE`.
-    at: Vec<u32>,
-    /// Outward, twice the triangle's area long.
-    normals: Vec<Vec3>,
+    /// For each vertex; on the border its first triangle, counterclockwise.
+    spots: Vec<Spot>,
+    /// Outward, of unit length.
+    normals: Vec<Vec3A>,
+}
+
+/// Where a vertex is: a corner of a triangle, or gone, and near one, its home. Or nowhere.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Spot(u32);
+
+impl Spot {
+    pub const NOWHERE: Self = Self(NONE);
+    const GONE: u32 = 1 << 31;
+    const FAR: u32 = 1 << 30;
+
+    fn corner(triangle: u32) -> Self {
+        Self(triangle)
+    }
+
+    pub fn gone(home: u32, is_close: bool) -> Self {
+        Self(home | Self::GONE | if is_close { 0 } else { Self::FAR })
+    }
+
+    /// With this corner, or its home.
+    pub fn triangle(self) -> u32 {
+        self.0 & !(Self::GONE | Self::FAR)
+    }
+
+    pub fn is_gone(self) -> bool {
+        self.0 & Self::GONE != 0
+    }
+
+    /// Whether it takes so little of the distance that what lies around it needs no look.
+    pub fn is_close(self) -> bool {
+        self.0 & Self::FAR == 0
+    }
 }
 
 /// The edges of a surface by the vertices that they leave.
 pub struct Leaving {
     /// For each vertex where its edges end.
     ends: Vec<u32>,
-    /// Where to, and of which triangle.
-    edges: Vec<(u32, u32)>,
+    edges: Vec<Edge>,
+}
+
+/// An edge as seen from the vertex that it leaves.
+#[derive(Clone, Copy, Default)]
+pub struct Edge {
+    pub to: u32,
+    /// Its triangle's third corner.
+    pub before: u32,
+    triangle: u32,
 }
 
 impl Leaving {
@@ -47,11 +90,11 @@ impl Leaving {
         for end in &mut ends {
             total += std::mem::replace(end, total);
         }
-        let mut leaving = vec![(0, 0); 3 * triangles.len()];
-        for (number, &triangle) in triangles.iter().enumerate() {
-            for [from, to] in edges(triangle) {
+        let mut leaving = vec![Edge::default(); 3 * triangles.len()];
+        for (triangle, [a, b, c]) in (0..).zip(triangles.iter().copied()) {
+            for (from, to, before) in [(a, b, c), (b, c, a), (c, a, b)] {
                 let end = &mut ends[from as usize];
-                leaving[*end as usize] = (to, number as u32);
+                leaving[*end as usize] = Edge { to, triangle, before };
                 *end += 1;
             }
         }
@@ -59,7 +102,7 @@ impl Leaving {
     }
 
     /// Those of a vertex.
-    pub fn at(&self, vertex: u32) -> &[(u32, u32)] {
+    pub fn at(&self, vertex: u32) -> &[Edge] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before as usize]);
         &self.edges[start as usize..self.ends[vertex as usize] as usize]
     }
@@ -67,72 +110,87 @@ impl Leaving {
 
 impl<'a> Surface<'a> {
     /// By edges that leave their vertices once each.
-    pub fn new(positions: &'a [Vec3], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
-        let across = |[from, to]: [u32; 2]| {
-            leaving.at(to).iter().find(|(back, _)| *back == from).map_or(NONE, |(_, triangle)| *triangle)
-        };
-        let across = triangles.iter().map(|&triangle| edges(triangle).map(across)).collect();
-        let at = |vertex| leaving.at(vertex).first().map_or(NONE, |(_, triangle)| *triangle);
-        let at = (0..positions.len() as u32).map(at).collect();
-        let normals: Vec<Vec3> =
-            triangles.iter().map(|&triangle| scaled_normal(positions, triangle)).collect();
-        Self { positions, triangles, across, at, normals }
+    pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
+        let normals = triangles.iter().map(|&triangle| unit_normal(positions, triangle)).collect();
+        let across = vec![[NONE; 3]; triangles.len()];
+        let spots = vec![Spot::NOWHERE; positions.len()];
+        let mut surface = Self { positions, triangles, across, spots, normals };
+        // For each vertex the last one that an edge from it went to, and the triangle that goes on from there.
+        let mut slots = vec![(NONE, NONE); positions.len()];
+        for vertex in 0..positions.len() as u32 {
+            let edges = leaving.at(vertex);
+            edges.iter().for_each(|edge| slots[edge.before as usize] = (vertex, edge.triangle));
+            let mut first = edges.first().copied();
+            for edge in edges {
+                let (to, across) = slots[edge.to as usize];
+                if to == vertex {
+                    surface.set_across(edge.triangle, vertex, across);
+                } else {
+                    first = Some(*edge);
+                }
+            }
+            if let Some(edge) = first {
+                surface.spots[vertex as usize] = Spot::corner(edge.triangle);
+            }
+        }
+        surface
     }
 
-    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
-        self.triangles[triangle as usize].map(|vertex| self.positions[vertex as usize])
+    pub fn corners(&self, triangle: u32) -> [Vec3A; 3] {
+        corners(self.positions, self.triangles[triangle as usize])
     }
 
-    pub fn normal(&self, triangle: u32) -> Vec3 {
+    pub fn normal(&self, triangle: u32) -> Vec3A {
         self.normals[triangle as usize]
+    }
+
+    pub fn spot(&self, vertex: u32) -> Spot {
+        self.spots[vertex as usize]
+    }
+
+    /// Of the triangle with this corner, or its home; none where it is nowhere.
+    pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
+        self.normals.get(spot.triangle() as usize).copied()
+    }
+
+    /// Notes where a vertex is that is gone.
+    pub fn settle(&mut self, vertex: u32, spot: Spot) {
+        self.spots[vertex as usize] = spot;
     }
 
     /// Whether a triangle has this vertex.
     pub fn has(&self, vertex: u32) -> bool {
-        self.at[vertex as usize] != NONE
+        !self.spot(vertex).is_gone()
     }
 
-    /// A triangle with this vertex, or `NONE`.
+    /// A triangle with this vertex, which there is.
     pub fn at(&self, vertex: u32) -> u32 {
-        self.at[vertex as usize]
+        self.spot(vertex).triangle()
     }
 
-    /// For every vertex the sum of the normals around it.
-    pub fn vertex_normals(&self) -> Vec<Vec3> {
-        let mut normals = vec![Vec3::ZERO; self.positions.len()];
-        for (triangle, &normal) in self.triangles.iter().zip(&self.normals) {
+    /// For every vertex the sum of the normals around it, each as long as its triangle is large.
+    pub fn vertex_normals(&self) -> Vec<Vec3A> {
+        let mut normals = vec![Vec3A::ZERO; self.positions.len()];
+        for &triangle in &self.triangles {
+            let normal = scaled_normal(self.positions, triangle);
             triangle.iter().for_each(|&vertex| normals[vertex as usize] += normal);
         }
         normals
     }
 
-    /// The triangles around a vertex, all of one fan.
+    /// The triangles around a vertex, all of one fan, counterclockwise.
     pub fn star(&self, vertex: u32) -> impl Iterator<Item = u32> {
-        let beside = move |triangle: u32, turn: usize| {
-            self.across[triangle as usize][(self.corner(triangle, vertex) + turn) % 3]
-        };
-        let start = self.at[vertex as usize];
-        let (mut next, mut turn) = (start, 0);
-        std::iter::from_fn(move || {
-            let triangle = (next != NONE).then_some(next)?;
-            next = beside(triangle, turn);
-            if next == start {
-                next = NONE;
-            } else if next == NONE && turn == 0 {
-                turn = 2;
-                next = beside(start, turn);
-            }
-            Some(triangle)
-        })
+        self.spokes(vertex).map(|spoke| spoke.triangle)
     }
 
-    /// The triangle around a vertex that lies towards `point`, if one does, or else any; `NONE` where there is none.
-    pub fn towards(&self, vertex: u32, point: Vec3) -> u32 {
+    /// The triangle around a vertex that lies towards `point`, if one does, or else any.
+    pub fn towards(&self, vertex: u32, point: Vec3A) -> u32 {
         let start = self.positions[vertex as usize];
         let is_towards = |&triangle: &u32| {
             let corners = self.triangles[triangle as usize];
             let corner = self.corner(triangle, vertex);
-            let [a, b] = [1, 2].map(|turn| self.positions[corners[(corner + turn) % 3] as usize] - start);
+            let [a, b] = [NEXT[corner], PREVIOUS[corner]];
+            let [a, b] = [self.positions[corners[a] as usize] - start, self.positions[corners[b] as usize] - start];
             let normal = self.normal(triangle);
             normal.cross(a).dot(point - start) >= 0.0 && normal.cross(b).dot(point - start) <= 0.0
         };
@@ -140,19 +198,19 @@ impl<'a> Surface<'a> {
     }
 
     /// Whether a triangle is within a distance, squared, of a point.
-    pub fn is_near(&self, triangle: u32, point: Vec3, squared: f32) -> bool {
+    pub fn is_near(&self, triangle: u32, point: Vec3A, squared: f32) -> bool {
         squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
     }
 
     /// The corner of a triangle after one of its corners.
     pub fn after(&self, triangle: u32, vertex: u32) -> u32 {
-        self.triangles[triangle as usize][(self.corner(triangle, vertex) + 1) % 3]
+        self.triangles[triangle as usize][NEXT[self.corner(triangle, vertex)]]
     }
 
     /// A triangle within `distance` of `point` that does not face the other way than `normal`, if one is found from
     /// triangle `from` on: of a thin sheet's two sides each has to be near its own. Looks towards the point, and at all
     /// that hang together within the distance of it, until patience ends.
-    pub fn holder(&self, from: u32, point: Vec3, normal: Vec3, distance: f32) -> Option<u32> {
+    pub fn holder(&self, from: u32, point: Vec3A, normal: Vec3A, distance: f32) -> Option<u32> {
         let mut seen = [(NONE, 0.0); PATIENCE];
         let mut count = 0;
         let mut least = f32::INFINITY;
@@ -184,40 +242,42 @@ impl<'a> Surface<'a> {
         None
     }
 
-    fn squared_distance(&self, triangle: u32, point: Vec3) -> f32 {
+    fn squared_distance(&self, triangle: u32, point: Vec3A) -> f32 {
         let near = squared_near(point, self.corners(triangle), self.normal(triangle), f32::INFINITY);
         near.map_or(f32::INFINITY, |(squared, _)| squared)
     }
 
-    /// Whether one can walk on the surface from one of its vertices to another, in the plane of `normal` and the line
+    /// Whether one can walk on the surface from one of its vertices to another, not next to it, in the plane of `normal` and the line
     /// between them, within `distance` of that line and on triangles that do not face the other way.
-    pub fn leads(&self, from: u32, to: u32, normal: Vec3, distance: f32) -> bool {
+    pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
         let (leftward, length) = (normal.cross(ahead), ahead.length_squared());
+        let shrink = length.recip();
         let seen = |vertex: u32| {
             let offset = self.positions[vertex as usize] - start;
             (vertex, offset, leftward.dot(offset))
         };
-        let crossing = |a: Vec3, right: f32, b: Vec3, left: f32| a + (b - a) * (right / (right - left));
+        let crossing = |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
         // The triangle that one is in, and the ends of the edge that one leaves it by.
         let mut way = None;
+        let mut before = None;
         for triangle in self.star(from) {
+            let corners = self.triangles[triangle as usize];
             let corner = self.corner(triangle, from);
-            let [a, b] = [1, 2].map(|turn| self.triangles[triangle as usize][(corner + turn) % 3]);
-            if a == to || b == to {
-                return true;
-            }
-            let (a, b) = (seen(a), seen(b));
+            let a = before.unwrap_or_else(|| seen(corners[NEXT[corner]]));
+            let b = seen(corners[PREVIOUS[corner]]);
             if a.2 < 0.0 && b.2 >= 0.0 && crossing(a.1, a.2, b.1, b.2).dot(ahead) > 0.0 {
                 way = Some((triangle, a, b));
+                break;
             }
+            before = Some(b);
         }
         let Some((mut triangle, mut a, mut b)) = way else { return false };
         let steps = STEPS_A_CELL * length.sqrt() + STEPS_A_CELL;
         for _ in 0..steps as usize {
             let offset = crossing(a.1, a.2, b.1, b.2);
-            let along = (offset.dot(ahead) / length).clamp(0.0, 1.0);
+            let along = (offset.dot(ahead) * shrink).clamp(0.0, 1.0);
             if offset.distance_squared(along * ahead) > distance * distance
                 || self.normal(triangle).dot(normal) < 0.0
             {
@@ -245,30 +305,26 @@ impl<'a> Surface<'a> {
 
     /// The triangles around a vertex inside of the patch, counterclockwise.
     pub fn spokes(&self, vertex: u32) -> impl Iterator<Item = Spoke> {
-        let start = self.at[vertex as usize];
+        let spot = self.spot(vertex);
+        let start = if spot.is_gone() { NONE } else { spot.triangle() };
         let mut next = start;
         std::iter::from_fn(move || {
             let triangle = (next != NONE).then_some(next)?;
             let corner = self.corner(triangle, vertex);
-            next = self.across[triangle as usize][(corner + 2) % 3];
+            next = self.across[triangle as usize][PREVIOUS[corner]];
             if next == start {
                 next = NONE;
             }
-            let rim = self.triangles[triangle as usize][(corner + 1) % 3];
+            let rim = self.triangles[triangle as usize][NEXT[corner]];
             Some(Spoke { triangle, rim, normal: self.normals[triangle as usize] })
         })
     }
 
     /// Which of a triangle's corners this vertex is.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
-        let [a, b, _] = self.triangles[triangle as usize];
-        if a == vertex {
-            0
-        } else if b == vertex {
-            1
-        } else {
-            2
-        }
+        // Without branches, for none could be foreseen.
+        let [_, b, c] = self.triangles[triangle as usize];
+        usize::from(b == vertex) + 2 * usize::from(c == vertex)
     }
 
     /// The triangle across the edge that leaves `vertex`, or `NONE`.
@@ -293,7 +349,7 @@ impl<'a> Surface<'a> {
             let corner = self.corner(spoke.triangle, vertex);
             self.triangles[spoke.triangle as usize][corner] = target;
             self.normals[spoke.triangle as usize] =
-                scaled_normal(self.positions, self.triangles[spoke.triangle as usize]);
+                unit_normal(self.positions, self.triangles[spoke.triangle as usize]);
         }
         let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
         self.set_across(rightmost, target, beyond_right);
@@ -303,10 +359,13 @@ impl<'a> Surface<'a> {
         for spoke in [ring[0], ring[last]] {
             self.triangles[spoke.triangle as usize] = [NONE; 3];
         }
-        self.at[vertex as usize] = NONE;
-        self.at[target as usize] = rightmost;
-        self.at[right as usize] = rightmost;
-        self.at[left as usize] = leftmost;
+        // What was first on a border still is, or what takes its place.
+        for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
+            let at = self.at(vertex);
+            if at == ring[0].triangle || at == ring[last].triangle {
+                self.spots[vertex as usize] = Spot::corner(to);
+            }
+        }
     }
 
     /// Undoes what `collapse` did.
@@ -327,10 +386,12 @@ impl<'a> Surface<'a> {
         }
         self.put(ring[0].triangle, [vertex, target, right], [ring[last].triangle, beyond_right, rightmost]);
         self.put(ring[last].triangle, [vertex, left, target], [leftmost, beyond_left, ring[0].triangle]);
-        self.at[vertex as usize] = ring[0].triangle;
-        self.at[target as usize] = ring[0].triangle;
-        self.at[right as usize] = ring[0].triangle;
-        self.at[left as usize] = ring[last].triangle;
+        self.spots[vertex as usize] = Spot::corner(ring[0].triangle);
+        for (vertex, at, to) in [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)] {
+            if self.at(vertex) == at {
+                self.spots[vertex as usize] = Spot::corner(to);
+            }
+        }
     }
 
     fn put(&mut self, triangle: u32, corners: [u32; 3], across: [u32; 3]) {
@@ -339,23 +400,32 @@ impl<'a> Surface<'a> {
     }
 }
 
+fn unit_normal(positions: &[Vec3A], triangle: [u32; 3]) -> Vec3A {
+    scaled_normal(positions, triangle).normalize_or_zero()
+}
+
 /// Outward, twice the triangle's area long.
-fn scaled_normal(positions: &[Vec3], triangle: [u32; 3]) -> Vec3 {
-    let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+pub fn scaled_normal(positions: &[Vec3A], triangle: [u32; 3]) -> Vec3A {
+    let [a, b, c] = corners(positions, triangle);
     (b - a).cross(c - a)
+}
+
+/// Without `map`, which is slower here.
+fn corners(positions: &[Vec3A], [a, b, c]: [u32; 3]) -> [Vec3A; 3] {
+    [positions[a as usize], positions[b as usize], positions[c as usize]]
 }
 
 fn edges([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// The squared distance from a point to a triangle with this normal, if it is not above the one given; and whether the
+/// The squared distance from a point to a triangle with this unit normal, if it is not above the one given; and whether the
 /// point is right above or below.
 #[inline]
-pub fn squared_near(p: Vec3, corners: [Vec3; 3], normal: Vec3, squared: f32) -> Option<(f32, bool)> {
-    let [a, b, c] = corners.map(|corner| corner - p);
-    let (height, length) = (a.dot(normal), normal.length_squared());
-    if height * height > squared * length {
+pub fn squared_near(p: Vec3A, corners: [Vec3A; 3], normal: Vec3A, squared: f32) -> Option<(f32, bool)> {
+    let [a, b, c] = [corners[0] - p, corners[1] - p, corners[2] - p];
+    let height = a.dot(normal);
+    if height * height > squared {
         return None;
     }
     let mut least = f32::INFINITY;
@@ -368,7 +438,7 @@ pub fn squared_near(p: Vec3, corners: [Vec3; 3], normal: Vec3, squared: f32) -> 
         }
     }
     if least == f32::INFINITY {
-        return Some((height * height / length, true));
+        return Some((height * height, true));
     }
     (least <= squared).then_some((least, false))
 }

@@ -4,7 +4,7 @@
 //! edge can only meet its like among the triangles between them: an edge between two vertices of the border is a chord,
 //! and there may be one outside.
 
-use glam::Vec3;
+use glam::Vec3A;
 
 use super::surface::Surface;
 
@@ -18,7 +18,7 @@ pub enum Outside {
 }
 
 impl Outside {
-    fn may_join(self, p: Vec3, q: Vec3) -> bool {
+    fn may_join(self, p: Vec3A, q: Vec3A) -> bool {
         match self {
             Self::Simplified => true,
             Self::DualCells => {
