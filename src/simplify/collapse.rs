@@ -48,37 +48,29 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds a triangle of `surface` within the distance for vertices of `reference`, from one that has one to the next,
-/// and notes it in `homes`.
-pub fn find_homes(
-    reference: &Surface,
-    surface: &Surface,
-    normals: &[Vec3A],
-    distance: f32,
-    homes: &mut [u32],
-) {
-    let vertices = 0..homes.len() as u32;
-    vertices
-        .filter(|&vertex| surface.has(vertex))
-        .for_each(|vertex| homes[vertex as usize] = surface.at(vertex));
-    let lacks = |homes: &[u32], corners: &[u32; 3]| corners.iter().any(|&v| homes[v as usize] == NONE);
+/// Finds homes on `surface` for the vertices of `reference` that it does not have, from one that has one to the next.
+pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
+    let lacks = |surface: &Surface, corners: &[u32; 3]| corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE);
     let mut left: Vec<[u32; 3]> =
-        reference.triangles.iter().copied().filter(|corners| lacks(homes, corners)).collect();
+        reference.triangles.iter().copied().filter(|corners| lacks(surface, corners)).collect();
     let mut found_some = true;
     while std::mem::take(&mut found_some) {
         left.retain(|corners| {
-            let Some(&known) = corners.iter().find(|&&vertex| homes[vertex as usize] != NONE) else {
+            let Some(&known) = corners.iter().find(|&&vertex| surface.spot(vertex) != Spot::NOWHERE) else {
                 return true;
             };
             for &vertex in corners {
-                if homes[vertex as usize] != NONE {
+                if surface.spot(vertex) != Spot::NOWHERE {
                     continue;
                 }
                 let (place, normal) = (reference.positions[vertex as usize], normals[vertex as usize]);
-                let from =
-                    if surface.has(known) { surface.towards(known, place) } else { homes[known as usize] };
-                if let Some(home) = surface.holder(from, place, normal, SAMPLE_SHARE * distance) {
-                    homes[vertex as usize] = home;
+                let from = match surface.has(known) {
+                    true => surface.towards(known, place),
+                    false => surface.at(known),
+                };
+                if let Some((home, squared)) = surface.holder(from, place, normal, SAMPLE_SHARE * distance) {
+                    let is_close = squared <= (CLOSE_SHARE * distance).powi(2);
+                    surface.settle(vertex, Spot::gone(home, is_close));
                     found_some = true;
                 }
             }
@@ -168,8 +160,8 @@ struct Moved {
 }
 
 impl<'a> Measure<'a> {
-    /// Collapses edges of `surface` except at vertices that are locked. `homes` is what `find_homes` tells.
-    pub fn collapse(&self, surface: Surface<'a>, homes: Vec<u32>, locked: &[bool]) -> Surface<'a> {
+    /// Collapses edges of `surface` except at vertices that are locked.
+    pub fn collapse(&self, surface: Surface<'a>, locked: &[bool]) -> Surface<'a> {
         let vertices = surface.positions.len();
         let mut work = Work {
             by: self,
@@ -194,9 +186,10 @@ impl<'a> Measure<'a> {
                 work.quadrics[corner as usize].add(&plane);
             }
         }
-        for (vertex, home) in (0..).zip(homes) {
-            if home != NONE && !work.surface.has(vertex) {
-                work.settle(vertex, Spot::gone(home, false));
+        for vertex in 0..vertices as u32 {
+            let spot = work.surface.spot(vertex);
+            if spot.is_gone() && spot != Spot::NOWHERE {
+                work.settle(vertex, spot);
             }
         }
         work.run(locked);
@@ -217,7 +210,7 @@ impl<'a> Measure<'a> {
         let mut last = reference.at(from);
         let mut within = |sample: Vec3A, share: f32| {
             let holder = reference.holder(last, sample, normal, share * distance);
-            last = holder.unwrap_or(last);
+            last = holder.map_or(last, |(holder, _)| holder);
             holder.is_some()
         };
         (1..steps).map(|step| step * 2 * FINE).any(|step| {
@@ -528,7 +521,7 @@ impl Work<'_, '_> {
                 (false, false) => {
                     // A crest's normal says little of where it faces.
                     let between = self.surface.holder(homes[0], middle, Vec3A::ZERO, within);
-                    return between.is_some_and(|between| {
+                    return between.is_some_and(|(between, _)| {
                         self.are_near([homes[0], between], [p, middle], left)
                             && self.are_near([between, homes[1]], [middle, q], left)
                     });

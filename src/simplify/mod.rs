@@ -32,6 +32,7 @@ use crate::units::Tolerance;
 
 use drops::smaller_than;
 use patch::Patch;
+use surface::NONE;
 use topology::Outside;
 use vertex_set::VertexSet;
 
@@ -290,15 +291,18 @@ impl Passes<'_> {
                 }
             })?;
         }
+        let mut used = Used::of(chunk.positions.len());
+        reference.iter_mut().chain(&mut left).for_each(|triangle| used.renumber(triangle));
+        let positions: Vec<Vec3A> = used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
         let patch = Patch {
-            positions: &chunk.positions,
+            positions: &positions,
             reference: &reference,
             triangles: &left,
             pinned: &[],
             outside: Outside::Simplified,
         };
-        let simplified = self.simplified(patch);
-        result.extend(simplified.into_iter().map(|triangle| chunk.global(triangle)));
+        let simplified = self.simplified(patch).into_iter();
+        result.extend(simplified.map(|triangle| chunk.global(triangle.map(|at| used.vertices[at as usize]))));
         Ok(result)
     }
 }
@@ -363,9 +367,34 @@ impl Boxes {
     }
 }
 
+/// Those of a chunk's vertices that triangles use, in the order in which they do.
+struct Used {
+    vertices: Vec<u32>,
+    /// For each of the chunk's, or `NONE`.
+    ranks: Vec<u32>,
+}
+
+impl Used {
+    fn of(vertices: usize) -> Self {
+        Self { vertices: Vec::new(), ranks: vec![NONE; vertices] }
+    }
+
+    fn renumber(&mut self, triangle: &mut [u32; 3]) {
+        for vertex in triangle {
+            let rank = &mut self.ranks[*vertex as usize];
+            if *rank == NONE {
+                *rank = self.vertices.len() as u32;
+                self.vertices.push(*vertex);
+            }
+            *vertex = *rank;
+        }
+    }
+}
+
 /// The vertices of a chunk.
 struct Chunk {
-    /// For each piece the number of its first vertex, in the whole mesh and in the chunk, and how many there are.
+    /// For pieces that follow one another the number of their first vertex, in the whole mesh and in the chunk, and how
+    /// many there are.
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
@@ -385,8 +414,11 @@ impl Chunk {
         let mut taken = HashSet::with_capacity(vertices);
         for &piece in pieces {
             let places = surface.places(piece)?;
-            let first = surface.first_vertex(piece);
-            chunk.ranges.push([first, chunk.cells.len() as u64, places.len() as u64]);
+            let (first, count) = (surface.first_vertex(piece), places.len() as u64);
+            match chunk.ranges.last_mut() {
+                Some(range) if range[0] + range[2] == first => range[2] += count,
+                _ => chunk.ranges.push([first, chunk.cells.len() as u64, count]),
+            }
             for (cell, place) in places {
                 let corner: DVec3 = *corner.get_or_insert(place.floor());
                 let mut position = (place - corner).as_vec3a();

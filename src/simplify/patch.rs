@@ -30,13 +30,12 @@ impl<'a> Patch<'a> {
         let leaving = Leaving::of(vertices, self.reference);
         let reference = Surface::new(self.positions, self.reference.to_vec(), &leaving);
         let normals = reference.vertex_normals();
-        let mut homes = vec![NONE; vertices];
         let surface = if self.reference == self.triangles {
             reference.clone()
         } else {
             let own = Leaving::of(vertices, self.triangles);
-            let surface = Surface::new(self.positions, self.triangles.to_vec(), &own);
-            find_homes(&reference, &surface, &normals, distance, &mut homes);
+            let mut surface = Surface::new(self.positions, self.triangles.to_vec(), &own);
+            find_homes(&reference, &mut surface, &normals, distance);
             surface
         };
         let topology = Topology::of(&surface, self.outside);
@@ -44,7 +43,7 @@ impl<'a> Patch<'a> {
         self.pinned.iter().for_each(|&vertex| locked[vertex as usize] = true);
         let (reference, leaving) = (&reference, &leaving);
         let measure = Measure { topology: &topology, reference, leaving, normals: &normals, distance };
-        let triangles = measure.collapse(surface, homes, &locked).triangles;
+        let triangles = measure.collapse(surface, &locked).triangles;
         triangles.into_iter().filter(|corners| corners[0] != NONE).collect()
     }
 }

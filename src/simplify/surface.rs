@@ -207,10 +207,10 @@ impl<'a> Surface<'a> {
         self.triangles[triangle as usize][NEXT[self.corner(triangle, vertex)]]
     }
 
-    /// A triangle within `distance` of `point` that does not face the other way than `normal`, if one is found from
+    /// A triangle within `distance` of `point`, and that distance squared, that does not face the other way than `normal`, if one is found from
     /// triangle `from` on: of a thin sheet's two sides each has to be near its own. Looks towards the point, and at all
     /// that hang together within the distance of it, until patience ends.
-    pub fn holder(&self, from: u32, point: Vec3A, normal: Vec3A, distance: f32) -> Option<u32> {
+    pub fn holder(&self, from: u32, point: Vec3A, normal: Vec3A, distance: f32) -> Option<(u32, f32)> {
         let mut seen = [(NONE, 0.0); PATIENCE];
         let mut count = 0;
         let mut least = f32::INFINITY;
@@ -223,7 +223,7 @@ impl<'a> Surface<'a> {
                 }
                 let squared = self.squared_distance(triangle, point);
                 if squared <= distance * distance && self.normal(triangle).dot(normal) >= 0.0 {
-                    return Some(triangle);
+                    return Some((triangle, squared));
                 }
                 if count == PATIENCE {
                     return None;
