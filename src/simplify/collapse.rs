@@ -50,7 +50,8 @@ pub struct Measure<'a> {
 
 /// Finds homes on `surface` for the vertices of `reference` that it does not have, from one that has one to the next.
 pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
-    let lacks = |surface: &Surface, corners: &[u32; 3]| corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE);
+    let lacks =
+        |surface: &Surface, corners: &[u32; 3]| corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE);
     let mut left: Vec<[u32; 3]> =
         reference.triangles.iter().copied().filter(|corners| lacks(surface, corners)).collect();
     let mut found_some = true;
@@ -201,7 +202,8 @@ impl<'a> Measure<'a> {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &Edge| edge.to == to || edge.before == to;
         if self.leaving.at(from).iter().any(is_next)
-            || reference.leads(from, to, normal, SAMPLE_SHARE * distance) {
+            || reference.leads(from, to, normal, SAMPLE_SHARE * distance)
+        {
             return false;
         }
         let [p, q] = [from, to].map(|vertex| reference.positions[vertex as usize]);
@@ -322,7 +324,7 @@ impl Work<'_, '_> {
         {
             return false;
         }
-        self.surface.collapse(vertex, ring);
+        self.surface.collapse(vertex, ring, self.parts.iter().map(|&(_, normal)| normal));
         for moved in &self.moved {
             self.surface.settle(moved.vertex, moved.to);
         }
@@ -395,7 +397,8 @@ impl Work<'_, '_> {
         let topology = self.by.topology;
         let inner = &ring[2..ring.len() - 1];
         if topology.is_pinched(target)
-            || inner.iter().any(|spoke| topology.is_chord(&self.surface, target, spoke.rim))
+            || topology.border[target as usize]
+                && inner.iter().any(|spoke| topology.is_chord(&self.surface, target, spoke.rim))
         {
             return false;
         }
@@ -479,9 +482,10 @@ impl Work<'_, '_> {
                 // Without branches, for none could be foreseen.
                 let is_flat = (spot.triangle() == home)
                     | (!spot.is_gone() & corners.contains(&other))
-                    | self.surface.normal_of(spot).is_none_or(|facing| {
-                        is_close & spot.is_close() & (normal.dot(facing) >= FLAT)
-                    });
+                    | self
+                        .surface
+                        .normal_of(spot)
+                        .is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
                 is_calm &= is_flat;
                 // Where both ends have moved, one is enough.
                 is_flat

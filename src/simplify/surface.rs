@@ -111,7 +111,7 @@ impl Leaving {
 impl<'a> Surface<'a> {
     /// By edges that leave their vertices once each.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
-        let normals = triangles.iter().map(|&triangle| unit_normal(positions, triangle)).collect();
+        let normals = triangles.iter().map(|&t| scaled_normal(positions, t).normalize_or_zero()).collect();
         let across = vec![[NONE; 3]; triangles.len()];
         let spots = vec![Spot::NOWHERE; positions.len()];
         let mut surface = Self { positions, triangles, across, spots, normals };
@@ -190,7 +190,8 @@ impl<'a> Surface<'a> {
             let corners = self.triangles[triangle as usize];
             let corner = self.corner(triangle, vertex);
             let [a, b] = [NEXT[corner], PREVIOUS[corner]];
-            let [a, b] = [self.positions[corners[a] as usize] - start, self.positions[corners[b] as usize] - start];
+            let [a, b] =
+                [self.positions[corners[a] as usize] - start, self.positions[corners[b] as usize] - start];
             let normal = self.normal(triangle);
             normal.cross(a).dot(point - start) >= 0.0 && normal.cross(b).dot(point - start) <= 0.0
         };
@@ -200,11 +201,6 @@ impl<'a> Surface<'a> {
     /// Whether a triangle is within a distance, squared, of a point.
     pub fn is_near(&self, triangle: u32, point: Vec3A, squared: f32) -> bool {
         squared_near(point, self.corners(triangle), self.normal(triangle), squared).is_some()
-    }
-
-    /// The corner of a triangle after one of its corners.
-    pub fn after(&self, triangle: u32, vertex: u32) -> u32 {
-        self.triangles[triangle as usize][NEXT[self.corner(triangle, vertex)]]
     }
 
     /// A triangle within `distance` of `point`, and that distance squared, that does not face the other way than `normal`, if one is found from
@@ -259,7 +255,7 @@ impl<'a> Surface<'a> {
             (vertex, offset, leftward.dot(offset))
         };
         let crossing = |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
-        // The triangle that one is in, and the ends of the edge that one leaves it by.
+        // The triangle that one is in, the side that one leaves it by, and its ends.
         let mut way = None;
         let mut before = None;
         for triangle in self.star(from) {
@@ -268,31 +264,35 @@ impl<'a> Surface<'a> {
             let a = before.unwrap_or_else(|| seen(corners[NEXT[corner]]));
             let b = seen(corners[PREVIOUS[corner]]);
             if a.2 < 0.0 && b.2 >= 0.0 && crossing(a.1, a.2, b.1, b.2).dot(ahead) > 0.0 {
-                way = Some((triangle, a, b));
+                way = Some((triangle, NEXT[corner], [a, b]));
                 break;
             }
             before = Some(b);
         }
-        let Some((mut triangle, mut a, mut b)) = way else { return false };
+        let Some((mut triangle, mut side, mut ends)) = way else { return false };
         let steps = STEPS_A_CELL * length.sqrt() + STEPS_A_CELL;
         for _ in 0..steps as usize {
-            let offset = crossing(a.1, a.2, b.1, b.2);
+            let [(a, offset, right), (_, left_offset, left)] = ends;
+            let offset = crossing(offset, right, left_offset, left);
             let along = (offset.dot(ahead) * shrink).clamp(0.0, 1.0);
             if offset.distance_squared(along * ahead) > distance * distance
                 || self.normal(triangle).dot(normal) < 0.0
             {
                 return false;
             }
-            triangle = self.across_from(triangle, a.0);
+            triangle = self.across[triangle as usize][side];
             if triangle == NONE {
                 return false;
             }
-            let beyond = self.after(triangle, a.0);
+            let corner = self.corner(triangle, a);
+            let beyond = self.triangles[triangle as usize][NEXT[corner]];
             if beyond == to {
                 return true;
             }
             let beyond = seen(beyond);
-            *(if beyond.2 >= 0.0 { &mut b } else { &mut a }) = beyond;
+            let is_left = usize::from(beyond.2 >= 0.0);
+            ends[is_left] = beyond;
+            side = [NEXT[corner], corner][is_left];
         }
         false
     }
@@ -339,17 +339,17 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle vanish.
-    pub fn collapse(&mut self, vertex: u32, ring: &[Spoke]) {
+    /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle vanish, the others get
+    /// these normals.
+    pub fn collapse(&mut self, vertex: u32, ring: &[Spoke], normals: impl Iterator<Item = Vec3A>) {
         let last = ring.len() - 1;
         let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
         let beyond_left = self.across_from(ring[last].triangle, left);
         let beyond_right = self.across_from(ring[0].triangle, target);
-        for spoke in &ring[1..last] {
+        for (spoke, normal) in ring[1..last].iter().zip(normals) {
             let corner = self.corner(spoke.triangle, vertex);
             self.triangles[spoke.triangle as usize][corner] = target;
-            self.normals[spoke.triangle as usize] =
-                unit_normal(self.positions, self.triangles[spoke.triangle as usize]);
+            self.normals[spoke.triangle as usize] = normal;
         }
         let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
         self.set_across(rightmost, target, beyond_right);
@@ -387,7 +387,8 @@ impl<'a> Surface<'a> {
         self.put(ring[0].triangle, [vertex, target, right], [ring[last].triangle, beyond_right, rightmost]);
         self.put(ring[last].triangle, [vertex, left, target], [leftmost, beyond_left, ring[0].triangle]);
         self.spots[vertex as usize] = Spot::corner(ring[0].triangle);
-        for (vertex, at, to) in [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)] {
+        for (vertex, at, to) in [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)]
+        {
             if self.at(vertex) == at {
                 self.spots[vertex as usize] = Spot::corner(to);
             }
@@ -398,10 +399,6 @@ impl<'a> Surface<'a> {
         self.triangles[triangle as usize] = corners;
         self.across[triangle as usize] = across;
     }
-}
-
-fn unit_normal(positions: &[Vec3A], triangle: [u32; 3]) -> Vec3A {
-    scaled_normal(positions, triangle).normalize_or_zero()
 }
 
 /// Outward, twice the triangle's area long.
