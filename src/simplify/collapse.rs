@@ -181,9 +181,9 @@ impl<'a> Measure<'a> {
             mark: 0,
             surface,
         };
-        for &triangle in &work.surface.triangles {
-            let plane = Quadric::of_plane(scaled_normal(work.surface.positions, triangle));
-            for corner in triangle {
+        for triangle in 0..work.surface.triangles.len() as u32 {
+            let plane = Quadric::of_plane(scaled_normal(work.surface.corners(triangle)));
+            for corner in work.surface.triangles[triangle as usize] {
                 work.quadrics[corner as usize].add(&plane);
             }
         }
@@ -226,7 +226,7 @@ impl Work<'_, '_> {
     fn run(&mut self, locked: &[bool]) {
         let limit = (QUADRIC_SHARE * self.by.distance).powi(2);
         self.changed.extend((0..locked.len() as u32).filter(|&vertex| self.surface.has(vertex)));
-        let mut queue: Vec<(u32, u32)> = Vec::new();
+        let mut queue: Vec<u64> = Vec::new();
         while !self.changed.is_empty() {
             for i in 0..self.changed.len() {
                 let vertex = self.changed[i];
@@ -238,13 +238,13 @@ impl Work<'_, '_> {
                     let (error, _) = self.best[vertex as usize];
                     if error <= limit {
                         // Positive numbers sort as their bits do.
-                        queue.push((error.max(0.0).to_bits(), vertex));
+                        queue.push(u64::from(error.max(0.0).to_bits()) << 32 | u64::from(vertex));
                     }
                 }
             }
             self.changed.clear();
             queue.sort_unstable();
-            for (_, vertex) in queue.drain(..) {
+            for vertex in queue.drain(..).map(|entry| entry as u32) {
                 // Where something has changed nearby, there may be a better one next time.
                 if !self.is_changed[vertex as usize] {
                     self.try_vertex(vertex, limit);
@@ -357,28 +357,33 @@ impl Work<'_, '_> {
     /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
     fn may_turn(&mut self, target: u32, ring: &[Spoke]) -> bool {
         let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD;
-        let place = self.position(target);
-        self.parts.clear();
-        for pair in ring[1..].windows(2) {
-            let corners = [place, self.position(pair[0].rim), self.position(pair[1].rim)];
-            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
-            if normal.dot(pair[0].normal) < TURN {
-                return false;
-            }
-            self.parts.push((corners, normal));
-        }
+        let (place, mut from) = (self.position(target), self.position(ring[1].rim));
         let mut worst = f32::INFINITY;
-        for (i, &(corners, normal)) in self.parts.iter().enumerate() {
-            let spoke = &ring[i + 1];
-            worst = worst.min(shape(corners));
-            let outer = self.surface.across_from(spoke.triangle, spoke.rim);
-            if outer != NONE && fold(normal, self.surface.normal(outer))
-                || i > 0 && fold(self.parts[i - 1].1, normal)
-            {
+        self.parts.clear();
+        for (spoke, next) in ring[1..].iter().zip(&ring[2..]) {
+            let corners = [place, from, self.position(next.rim)];
+            let scaled = scaled_normal(corners);
+            let normal = scaled.normalize_or_zero();
+            if normal.dot(spoke.normal) < TURN {
                 return false;
             }
+            worst = worst.min(shape(corners, scaled));
+            self.parts.push((corners, normal));
+            from = corners[2];
         }
-        let mut shapes = ring.iter().map(|spoke| shape(self.surface.corners(spoke.triangle)));
+        let is_folded = |(spoke, &(_, normal)): (&Spoke, &(_, Vec3A))| {
+            let outer = self.surface.across_from(spoke.triangle, spoke.rim);
+            outer != NONE && fold(normal, self.surface.normal(outer))
+        };
+        if ring[1..].iter().zip(&self.parts).any(is_folded)
+            || self.parts.windows(2).any(|parts| fold(parts[0].1, parts[1].1))
+        {
+            return false;
+        }
+        let mut shapes = ring.iter().map(|spoke| {
+            let corners = self.surface.corners(spoke.triangle);
+            shape(corners, scaled_normal(corners))
+        });
         if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
             return false;
         }
@@ -537,9 +542,7 @@ impl Work<'_, '_> {
 }
 
 /// The squared sine of a triangle's least angle.
-fn shape([a, b, c]: [Vec3A; 3]) -> f32 {
-    let sides = [b - a, c - b, a - c];
-    let [ab, bc, ca] = sides.map(Vec3A::length_squared);
-    let area = sides[0].cross(sides[1]).length_squared();
-    area * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
+fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
+    let [ab, bc, ca] = [b - a, c - b, a - c].map(Vec3A::length_squared);
+    scaled.length_squared() * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
 }

@@ -111,7 +111,8 @@ impl Leaving {
 impl<'a> Surface<'a> {
     /// By edges that leave their vertices once each.
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
-        let normals = triangles.iter().map(|&t| scaled_normal(positions, t).normalize_or_zero()).collect();
+        let normals =
+            triangles.iter().map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero()).collect();
         let across = vec![[NONE; 3]; triangles.len()];
         let spots = vec![Spot::NOWHERE; positions.len()];
         let mut surface = Self { positions, triangles, across, spots, normals };
@@ -172,7 +173,7 @@ impl<'a> Surface<'a> {
     pub fn vertex_normals(&self) -> Vec<Vec3A> {
         let mut normals = vec![Vec3A::ZERO; self.positions.len()];
         for &triangle in &self.triangles {
-            let normal = scaled_normal(self.positions, triangle);
+            let normal = scaled_normal(corners(self.positions, triangle));
             triangle.iter().for_each(|&vertex| normals[vertex as usize] += normal);
         }
         normals
@@ -362,9 +363,8 @@ impl<'a> Surface<'a> {
         // What was first on a border still is, or what takes its place.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
-            if at == ring[0].triangle || at == ring[last].triangle {
-                self.spots[vertex as usize] = Spot::corner(to);
-            }
+            let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
+            self.spots[vertex as usize] = Spot::corner(if is_gone { to } else { at });
         }
     }
 
@@ -402,8 +402,7 @@ impl<'a> Surface<'a> {
 }
 
 /// Outward, twice the triangle's area long.
-pub fn scaled_normal(positions: &[Vec3A], triangle: [u32; 3]) -> Vec3A {
-    let [a, b, c] = corners(positions, triangle);
+pub fn scaled_normal([a, b, c]: [Vec3A; 3]) -> Vec3A {
     (b - a).cross(c - a)
 }
 
