@@ -24,6 +24,7 @@ const FINE: i32 = 4;
 /// the normals of their homes is not less.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
+/// Where this was so all around a vertex, nobody looks again until its home has turned by more, as a cosine.
 const STEADY: f32 = 0.98;
 /// How often what lies between two vertices is halved.
 const HALVINGS: u32 = 4;
@@ -125,7 +126,7 @@ struct Work<'a, 'b> {
     /// For each triangle one of those whose home it is, and for each of these the next.
     first: Vec<u32>,
     next: Vec<u32>,
-    /// For each vertex that is gone the normal of its home when it was last found that all around is flat, or zero.
+    /// For each vertex that is gone the normal of its home when nothing around it needed a look, or zero.
     calm: Vec<Vec3A>,
     quadrics: Vec<Quadric>,
     /// For each vertex its least error and where to, or `NONE` where that is to be found.
@@ -157,6 +158,7 @@ struct Moved {
     vertex: u32,
     from: Spot,
     to: Spot,
+    /// What `calm` is to be.
     calm: Vec3A,
 }
 
@@ -485,15 +487,13 @@ impl Work<'_, '_> {
             let is_near = self.by.leaving.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
                 let spot = self.surface.spot(other);
                 // Without branches, for none could be foreseen.
-                let is_flat = (spot.triangle() == home)
+                let facing = self.surface.normal_of(spot);
+                let needs_no_look = (spot.triangle() == home)
                     | (!spot.is_gone() & corners.contains(&other))
-                    | self
-                        .surface
-                        .normal_of(spot)
-                        .is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
-                is_calm &= is_flat;
+                    | facing.is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
+                is_calm &= needs_no_look;
                 // Where both ends have moved, one is enough.
-                is_flat
+                needs_no_look
                     || self.marks[other as usize] == self.mark && other < moved.vertex
                     || self.is_edge_near(moved.vertex, home, other)
             });
@@ -541,7 +541,7 @@ impl Work<'_, '_> {
     }
 }
 
-/// The squared sine of a triangle's least angle.
+/// The squared sine of a triangle's least angle, by its normal that is twice its area long.
 fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
     let [ab, bc, ca] = [b - a, c - b, a - c].map(Vec3A::length_squared);
     scaled.length_squared() * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)

@@ -76,7 +76,8 @@ pub struct Edge {
     pub to: u32,
     /// Its triangle's third corner.
     pub before: u32,
-    triangle: u32,
+    /// Which one it is, of all triangles' sides.
+    side: u32,
 }
 
 impl Leaving {
@@ -91,10 +92,14 @@ impl Leaving {
             total += std::mem::replace(end, total);
         }
         let mut leaving = vec![Edge::default(); 3 * triangles.len()];
-        for (triangle, [a, b, c]) in (0..).zip(triangles.iter().copied()) {
-            for (from, to, before) in [(a, b, c), (b, c, a), (c, a, b)] {
+        for (side, [a, b, c]) in (0..).step_by(3).zip(triangles.iter().copied()) {
+            for (from, edge) in [
+                (a, Edge { to: b, before: c, side }),
+                (b, Edge { to: c, before: a, side: side + 1 }),
+                (c, Edge { to: a, before: b, side: side + 2 }),
+            ] {
                 let end = &mut ends[from as usize];
-                leaving[*end as usize] = Edge { to, triangle, before };
+                leaving[*end as usize] = edge;
                 *end += 1;
             }
         }
@@ -113,28 +118,25 @@ impl<'a> Surface<'a> {
     pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
         let normals =
             triangles.iter().map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero()).collect();
-        let across = vec![[NONE; 3]; triangles.len()];
-        let spots = vec![Spot::NOWHERE; positions.len()];
-        let mut surface = Self { positions, triangles, across, spots, normals };
-        // For each vertex the last one that an edge from it went to, and the triangle that goes on from there.
+        let mut across = vec![[NONE; 3]; triangles.len()];
+        let mut spots = vec![Spot::NOWHERE; positions.len()];
+        // For each vertex the last one that an edge comes to from it, and the triangle of that edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
             let edges = leaving.at(vertex);
-            edges.iter().for_each(|edge| slots[edge.before as usize] = (vertex, edge.triangle));
-            let mut first = edges.first().copied();
+            edges.iter().for_each(|edge| slots[edge.before as usize] = (vertex, edge.side / 3));
+            let mut first = edges.first();
             for edge in edges {
-                let (to, across) = slots[edge.to as usize];
+                let (to, beyond) = slots[edge.to as usize];
                 if to == vertex {
-                    surface.set_across(edge.triangle, vertex, across);
+                    across.as_flattened_mut()[edge.side as usize] = beyond;
                 } else {
-                    first = Some(*edge);
+                    first = Some(edge);
                 }
             }
-            if let Some(edge) = first {
-                surface.spots[vertex as usize] = Spot::corner(edge.triangle);
-            }
+            spots[vertex as usize] = first.map_or(Spot::NOWHERE, |edge| Spot::corner(edge.side / 3));
         }
-        surface
+        Self { positions, triangles, across, spots, normals }
     }
 
     pub fn corners(&self, triangle: u32) -> [Vec3A; 3] {
