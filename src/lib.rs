@@ -26,7 +26,7 @@
 //! let sampling = Sampling {
 //!     grid: Grid::new([0.0; 3].into(), 1.0)?,
 //!     domain: None,
-//!     indicator: Indicator::Symmetry,
+//!     indicator: Indicator::default(),
 //!     invalid: InvalidParticles::Refuse,
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),

@@ -175,16 +175,18 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
-fn cells_are_two_thirds_of_the_spacing_and_smoothed_over_all_of_it_but_whole_where_details_are_kept() {
+fn cells_are_two_thirds_of_the_spacing_and_clouds_smoothed_over_four_fifths_of_it_or_a_cell() {
     let folder = folder_with_ball();
     for (more, cell, sigma, indicator) in [
-        (&[][..], 2.0 / 6.0, 1.5, "counting"),
-        (&["--adaptive"], 0.5, 1.0, "symmetry"),
-        (&["--detail"], 0.5, 1.0, "symmetry"),
-        (&["--cell", "0.5"], 0.25, 2.0, "counting"),
-        (&["--cell", "2"], 1.0, 1.0, "symmetry"),
-        (&["--cell", "0.5", "--sigma", "0.8"], 0.25, 0.8, "counting"),
-        (&["--cell-size", "0.2"], 0.2, 2.5, "counting"),
+        (&[][..], 2.0 / 6.0, 1.2, "cloud"),
+        (&["--adaptive"], 2.0 / 6.0, 1.2, "cloud"),
+        (&["--detail"], 2.0 / 6.0, 1.2, "cloud"),
+        (&["--cell", "0.5"], 0.25, 1.6, "cloud"),
+        (&["--cell", "2"], 1.0, 1.0, "cloud"),
+        (&["--cell", "0.5", "--sigma", "0.8"], 0.25, 0.8, "cloud"),
+        (&["--cell-size", "0.2"], 0.2, 2.0, "cloud"),
+        (&["--indicator", "counting"], 2.0 / 6.0, 1.5, "counting"),
+        (&["--indicator", "symmetry", "--cell", "1"], 0.5, 1.0, "symmetry"),
     ] {
         let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
         let given = [&given[..], &["--spacing", "0.5"], more].concat();
@@ -197,22 +199,6 @@ fn cells_are_two_thirds_of_the_spacing_and_smoothed_over_all_of_it_but_whole_whe
             "{record}"
         );
         assert_eq!(record["indicator"], indicator, "{more:?}");
-    }
-}
-
-#[test]
-fn cells_smaller_than_the_spacing_are_counted_unless_asked_otherwise() {
-    let folder = folder_with_ball();
-    let symmetry = ["--indicator", "symmetry"];
-    for (cell, more, expected) in
-        [("1", &[][..], "symmetry"), ("0.6", &[][..], "counting"), ("0.6", &symmetry[..], "symmetry")]
-    {
-        let given =
-            ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl", "--cell", cell];
-        assert!(meniscus(folder.path(), &[&given[..], more].concat()).status.success());
-        let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
-        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
-        assert_eq!(record["indicator"], expected, "--cell {cell}");
     }
 }
 
@@ -320,13 +306,14 @@ fn a_lattice_on_the_cells_corners_is_warned_of_with_the_origin_that_helps() {
     let notes = |more: &[&str]| {
         let options =
             ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "1", "--overwrite"];
-        let run = meniscus(folder.path(), &[&options, more].concat());
+        let run = meniscus(folder.path(), &[&options[..], &["--indicator"], more].concat());
         assert!(run.status.success());
         String::from_utf8(run.stderr).unwrap()
     };
-    assert!(notes(&[]).contains("--origin 0.25,0.25,0.25"));
-    assert!(!notes(&["--origin", "0.25,0.25,0.25"]).contains("warning"));
-    assert!(!notes(&["--indicator", "counting"]).contains("warning"));
+    assert!(notes(&["symmetry"]).contains("--origin 0.25,0.25,0.25"));
+    assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"]).contains("warning"));
+    assert!(!notes(&["counting"]).contains("warning"));
+    assert!(!notes(&["cloud"]).contains("warning"));
 }
 
 #[test]
@@ -435,7 +422,7 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
 #[test]
 fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_one() {
     let folder = folder_with_ball();
-    for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.05")] {
+    for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.005")] {
         assert!(
             meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--iso", iso])
                 .status

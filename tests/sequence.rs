@@ -14,6 +14,7 @@ use common::fill;
 use common::scene::Random;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::io::output::read_mesh;
+use meniscus::mesh::Mesh;
 use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use serde_json::Value;
@@ -369,7 +370,8 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     };
     let number = |value: &Value| value.as_f64().unwrap();
     // Its own isovalue is 0.0003; that of the last frame alone 0.2093.
-    run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1"], 0);
+    let symmetry = ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
+    run(folder.path(), &symmetry, 0);
     let symmetry = frozen("s.ply.meniscus");
     assert_eq!(symmetry["frame"], 1);
     assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
@@ -381,8 +383,14 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     assert_eq!(number(&counting["mu0"]), 1.0);
     assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
 
+    // Clouds are the same wherever they fall.
+    run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "d_{}.ply", "--cell", "1"], 0);
+    let clouds = frozen("d.ply.meniscus");
+    assert_eq!(clouds["frame"], 1);
+    assert_eq!(clouds["origin"], serde_json::json!([0.0, 0.0, 0.0]));
+
     let volume = 8664.0 * 0.05_f64.powi(3);
-    for name in ["s_1", "s_10", "s_20", "c_1", "c_10"] {
+    for name in ["s_1", "s_10", "s_20", "c_1", "c_10", "d_1", "d_10", "d_20"] {
         let mesh = read_mesh(&folder.path().join(format!("{name}.ply"))).unwrap();
         assert!(check(&mesh).is_closed_oriented_manifold());
         let share = measure(&mesh).volume.unwrap() / volume;
@@ -390,16 +398,16 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     }
 }
 
-/// A settled pool on a slope: every particle somewhere near its place, and no layer of them along a layer of cells.
-fn pool(shift: [f64; 3]) -> Vec<[f64; 3]> {
+/// A settled pool, level or on a slope, its particles so many spacings from their places.
+fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
     let mut random = Random::new(9);
-    let slope = DQuat::from_euler(EulerRot::XYZ, 0.6, 0.1, 0.4);
     let mut particles = Vec::new();
     for z in 0..24 {
         for y in 0..12 {
             for x in 0..24 {
-                let jitter = [0; 3].map(|_| 0.6 * (random.unit() - 0.5));
-                let at = slope * (DVec3::new(f64::from(x), f64::from(y), f64::from(z)) + DVec3::from(jitter));
+                let jitter = [0; 3].map(|_| 2.0 * jitter * (random.unit() - 0.5));
+                let place = DVec3::new(f64::from(x), f64::from(y), f64::from(z));
+                let at = slope * (place + DVec3::from(jitter));
                 particles.push((0.1 * (at + DVec3::from(shift))).to_array());
             }
         }
@@ -409,24 +417,44 @@ fn pool(shift: [f64; 3]) -> Vec<[f64; 3]> {
 
 #[test]
 fn a_fluid_at_rest_does_not_flicker() {
-    let folder = TempDir::new().unwrap();
+    let slope = DQuat::from_euler(EulerRot::XYZ, 0.6, 0.1, 0.4);
     let shifts =
         [[0.0; 3], [0.0; 3], [0.25, 0.0, 0.0], [0.25, 0.5, 0.0], [0.4, 0.6, 0.8], [1.4, 0.6, -0.2], [0.5; 3]];
-    for (frame, shift) in shifts.into_iter().enumerate() {
-        fs::write(folder.path().join(format!("p_{frame}.xyz")), raw(&pool(shift))).unwrap();
+    for (name, slope, jitter) in
+        [("level", DQuat::IDENTITY, 0.0), ("in disorder", DQuat::IDENTITY, 0.3), ("on a slope", slope, 0.3)]
+    {
+        let folder = TempDir::new().unwrap();
+        for (frame, shift) in shifts.into_iter().enumerate() {
+            let particles = raw(&pool(slope, jitter, shift));
+            fs::write(folder.path().join(format!("p_{frame}.xyz")), particles).unwrap();
+        }
+        run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
+        let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
+        // Where the surface is against the particles, in cells.
+        let level = |frame: usize| {
+            let up = slope * DVec3::Y;
+            level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
+        };
+        let levels: Vec<f64> = (0..shifts.len()).map(|frame| 1.5 * level(frame)).collect();
+        for pair in levels.windows(2) {
+            assert!((pair[1] - pair[0]).abs() < 0.02, "{name}: {levels:?}");
+        }
     }
-    run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
-    let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
-    assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
-    for frame in 2..shifts.len() {
-        let [before, after] = [frame - 1, frame].map(|frame| measure(&mesh(frame)));
-        let moved = (after.volume.unwrap() - before.volume.unwrap()) / before.area / 0.1;
-        assert!(
-            moved.abs() < 0.02,
-            "the surface moves by {moved:.4} cells from frame {} to {frame}",
-            frame - 1
-        );
+}
+
+/// How high the upper side of a mesh lies on average, along `up`.
+fn level(mesh: &Mesh, up: DVec3) -> f64 {
+    let (mut area, mut sum) = (0.0, 0.0);
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+        let seen = (b - a).cross(c - a).dot(up);
+        if seen > 0.0 {
+            area += seen;
+            sum += seen * (a + b + c).dot(up) / 3.0;
+        }
     }
+    sum / area
 }
 
 #[test]
@@ -573,7 +601,7 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
     }
-    let frozen = ["--cell-size", "1", "--iso", "0.2", "--origin", "0,0,0"];
+    let frozen = ["--cell-size", "1", "--iso", "0.2", "--mu0", "1.5", "--origin", "0,0,0"];
     let mut sizes = Vec::new();
     for (extension, options) in [
         ("ply", &[][..]),

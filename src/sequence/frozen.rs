@@ -96,7 +96,8 @@ pub enum Trust {
 ///
 /// A first frame often is a lattice, and one that falls on the grid in a way that no later frame will. It is
 /// measured, and with a free origin all frames are sampled, on a grid that holds it as it will hold the fluid in
-/// disorder: see [`sound_origin`]. That does for symmetry; for counting the isovalue has to come from disorder.
+/// disorder: see [`sound_origin`]. That does for symmetry; for counting the isovalue has to come from disorder. Clouds are
+/// the same wherever they fall.
 ///
 /// # Errors
 /// Those of [`Frame::sample`].
@@ -107,7 +108,10 @@ pub fn measure(
     surfacing: &Surfacing,
 ) -> Result<Measured, FrameError> {
     let given = sampling.grid;
-    let lattice = sound_origin(particles, given.origin(), given.cell_size());
+    let lattice = match sampling.indicator {
+        Indicator::Cloud { .. } => None,
+        _ => sound_origin(particles, given.origin(), given.cell_size()),
+    };
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let frame =
         Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound.clone() }, &mut Laps::default())?;

@@ -175,8 +175,9 @@ impl Method {
             smooth = blur(&smooth, &[1.0 / 3.0; 2]);
         }
         let c = self.iso / 65535.0;
-        // A tenth of a particle.
-        let least = if let Indicator::Cloud { .. } = self.indicator { 0.1 / (2.0 * self.mu0()) } else { 0.0 };
+        // A thirtieth of a particle.
+        let least =
+            if let Indicator::Cloud { .. } = self.indicator { 1.0 / 30.0 / (2.0 * self.mu0()) } else { 0.0 };
         let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
         let dense = |value: &dyn Fn(IVec3) -> f64| Dense::new(cells, value);
         match self.detail {
@@ -247,7 +248,7 @@ impl Method {
             }
             theta = Dense::new(cells, |cell| ((sums.at(cell, None) + 8) / 16).min(65535) as u16);
         }
-        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 160).max(1) } else { 1 };
+        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 480).max(1) } else { 1 };
         let blur = |field: &Dense<u16>, half: &[u64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {

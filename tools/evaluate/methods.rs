@@ -80,11 +80,6 @@ impl Method {
         Self::Dif { indicator: COUNTING, sigma: Sigmas::Cells(sigma), iso, detail: Detail::Smoothed }
     }
 
-    /// What is computed by default where a cell is so many spacings.
-    pub fn of_cells(cell: f64) -> Self {
-        Self::by_default(Indicator::of_spacing(Some(1.0 / cell)), Detail::Smoothed)
-    }
-
     /// By default, with what smoothing loses treated otherwise.
     pub fn detailed(detail: Detail) -> [Self; 3] {
         [Indicator::Symmetry, COUNTING, CLOUD].map(|indicator| Self::by_default(indicator, detail))

@@ -1,9 +1,10 @@
 //! How still the surface of a pool at rest stands when the pool is carried through a cell, as frames of a simulation are:
 //! grid, mu0 and isovalue are those of the first.
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use meniscus::frame::{Frame, Sampling, Surfacing};
 use meniscus::laps::Laps;
+use meniscus::mesh::Mesh;
 use meniscus::sequence::frozen::{Measured, Origin, measure};
 use meniscus::stage::indicator::Indicator;
 
@@ -11,7 +12,7 @@ use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::roughness::{WIDTH, is_central};
 use crate::sample::cuboid;
 use crate::scene::Random;
-use crate::tables::{Table, figure, mean};
+use crate::tables::{Table, figure};
 use crate::{Options, Outcome};
 
 const CELLS: [f64; 3] = [0.5, 2.0 / 3.0, 1.0];
@@ -54,8 +55,23 @@ fn greatest_move(indicator: Indicator, cell: f64, jitter: f64) -> Outcome<f64> {
         let laps = &mut Laps::default();
         let frame = Frame::sample(&raised(step)[..], &frozen, laps)?;
         let mesh = frame.surface(&Surfacing { iso: Some(iso), ..asked }, laps)?.mesh.to_mesh()?;
-        Ok(mean(mesh.positions.iter().filter(|p| is_central(p)).map(|p| p[1])) - rise(step))
+        Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;
     Ok(heights.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max) / cell)
+}
+
+/// How high the middle of a pool's surface lies on average.
+fn level(mesh: &Mesh) -> f64 {
+    let (mut area, mut sum) = (0.0, 0.0);
+    for triangle in &mesh.triangles {
+        let corners = triangle.map(|vertex| mesh.positions[vertex as usize]);
+        if corners.iter().all(is_central) {
+            let [a, b, c] = corners.map(DVec3::from);
+            let seen = (b - a).cross(c - a).y;
+            area += seen;
+            sum += seen * (a.y + b.y + c.y) / 3.0;
+        }
+    }
+    sum / area
 }

@@ -43,8 +43,8 @@ const PAPER: [PaperScene; 4] = [
 const PATIENCE: f64 = 10.0;
 
 impl PaperScene {
-    /// What is computed by default in cells of so many spacings, and the paper's five, each with the paper's seconds.
-    fn methods(&self, cell: f64) -> [(String, Method, Option<f64>); 6] {
+    /// What is computed by default, and the paper's five, each with the paper's seconds.
+    fn methods(&self) -> [(String, Method, Option<f64>); 6] {
         let &Self { sigma, iso, seconds: [mueller, zhu_bridson, yu_turk, counting, symmetry], .. } = self;
         let paper = [
             (Method::counting(sigma, Iso::At(iso)), counting),
@@ -53,7 +53,7 @@ impl PaperScene {
             (Method::ZHU_BRIDSON, zhu_bridson),
             (Method::YU_TURK, yu_turk),
         ];
-        let ours = [("our defaults".into(), Method::of_cells(cell), None)];
+        let ours = [("our defaults".into(), Method::CLOUD, None)];
         let mut all = ours.into_iter().chain(paper.map(|(method, s)| (method.name(), method, Some(s))));
         std::array::from_fn(|_| all.next().expect("six"))
     }
@@ -81,7 +81,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         for threads in [1, cores] {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
             let mut ours = None;
-            for (name, method, paper) in scene.methods(longest_side(&frames[0]) / f64::from(cells)) {
+            for (name, method, paper) in scene.methods() {
                 let seconds = seconds(&method, &frames, cells, &pool)?;
                 let mean = mean(seconds.iter().copied());
                 let ours = *ours.get_or_insert(mean);

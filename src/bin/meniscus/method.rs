@@ -13,7 +13,7 @@ use meniscus::units::MemoryBudget;
 use serde::Serialize;
 
 use crate::reconstruct::{IsoOption, Options};
-use crate::sampling::{CELL, CELL_FOR_DETAILS, SamplingRequest};
+use crate::sampling::SamplingRequest;
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -31,8 +31,7 @@ pub enum MethodName {
 impl Options {
     /// How the particles are to be sampled, whatever they are.
     pub fn request(&self) -> Result<SamplingRequest, Error> {
-        let cell = if self.detail || self.adaptive { CELL_FOR_DETAILS } else { CELL };
-        let request = self.sampling.validate(cell)?;
+        let request = self.sampling.validate()?;
         Ok(match self.rival()? {
             None => request,
             Some(method) => request.for_kernels(method),

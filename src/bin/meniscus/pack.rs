@@ -16,7 +16,7 @@ use crate::interrupt;
 use crate::reconstruct::{is_frame, refuse_same_file};
 use crate::report::{report_frame, report_laps, report_warnings};
 use crate::run::{RunOptions, unpacking};
-use crate::sampling::{CELL, SamplingOptions};
+use crate::sampling::SamplingOptions;
 
 #[derive(Args)]
 pub struct Options {
@@ -34,7 +34,7 @@ pub struct Options {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let notes = options.run.notes();
-    let request = options.sampling.validate(CELL)?;
+    let request = options.sampling.validate()?;
     if !is_frame(&options.output) {
         return Err(Error::Request(format!("{}: packed frames are .mnf files", options.output.display())));
     }

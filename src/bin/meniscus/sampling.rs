@@ -29,7 +29,7 @@ pub struct SamplingOptions {
     /// Edge of a cell.
     #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
     cell_size: Option<f64>,
-    /// Edge of a cell, times the spacing [default: 0.6667; 1 where details are to be kept].
+    /// Edge of a cell, times the spacing [default: 0.6667].
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].
@@ -38,8 +38,7 @@ pub struct SamplingOptions {
     /// A tank with walls; particles outside are not counted [default: unbounded].
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true)]
     domain: Option<[f64; 6]>,
-    /// How a cell's share of fluid is told from its particles [default: counting; symmetry where cells are not known to
-    /// be smaller than 0.9 spacings].
+    /// How a cell's share of fluid is told from its particles [default: cloud].
     #[arg(long, value_enum)]
     indicator: Option<IndicatorName>,
     /// Mean number of particles in a full cell, for counting and cloud [default: measured].
@@ -76,8 +75,8 @@ pub struct SamplingRequest {
 /// What is made of the particles.
 #[derive(Clone, Copy)]
 enum FieldRequest {
-    /// By an indicator; by the one that suits the cells where it is `None`.
-    Dif(Option<Indicator>),
+    /// By an indicator.
+    Dif(Indicator),
     /// By kernels as wide as the spacing says.
     Kernels(Method),
 }
@@ -111,10 +110,9 @@ impl SamplingOptions {
     /// What was asked for, by the options' names.
     pub fn settings(&self) -> serde_json::Map<String, serde_json::Value> {
         let indicator = match self.indicator {
-            None => "auto",
             Some(IndicatorName::Symmetry) => "symmetry",
             Some(IndicatorName::Counting) => "counting",
-            Some(IndicatorName::Cloud) => "cloud",
+            None | Some(IndicatorName::Cloud) => "cloud",
         };
         let settings = serde_json::json!({
             "spacing": self.spacing.or(self.radius.map(|radius| 2.0 * radius)),
@@ -142,19 +140,19 @@ impl SamplingOptions {
         self.indicator.is_some() || self.mu0.is_some()
     }
 
-    /// Refuses what is wrong whatever the particles are. Cells are so many spacings if nothing else is asked for.
-    pub fn validate(&self, cell: f64) -> Result<SamplingRequest, Error> {
+    /// Refuses what is wrong whatever the particles are.
+    pub fn validate(&self) -> Result<SamplingRequest, Error> {
         let indicator = match (self.indicator, self.mu0) {
-            (Some(IndicatorName::Symmetry) | None, Some(_)) => {
-                return Err(Error::Request("--mu0 goes with --indicator counting or cloud".into()));
+            (Some(IndicatorName::Symmetry), Some(_)) => {
+                return Err(Error::Request("--mu0 has no meaning for --indicator symmetry".into()));
             }
             (name, mu0) => {
-                let mean = mu0.map(MeanCount::new).transpose()?;
-                name.map(|name| match name {
-                    IndicatorName::Symmetry => Indicator::Symmetry,
-                    IndicatorName::Counting => Indicator::Counting { mean },
-                    IndicatorName::Cloud => Indicator::Cloud { mean },
-                })
+                let named = match name {
+                    None | Some(IndicatorName::Cloud) => Indicator::Cloud { mean: None },
+                    Some(IndicatorName::Counting) => Indicator::Counting { mean: None },
+                    Some(IndicatorName::Symmetry) => Indicator::Symmetry,
+                };
+                named.with_mean(mu0.map(MeanCount::new).transpose()?)
             }
         };
         let spacing = match (self.spacing, self.radius) {
@@ -164,7 +162,7 @@ impl SamplingOptions {
         };
         let cell = match self.cell_size {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(cell))?),
+            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(CELL))?),
         };
         let origin = DVec3::from(self.origin.unwrap_or_default());
         let walls =
@@ -198,11 +196,9 @@ impl Cells {
     }
 }
 
-/// Edge of a cell in spacings. In cells of a whole one a level pool shows where its layers lie on the grid, by half a
-/// spacing and more; in these, smoothed over a spacing, by a tenth of that, and smaller ones do not pay.
-pub const CELL: f64 = 2.0 / 3.0;
-/// The same where details are to be kept: they are of full cells, and in smaller ones no longer hang together.
-pub const CELL_FOR_DETAILS: f64 = 1.0;
+/// Edge of a cell in spacings. In cells of a whole one, smoothed over at least as much, drops are lost and tips shrink, and a
+/// level pool that is carried through them moves by a few hundredths of a cell. Smaller ones do not pay.
+const CELL: f64 = 2.0 / 3.0;
 
 impl SamplingRequest {
     /// The same for a kernel method instead of a DIF.
@@ -231,12 +227,11 @@ impl SamplingRequest {
         })
     }
 
-    /// The indicator that was asked for, else the one that suits cells of some size. Kernels have no use for it.
-    pub fn indicator(&self, cell: f64, spacing: Option<f64>) -> Indicator {
+    /// The indicator. Kernels have no use for it.
+    pub fn indicator(&self) -> Indicator {
         match self.field {
-            FieldRequest::Dif(Some(indicator)) => indicator,
-            FieldRequest::Dif(None) => Indicator::of_spacing(spacing.map(|spacing| spacing / cell)),
-            FieldRequest::Kernels(_) => Indicator::Symmetry,
+            FieldRequest::Dif(indicator) => indicator,
+            FieldRequest::Kernels(_) => Indicator::default(),
         }
     }
 
@@ -250,7 +245,7 @@ impl SamplingRequest {
         notes: &Notes,
     ) -> Result<Sampling, Error> {
         let cells = self.cells(path, file)?;
-        let indicator = self.indicator(cells.size, cells.spacing);
+        let indicator = self.indicator();
         let by = match self.field {
             FieldRequest::Kernels(_) => String::new(),
             FieldRequest::Dif(_) => format!(", indicator {}", indicator.name()),

@@ -196,7 +196,7 @@ impl Setup<'_> {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
-        let indicator = frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?;
+        let indicator = frozen.indicator(self.request.indicator())?;
         self.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
     }
 

@@ -45,20 +45,13 @@ pub enum Indicator {
     },
 }
 
-/// Where a spacing is more cells, they hold no particle too often for their symmetry to tell much: the interior fills with
-/// bubbles.
-const WIDEST_FOR_SYMMETRY: f64 = 1.0 / 0.9;
+impl Default for Indicator {
+    fn default() -> Self {
+        Self::Cloud { mean: None }
+    }
+}
 
 impl Indicator {
-    /// The one that suits particles whose spacing is so many cells, if it is known.
-    #[must_use]
-    pub fn of_spacing(spacing: Option<f64>) -> Self {
-        match spacing {
-            Some(spacing) if spacing > WIDEST_FOR_SYMMETRY => Self::Counting { mean: None },
-            _ => Self::Symmetry,
-        }
-    }
-
     /// What it is called.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -100,12 +93,12 @@ impl Indicator {
         if matches!(self, Self::Cloud { .. }) { 0.8 } else { 1.0 }
     }
 
-    /// The least theta of cells that count as full where details are told from nothing, once mu0 is known. Of a particle's
-    /// cloud at least an eighth lies in one cell.
+    /// The least theta of cells that count as full where details are told from nothing, once mu0 is known: for clouds a
+    /// thirtieth of a particle. Cells of a layer of particles then hang together, and no particle is without one.
     #[must_use]
     pub fn least(self) -> u16 {
         match self {
-            Self::Cloud { mean: Some(mean) } => ((amount(mean) / 10) >> AMOUNT_FINE_BITS).max(1) as u16,
+            Self::Cloud { mean: Some(mean) } => ((amount(mean) / 30) >> AMOUNT_FINE_BITS).max(1) as u16,
             _ => 1,
         }
     }

@@ -121,10 +121,8 @@ impl Setup<'_> {
             return Ok((for_kernels(frame.number, input, cells.spacing, cells.source, grid), Trust::Sound));
         }
         let (grid, indicator) = match lattice {
-            Some((frozen, _)) => {
-                (frozen.grid()?, frozen.indicator(self.request.indicator(frozen.cell_size, frozen.spacing))?)
-            }
-            None => (self.request.grid(cells.size)?, self.request.indicator(cells.size, cells.spacing)),
+            Some((frozen, _)) => (frozen.grid()?, frozen.indicator(self.request.indicator())?),
+            None => (self.request.grid(cells.size)?, self.request.indicator()),
         };
         let sampling =
             self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), self.resources.clone())?;
