@@ -164,29 +164,34 @@ impl Setup<'_> {
         sweep(naming.folder());
         sweep(store.folder());
         interrupt::resumable();
-        let state = match kept {
-            Some(state) => {
-                notes.say(format!(
-                    "going on with {}: {}",
-                    store.state_path().display(),
-                    describe(&state.frozen)
-                ));
-                state
-            }
-            None => {
-                let state = State::new(self.options.settings(), self.freeze(frames)?);
-                interrupt::undisturbed(|| store.save(&state))?;
-                state
-            }
-        };
+        if let Some(state) = &kept {
+            let (path, frozen) = (store.state_path(), describe(&state.frozen));
+            notes.say(format!("going on with {}: {frozen}", path.display()));
+        }
         if options.sequence.plan {
+            if kept.is_none() {
+                self.state(&store, frames, &self.resources, notes)?;
+            }
             let numbers: Vec<String> = wanted.iter().map(|frame| frame.number.to_string()).collect();
             crate::print(&numbers.join("\n"))?;
             return Ok(Verdict::Good);
         }
         let Orientation { shown: up, .. } = options.up.orientation(&first.path, format);
         let series = Series { format, sequence, fps: options.sequence.fps, up };
-        Conversion::new(self, format, store, state, wanted.len()).run(frames, &series)
+        Conversion::new(self, format, store, wanted.len()).run(kept, frames, &series)
+    }
+
+    /// Measures what all frames have in common, and keeps it.
+    fn state(
+        &self,
+        store: &Store,
+        frames: &[FrameFile],
+        resources: &Resources,
+        notes: &Notes,
+    ) -> Result<State, Error> {
+        let state = State::new(self.options.settings(), self.freeze(frames, resources, notes)?);
+        interrupt::undisturbed(|| store.save(&state))?;
+        Ok(state)
     }
 
     /// How a frame is sampled by what all have in common.

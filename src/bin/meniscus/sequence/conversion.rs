@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use meniscus::error::Error;
+use meniscus::frame::Resources;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::sequence::inputs::FrameFile;
@@ -14,6 +15,7 @@ use meniscus::sequence::state::{Record, Stamp, State, Store};
 use crate::Verdict;
 use crate::lanes::{Division, Gate};
 use crate::progress::{Progress, ProgressMode};
+use crate::run::Notes;
 
 use super::one_frame::Done;
 use super::tally::Tally;
@@ -25,11 +27,26 @@ pub struct Conversion<'a> {
     pub setup: &'a Setup<'a>,
     pub format: MeshFormat,
     pub store: Store,
-    pub state: State,
-    pub fingerprint: u32,
+    /// `None` where it cannot be known.
+    settled: OnceLock<Option<Settled>>,
     pub division: Division,
     pub gate: Gate,
     stop: AtomicBool,
+}
+
+/// What all frames have in common.
+pub struct Settled {
+    pub state: State,
+    pub fingerprint: u32,
+}
+
+/// Whatever happens, nobody waits for ever.
+struct AtLast<'a>(&'a OnceLock<Option<Settled>>);
+
+impl Drop for AtLast<'_> {
+    fn drop(&mut self) {
+        self.0.get_or_init(|| None);
+    }
 }
 
 /// What became of a frame.
@@ -39,26 +56,49 @@ struct Outcome {
 }
 
 impl<'a> Conversion<'a> {
-    pub fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, state: State, frames: usize) -> Self {
+    pub fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, frames: usize) -> Self {
         let division = setup.division(frames);
-        let fingerprint = state.fingerprint();
-        let gate = Gate::new(division.lanes);
-        Self { setup, format, store, state, fingerprint, division, gate, stop: AtomicBool::new(false) }
+        let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes));
+        Self { setup, format, store, settled, division, gate, stop: AtomicBool::new(false) }
     }
 
     pub fn output(&self, frame: &FrameFile) -> PathBuf {
         self.setup.naming.path(frame)
     }
 
-    /// The record of a frame that need not be made again.
+    /// The record of a frame that need not be made again, as far as is known.
     pub fn current(&self, frame: &FrameFile) -> Option<Record> {
-        self.store.current(frame.number, &frame.path, &self.output(frame), self.fingerprint)
+        let settled = self.settled.get()?.as_ref()?;
+        self.store.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
+    }
+
+    /// Settles what all frames have in common, while lanes may hold open frames.
+    fn settle(&self, known: Option<State>, frames: &[FrameFile], notes: &Notes) -> Result<(), Error> {
+        let Self { setup, store, division, .. } = self;
+        let measured = || {
+            let resources = Resources { budget: division.alone, ..setup.resources.clone() };
+            setup.state(store, frames, &resources, notes)
+        };
+        let state = known.map_or_else(measured, Ok)?;
+        let fingerprint = state.fingerprint();
+        self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
+        Ok(())
     }
 
     /// Converts the frames, and those that come while it watches.
-    pub fn run(&self, frames: &[FrameFile], series: &Series) -> Result<Verdict, Error> {
+    pub fn run(
+        &self,
+        known: Option<State>,
+        frames: &[FrameFile],
+        series: &Series,
+    ) -> Result<Verdict, Error> {
         let options = &self.setup.options.sequence;
         let mut tally = Tally::new(self, series);
+        // Where all frames are to be made, the first are opened while one of them is measured.
+        let unknown = known.is_none() && !options.resume && options.watch.is_none();
+        if !unknown || self.division.lanes == 1 {
+            self.settle(known, frames, &tally.notes)?;
+        }
         tally.list(frames);
         let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
         let todo: Vec<&FrameFile> =
@@ -83,6 +123,7 @@ impl<'a> Conversion<'a> {
                 scope.spawn(move || self.lane(lane, jobs, &results, progress));
             }
             drop(results);
+            let _at_last = AtLast(&self.settled);
             match watch {
                 Some(watch) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
                 None => {
@@ -90,6 +131,10 @@ impl<'a> Conversion<'a> {
                     // The lanes live as long as they are sent to.
                     todo.into_iter().for_each(|frame| drop(to_lanes.send(frame.clone())));
                     drop(to_lanes);
+                    if self.settled.get().is_none() {
+                        self.settle(None, frames, &tally.notes)?;
+                        tally.list(frames);
+                    }
                     outcomes
                         .iter()
                         .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop))
@@ -167,9 +212,10 @@ impl<'a> Conversion<'a> {
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
-            let result = self.convert(&frame, &|stage| {
-                progress.stage(lane, || format!("frame {}: {stage}", frame.number));
-            });
+            let stage = |stage: &str| progress.stage(lane, || format!("frame {}: {stage}", frame.number));
+            let opened = self.open(&frame, &stage);
+            let Some(settled) = self.settled.wait() else { return };
+            let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
             progress.stage(lane, String::new);
             if results.send(Outcome { frame, result }).is_err() {
                 return;

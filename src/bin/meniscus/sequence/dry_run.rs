@@ -30,7 +30,7 @@ impl Setup<'_> {
         let begun = Instant::now();
         let frozen = match &kept {
             Some(state) => state.frozen.clone(),
-            None => self.freeze(frames)?,
+            None => self.freeze(frames, &self.resources, &self.notes)?,
         };
         let done = |frame: &&&FrameFile| {
             let output = self.naming.path(frame);

@@ -1,7 +1,7 @@
 //! What is measured once for all frames, on the first that can tell.
 
 use meniscus::error::{Cause, Error};
-use meniscus::frame::{Frame, FrameError};
+use meniscus::frame::{Frame, FrameError, Resources};
 use meniscus::grid::Grid;
 use meniscus::io::ReadError;
 use meniscus::io::input::open_particles;
@@ -14,7 +14,7 @@ use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::state::Stamp;
 
 use crate::reconstruct::is_frame;
-use crate::run::unpacking;
+use crate::run::{Notes, unpacking};
 
 use super::watch::Watch;
 use super::{POLL, Setup};
@@ -24,7 +24,12 @@ const LOOKED_AT: usize = 64;
 
 impl Setup<'_> {
     /// Measures what holds for all frames on the first that can tell.
-    pub(super) fn freeze(&self, frames: &[FrameFile]) -> Result<Frozen, Error> {
+    pub(super) fn freeze(
+        &self,
+        frames: &[FrameFile],
+        resources: &Resources,
+        notes: &Notes,
+    ) -> Result<Frozen, Error> {
         let idle = self.options.sequence.watch;
         let mut watch = idle.map(|idle| Watch::new(idle, self.options.sequence.selection()));
         let mut best: Option<(Frozen, Trust)> = None;
@@ -41,13 +46,11 @@ impl Setup<'_> {
                     break;
                 }
                 looked_at += 1;
-                match self.measure_on(&frame, best.as_ref().filter(|(_, trust)| *trust == Trust::Lattice)) {
+                let lattice = best.as_ref().filter(|(_, trust)| *trust == Trust::Lattice);
+                match self.measure_on(&frame, lattice, resources) {
                     Ok((frozen, Trust::Sound)) => {
-                        self.notes.say(format!(
-                            "measured on {}: {}",
-                            frame.path.display(),
-                            describe(&frozen)
-                        ));
+                        let path = frame.path.display();
+                        notes.say(format!("measured on {path}: {}", describe(&frozen)));
                         return Ok(frozen);
                     }
                     Ok((frozen, trust)) => {
@@ -78,7 +81,7 @@ impl Setup<'_> {
                     Trust::Shallow => "no fluid is deeper than the filters reach",
                     Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
                 };
-                self.notes.say(format!(
+                notes.say(format!(
                     "warning: {what}; measured on frame {}: {}",
                     frozen.frame,
                     describe(&frozen)
@@ -95,15 +98,16 @@ impl Setup<'_> {
         &self,
         frame: &FrameFile,
         lattice: Option<&(Frozen, Trust)>,
+        resources: &Resources,
     ) -> Result<(Frozen, Trust), Error> {
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let in_file = |fault: FrameError| Error::Frame { path: path.clone(), fault };
         if is_frame(path) {
             self.options.validate_frame_input(path)?;
-            let (facts, dif) = open_frame(path, self.resources.budget.0 / 4)?;
+            let (facts, dif) = open_frame(path, resources.budget.0 / 4)?;
             let (grid, spacing) = (facts.grid, facts.spacing);
-            let frame_of_file = Frame::from_parts(facts, dif, self.resources.clone());
+            let frame_of_file = Frame::from_parts(facts, dif, resources.clone());
             let (recipe, plateau) = frame_of_file.recipe(&self.surfacing);
             let trust = match plateau {
                 Plateau::Interior { .. } => Trust::Sound,
@@ -113,7 +117,7 @@ impl Setup<'_> {
             let measured = Measured { grid, mean, iso: recipe.iso, trust };
             return Ok((frozen(frame.number, input, spacing, None, measured), trust));
         }
-        let file = open_particles(path, unpacking(&self.resources))?;
+        let file = open_particles(path, unpacking(resources))?;
         let cells = self.request.cells(path, &file)?;
         if let Some(spacing) = cells.spacing.filter(|_| self.request.rival().is_some()) {
             Spacing::new(spacing / cells.size).map_err(|e| in_file(e.into()))?;
@@ -125,7 +129,7 @@ impl Setup<'_> {
             None => (self.request.grid(cells.size)?, self.request.indicator()),
         };
         let sampling =
-            self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), self.resources.clone())?;
+            self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), resources.clone())?;
         let settled = lattice.is_some() || self.options.sampling.origin_given();
         let origin = if settled { Origin::Given } else { Origin::Free };
         let measured = measure(&file.particles, &sampling, origin, &self.surfacing).map_err(in_file)?;

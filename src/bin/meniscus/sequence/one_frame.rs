@@ -1,6 +1,6 @@
 //! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use meniscus::error::Error;
 use meniscus::frame::{Frame, FrameError, Normals, Resources, carried_infos};
@@ -10,25 +10,27 @@ use meniscus::io::mnf::open_frame;
 use meniscus::io::output::MeshOutput;
 use meniscus::io::series::SeriesFrame;
 use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, ReadError};
+use meniscus::io::{CoordinateWidth, ParticleFile, ReadError};
 use meniscus::laps::Laps;
 use meniscus::mesh::bounds::Bounded;
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::{AttributeInfo, Particles};
+use meniscus::sequence::frozen::Frozen;
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::state::{Record, Stamp};
 use meniscus::units::MemoryBudget;
 use serde_json::{Value, json};
 
-use crate::interrupt;
+use crate::interrupt::{self, Unfinished};
 use crate::lanes::Permit;
 use crate::method::Sampled;
 use crate::reconstruct::{coordinate_width, is_frame};
 use crate::run::Notes;
+use crate::up::Orientation;
 
 use super::Setup;
-use super::conversion::Conversion;
+use super::conversion::{Conversion, Settled};
 
 /// A frame that was converted.
 pub struct Done {
@@ -36,6 +38,18 @@ pub struct Done {
     pub stats: Value,
     pub seconds: f64,
     pub warnings: Vec<String>,
+}
+
+/// A frame that was opened, and the output that waits for its mesh.
+pub struct Opened {
+    input: Stamp,
+    target: PathBuf,
+    orientation: Orientation,
+    output: MeshOutput,
+    unfinished: Unfinished,
+    /// `None` where it was sampled before.
+    particles: Option<ParticleFile>,
+    laps: Laps,
 }
 
 /// A frame that waits to be meshed.
@@ -52,9 +66,10 @@ struct Ready<'a> {
 type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
-    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
-    pub fn convert(&self, frame: &FrameFile, stage: &dyn Fn(&str)) -> Result<Done, Error> {
-        let options = self.setup.options;
+    /// Makes sure that a frame's mesh can be written, and opens the frame.
+    pub fn open(&self, frame: &FrameFile, stage: &dyn Fn(&str)) -> Result<Opened, Error> {
+        let mut laps = Laps::default();
+        let Setup { options, resources, .. } = self.setup;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let replace =
@@ -64,15 +79,43 @@ impl Conversion<'_> {
         let layout = options.layout(orientation);
         let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
         let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
+        stage("reading");
+        let particles = if is_frame(path) {
+            options.validate_frame_input(path)?;
+            None
+        } else {
+            let in_memory = self.division.opening.0 / 2;
+            let file = open_particles(path, Unpacking { in_memory, scratch: &resources.scratch })?;
+            laps.lap("open");
+            Some(file)
+        };
+        Ok(Opened { input, target, orientation, output, unfinished, particles, laps })
+    }
 
-        let mut laps = Laps::default();
-        let Ready { frame: sampled, infos, time, permit } = self.sample(path, stage, &mut laps)?;
+    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
+    pub fn convert(
+        &self,
+        frame: &FrameFile,
+        opened: Opened,
+        settled: &Settled,
+        stage: &dyn Fn(&str),
+    ) -> Result<Done, Error> {
+        let options = self.setup.options;
+        let path = &frame.path;
+        let frozen = &settled.state.frozen;
+        let Opened { input, target, orientation, output, unfinished, particles, mut laps } = opened;
+        laps.skip();
+        let ready = match particles {
+            Some(file) => self.sample(path, file, frozen, stage, &mut laps),
+            None => self.unpack(path, &mut laps),
+        };
+        let Ready { frame: sampled, infos, time, permit } = ready?;
         let mut warnings = Vec::new();
         let surface = match &sampled {
             None => None,
             Some(sampled) => {
                 stage("meshing");
-                let surface = permit.run(|| self.surface(path, sampled, &mut warnings, &mut laps));
+                let surface = permit.run(|| self.surface(path, sampled, frozen, &mut warnings, &mut laps));
                 warnings.extend(sampled.warnings());
                 surface?
             }
@@ -102,11 +145,11 @@ impl Conversion<'_> {
             normals: mesh.has_normals(),
             attributes: mesh.attributes(),
         };
-        let record = Record { input, fingerprint: self.fingerprint, mesh: listed };
+        let record = Record { input, fingerprint: settled.fingerprint, mesh: listed };
         interrupt::undisturbed(|| self.store.keep(&record))?;
         let mut stats = match &sampled {
             Some(sampled) => {
-                options.record([path, &target], sampled, self.state.frozen.iso().ok(), &*mesh, bytes, &laps)
+                options.record([path, &target], sampled, frozen.iso().ok(), &*mesh, bytes, &laps)
             }
             None => json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 }),
         };
@@ -115,27 +158,33 @@ impl Conversion<'_> {
         Ok(Done { mesh: record.mesh, stats, seconds: laps.total(), warnings })
     }
 
-    /// Reads and samples a frame, from its particles or as it was packed.
-    fn sample(&self, path: &Path, stage: &dyn Fn(&str), laps: &mut Laps) -> Result<Ready<'_>, Error> {
+    /// Reads a frame that was sampled before.
+    fn unpack(&self, path: &Path, laps: &mut Laps) -> Result<Ready<'_>, Error> {
+        let budget = self.frame_budget(self.division.share);
+        let permit = self.gate.enter();
+        let (facts, dif) = open_frame(path, budget.0 / 4)?;
+        laps.lap("open");
+        let resources = Resources { budget, ..self.setup.resources.clone() };
+        let frame = Frame::from_parts(facts, dif, resources);
+        Ok(Ready { frame: Some(Sampled::Dif(frame)), infos: Vec::new(), time: None, permit })
+    }
+
+    /// Samples the particles of a frame.
+    fn sample(
+        &self,
+        path: &Path,
+        file: ParticleFile,
+        frozen: &Frozen,
+        stage: &dyn Fn(&str),
+        laps: &mut Laps,
+    ) -> Result<Ready<'_>, Error> {
         let Setup { options, request, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
-        stage("reading");
-        if is_frame(path) {
-            options.validate_frame_input(path)?;
-            let permit = self.gate.enter();
-            let (facts, dif) = open_frame(path, share.0 / 4)?;
-            laps.lap("open");
-            let frame = Frame::from_parts(facts, dif, Resources { budget: share, ..resources.clone() });
-            return Ok(Ready { frame: Some(Sampled::Dif(frame)), infos: Vec::new(), time: None, permit });
-        }
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
-        let unpacking = Unpacking { in_memory: opening.budget.0 / 2, scratch: &opening.scratch };
-        let file = open_particles(path, unpacking)?;
-        laps.lap("open");
         let carried = options.carried(path, &file, self.format)?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let mut sampling = self.setup.sampling(&self.state.frozen, carried, opening)?;
+        let mut sampling = self.setup.sampling(frozen, carried, opening)?;
         stage("counting");
         let mut counted = request.counted(&file.particles, &sampling);
         laps.lap("count");
@@ -183,10 +232,11 @@ impl Conversion<'_> {
         &self,
         path: &Path,
         sampled: &Sampled,
+        frozen: &Frozen,
         warnings: &mut Vec<String>,
         laps: &mut Laps,
     ) -> Result<Option<Found>, Error> {
-        let (frozen, reduction) = (&self.state.frozen, &self.setup.reduction);
+        let reduction = &self.setup.reduction;
         let mut empty = |why: &str| {
             warnings.push(format!("{why}: an empty mesh"));
             Ok(None)
