@@ -181,6 +181,17 @@ fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
 }
 
 #[test]
+fn a_run_that_no_frame_can_be_measured_in_ends_and_leaves_nothing() {
+    let folder = falling(1..=12);
+    for frame in 1..=12 {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "?").unwrap();
+    }
+    let errors = run(folder.path(), &with(&["--threads", "2"]), 3);
+    assert!(errors.contains("in/f_1.xyz: "), "{errors}");
+    assert!(tree(&folder.path().join("out")).is_empty());
+}
+
+#[test]
 fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
     let folder = falling(8..=11);
     fs::write(folder.path().join("in/notes.md"), "no frame").unwrap();

@@ -96,7 +96,8 @@ impl PageInfo {
             let begin = samples.len();
             for dense in dense.chunks_exact(BIN.pow(3) as usize) {
                 for first in rows(corner, edge) {
-                    samples.extend_from_slice(&dense[first..first + edge as usize]);
+                    let (fours, _) = dense[first..first + edge as usize].as_chunks::<4>();
+                    fours.iter().for_each(|four| samples.extend_from_slice(four));
                 }
                 // One channel says whether there is anything.
                 if samples.len() - begin == shape.side.samples()
@@ -136,7 +137,8 @@ impl PageInfo {
         let (mut full, mut full_count) = (CellBox::EMPTY, 0);
         let rows = (0..edge).flat_map(|z| (0..edge).map(move |y| (y, z)));
         for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
-            let bits = row.iter().rev().fold(0_u32, |bits, &theta| bits << 1 | u32::from(theta > 0));
+            let (fours, _) = row.as_chunks::<4>();
+            let bits = fours.iter().rev().fold(0, |bits, four| bits << 4 | full_bits(*four));
             if bits != 0 {
                 full_count += bits.count_ones();
                 let (left, right) = (bits.trailing_zeros() as i32, bits.ilog2() as i32);
@@ -190,4 +192,10 @@ impl PageInfo {
 fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     let first = move |y, z| (corner.x + BIN * (corner.y + y + BIN * (corner.z + z))) as usize;
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
+}
+
+/// A bit for each sample that is not 0.
+fn full_bits(four: [u16; 4]) -> u32 {
+    // Most are empty.
+    if four == [0; 4] { 0 } else { (0..4).map(|i| u32::from(four[i] > 0) << i).sum() }
 }

@@ -2,7 +2,10 @@
 
 use crate::grid::BIN;
 
-const CELLS: usize = (BIN * BIN * BIN) as usize;
+/// Cells of a row.
+const ROW: usize = BIN as usize;
+const ROWS: usize = ROW * ROW;
+const CELLS: usize = ROW * ROWS;
 
 /// Sums for the cells of one bin, x fastest: integers, which doubles hold exactly up to 2^53, so that the order of
 /// addition does not matter.
@@ -10,28 +13,51 @@ const CELLS: usize = (BIN * BIN * BIN) as usize;
 pub struct CellSums {
     /// Per cell: the particles' number N, then the sum S of their offsets along x, y and z.
     cells: Box<[[f64; 4]]>,
+    /// A bit for each row along x that holds particles: few do.
+    rows: [u64; ROWS / 64],
 }
 
 impl Default for CellSums {
     fn default() -> Self {
-        Self { cells: vec![[0.0; 4]; CELLS].into() }
+        Self { cells: vec![[0.0; 4]; CELLS].into(), rows: [0; ROWS / 64] }
     }
 }
 
 impl CellSums {
     /// Forgets what came before and adds up `particles`: cell, and offset in it.
     pub fn accumulate(&mut self, particles: impl Iterator<Item = (usize, [u32; 3])>) {
-        self.cells.fill([0.0; 4]);
+        self.rows = [0; ROWS / 64];
+        let (rows, _) = self.cells.as_chunks_mut::<ROW>();
         for (cell, [x, y, z]) in particles {
-            let sums = &mut self.cells[cell & (CELLS - 1)];
+            let row = cell / ROW % ROWS;
+            let (word, bit) = (&mut self.rows[row / 64], 1 << (row % 64));
+            if *word & bit == 0 {
+                *word |= bit;
+                rows[row] = [[0.0; 4]; ROW];
+            }
             let add = [1, x, y, z].map(f64::from);
-            sums.iter_mut().zip(add).for_each(|(sum, add)| *sum += add);
+            rows[row][cell % ROW].iter_mut().zip(add).for_each(|(sum, add)| *sum += add);
         }
     }
 
-    /// N and S of every cell.
-    #[must_use]
-    pub fn cells(&self) -> &[[f64; 4]] {
-        &self.cells
+    /// The rows that hold particles, each with its number and with N and S of its cells.
+    #[inline(always)]
+    pub fn rows(&self) -> impl Iterator<Item = (usize, &[[f64; 4]; ROW])> {
+        let (rows, _) = self.cells.as_chunks::<ROW>();
+        full(self.rows).map(|row| (row, &rows[row]))
     }
+}
+
+/// The numbers of the bits that are set.
+#[inline(always)]
+fn full(words: [u64; ROWS / 64]) -> impl Iterator<Item = usize> {
+    (0..ROWS).step_by(64).zip(words).flat_map(|(first, mut word)| {
+        std::iter::from_fn(move || {
+            let bit = word.trailing_zeros() as usize;
+            (word != 0).then(|| {
+                word &= word - 1;
+                first + bit
+            })
+        })
+    })
 }

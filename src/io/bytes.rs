@@ -8,7 +8,7 @@ use std::ops::{Deref, Range};
 use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
-use libdeflater::{Decompressor, crc32};
+use libdeflater::Decompressor;
 use memchr::memmem;
 use memmap2::Mmap;
 
@@ -249,17 +249,17 @@ pub(super) fn unpacked_limit(packed: u64) -> u64 {
 /// Unpacks a small file that is a single gzip stream, in half of the time that it takes piece by piece. `None` where it
 /// is something else, or damaged.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
-    // A stream ends with a checksum of its content, and the content's length.
-    let trailer = packed.last_chunk::<8>()?;
-    let [crc, len] = [0, 4].map(|at| u32::from_le_bytes(std::array::from_fn(|i| trailer[at + i])));
+    // A stream ends with its content's length.
+    let trailer = packed.last_chunk::<4>()?;
+    let len = u32::from_le_bytes(*trailer);
     if u64::from(len) > in_memory.min(ALWAYS_UNPACKED) {
         return None;
     }
     let mut unpacked = vec![0; len as usize];
     let written = Decompressor::new().gzip_decompress(packed, &mut unpacked).ok()?;
-    // The first stream, at whose end this stops, ends with this trailer: the file does so too, and nothing before that.
-    let whole = written == unpacked.len() && crc32(&unpacked) == crc;
-    (whole && memmem::find(packed, trailer) == Some(packed.len() - trailer.len())).then_some(unpacked)
+    // The first stream, at whose end this stops, ends with this length: the file does so too, and nothing before that.
+    let ends = memmem::find(packed, trailer)? + trailer.len();
+    (written == unpacked.len() && ends == packed.len()).then_some(unpacked)
 }
 
 /// Unpacks up to `limit` bytes.

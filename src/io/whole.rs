@@ -13,6 +13,9 @@ use super::{WriteError, WriteFault};
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
 
+/// Bytes that are given to the system at once, where they come in pieces.
+const BUFFER: usize = 256 << 10;
+
 /// Whether an output may take the place of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Replace {
@@ -52,14 +55,15 @@ impl WholeFile {
         if is_direct(path, found.as_ref()) {
             return Ok(Self { path: path.to_owned(), target: Target::Direct });
         }
-        if found.is_some_and(|metadata| metadata.is_dir()) {
+        if found.as_ref().is_some_and(fs::Metadata::is_dir) {
             return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
         }
         if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
             return Err(fail(WriteFault::Exists));
         }
         // Through a link, what it leads to is replaced, and not the link.
-        let place = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        let there = found.and_then(|_| path.canonicalize().ok());
+        let place = there.unwrap_or_else(|| path.to_owned());
         let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
         Ok(Self { path: path.to_owned(), target: Target::Temporary { file, place, replace } })
     }
@@ -140,7 +144,7 @@ pub fn sweep(folder: &Path) {
 }
 
 fn counted(file: &mut File, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<u64> {
-    let mut counted = Counted { out: BufWriter::new(file), bytes: 0 };
+    let mut counted = Counted { out: BufWriter::with_capacity(BUFFER, file), bytes: 0 };
     content(&mut counted)?;
     counted.flush()?;
     Ok(counted.bytes)

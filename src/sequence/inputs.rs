@@ -318,8 +318,13 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SequenceError> {
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files = Vec::new();
     for entry in entries {
-        let path = entry.map_err(fail)?.path();
-        if !path.is_dir() {
+        let entry = entry.map_err(fail)?;
+        let path = entry.path();
+        let is_dir = match entry.file_type() {
+            Ok(kind) if !kind.is_symlink() => kind.is_dir(),
+            _ => path.is_dir(),
+        };
+        if !is_dir {
             files.push(path);
         }
     }

@@ -280,19 +280,18 @@ fn emit_all<F: FnMut(usize, IVec3, [u64; 3])>(
     numberings: &[Numbering],
     put: &mut F,
 ) {
-    let mut rank = 0;
+    let (table, mut rank) = (&*TABLE, 0);
     for tile in tiles {
-        let corner = tile.corner(block) - block * BLOCK;
+        let corner = tile.corner(block);
+        let numbering = numbering_index((corner - block * BLOCK) / TILE);
         for bit in bits(tile.mixed()) {
-            let cell = corner + cell_of_bit(bit);
-            for triangle in &TABLE[tile.case(bit)] {
+            let corners = &CORNERS[bit as usize];
+            for triangle in &table[tile.case(bit)] {
                 let vertices = triangle.map(|edge| {
-                    let at = cell + edge.offset();
-                    let in_tile = at & (TILE - 1);
-                    let bit = in_tile.x + TILE * (in_tile.y + TILE * in_tile.z);
-                    numberings[numbering_index(at >> TILE.ilog2())].vertex(edge.axis.into(), bit as u32)
+                    let (step, bit) = corners[usize::from(edge.corner)];
+                    numberings[numbering + usize::from(step)].vertex(edge.axis.into(), bit.into())
                 });
-                put(rank, block * BLOCK + cell, vertices);
+                put(rank, corner + cell_of_bit(bit), vertices);
                 rank += 1;
             }
         }
@@ -301,6 +300,26 @@ fn emit_all<F: FnMut(usize, IVec3, [u64; 3])>(
 
 /// Tiles of a block, and one layer of the blocks above.
 const NUMBERED: i32 = TILES + 1;
+
+/// For each dual cell of a tile and each of its corners: how far on the corner's tile is numbered, and the corner's bit there.
+static CORNERS: [[(u16, u8); 8]; 64] = {
+    let mut corners = [[(0, 0); 8]; 64];
+    let (tile, numbered) = (TILE as usize, NUMBERED as usize);
+    let mut i = 0;
+    while i < 8 * 64 {
+        let (bit, corner) = (i / 8, i % 8);
+        let [x, y, z] = [
+            bit % tile + (corner & 1),
+            bit / tile % tile + (corner >> 1 & 1),
+            bit / (tile * tile) + (corner >> 2),
+        ];
+        let step = x / tile + numbered * (y / tile + numbered * (z / tile));
+        let in_tile = x % tile + tile * (y % tile + tile * (z % tile));
+        corners[bit][corner] = (step as u16, in_tile as u8);
+        i += 1;
+    }
+    corners
+};
 
 fn numbering_index(tile: IVec3) -> usize {
     (tile.x + NUMBERED * (tile.y + NUMBERED * tile.z)) as usize

@@ -173,9 +173,11 @@ impl Notes {
     }
 
     fn print(&self, text: &str) {
+        // At once, and not piece by piece.
+        let line = format!("{text}\n");
         match &self.bars {
-            Some(bars) => bars.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bars) => bars.suspend(|| eprint!("{line}")),
+            None => eprint!("{line}"),
         }
     }
 }

@@ -9,6 +9,9 @@ use crate::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 
+/// Bytes of a face: how many corners, and their numbers.
+const FACE: usize = 1 + 3 * size_of::<u32>();
+
 /// Writes `mesh` in little-endian binary: x, y, z as float or double by `width`; nx, ny, nz, and vx, vy, vz for
 /// an attribute `velocity` of three components; further attributes as `name`, or `name_0`, `name_1`, ...;
 /// and faces as lists of three.
@@ -25,6 +28,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     out.write_all(header(mesh, width).as_bytes())?;
     let components: Vec<_> = mesh.attributes().iter().map(|attribute| attribute.components).collect();
     write_vertices(out, mesh, |vertices, out| {
+        out.reserve(vertices.positions.len() * 3 * size_of::<f64>());
         for (vertex, position) in vertices.positions.iter().enumerate() {
             put_position(out, *position, width);
             if let Some(normal) = vertices.normals.get(vertex) {
@@ -37,8 +41,9 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
         }
     })?;
     write_triangles(out, mesh, |triangles, out| {
+        out.reserve(triangles.len() * FACE);
         for corners in triangles {
-            let mut face = [3; 13];
+            let mut face = [3; FACE];
             face[1..].copy_from_slice(corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened());
             out.extend_from_slice(&face);
         }

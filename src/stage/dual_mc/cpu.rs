@@ -137,7 +137,7 @@ impl Signs {
 
     /// Where the word of the tile that holds `cell` is.
     fn index(&self, cell: IVec3) -> usize {
-        let local = (cell.div_euclid(IVec3::splat(TILE)) - self.tiles.lo).as_usizevec3();
+        let local = ((cell >> TILE.ilog2()) - self.tiles.lo).as_usizevec3();
         let size = self.tiles.size().as_usizevec3();
         local.x + size.x * (local.y + size.y * local.z)
     }

@@ -43,37 +43,34 @@ pub fn symmetry([n, x, y, z]: [f64; 4]) -> u16 {
 const ROW: usize = BIN as usize;
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn symmetry_all(cells: &[[f64; 4]], theta: &mut [u16]) {
+fn symmetry_all(sums: &CellSums, theta: &mut [u16]) {
+    theta.fill(0);
     let (theta, _) = theta.as_chunks_mut::<ROW>();
-    for (theta, cells) in theta.iter_mut().zip(cells.as_chunks::<ROW>().0) {
-        *theta = [0; ROW];
-        // Many rows are empty, and roots are slow.
-        if cells.iter().any(|&[n, ..]| n > 0.0) {
-            theta.iter_mut().zip(cells).for_each(|(theta, &cell)| *theta = symmetry(cell));
-        }
+    for (row, cells) in sums.rows() {
+        theta[row].iter_mut().zip(cells).for_each(|(theta, &cell)| *theta = symmetry(cell));
     }
 }
 
-fn counts(cells: &[[f64; 4]], counts: &mut [u16]) {
-    counts.iter_mut().zip(cells).for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
+fn counts(sums: &CellSums, counts: &mut [u16]) {
+    counts.fill(0);
+    let (counts, _) = counts.as_chunks_mut::<ROW>();
+    for (row, cells) in sums.rows() {
+        counts[row].iter_mut().zip(cells).for_each(|(count, &[n, ..])| *count = n.min(FULL.into()) as u16);
+    }
 }
 
 /// N, capped, and the places of centroids, channel by channel.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn centroids(cells: &[[f64; 4]], stored: &mut [u16]) {
-    let mut channels = stored.chunks_exact_mut(cells.len());
-    let [counts, x, y, z] = std::array::from_fn(|_| channels.next().unwrap_or_default());
-    let rows = cells.as_chunks::<ROW>().0.iter().zip(counts.as_chunks_mut::<ROW>().0);
-    let places =
-        x.as_chunks_mut::<ROW>().0.iter_mut().zip(y.as_chunks_mut::<ROW>().0).zip(z.as_chunks_mut::<ROW>().0);
-    for ((cells, counts), ((x, y), z)) in rows.zip(places) {
-        [*counts, *x, *y, *z] = [[0; ROW]; 4];
-        if cells.iter().any(|&[n, ..]| n > 0.0) {
-            for (i, &[n, sx, sy, sz]) in cells.iter().enumerate() {
-                counts[i] = n.min(FULL.into()) as u16;
-                // Of none it is NaN, and 0.
-                [x[i], y[i], z[i]] = [sx, sy, sz].map(|s| place(n, s) as i32 as u16);
-            }
+fn centroids(sums: &CellSums, stored: &mut [u16]) {
+    stored.fill(0);
+    let mut channels = stored.chunks_exact_mut(BIN.pow(3) as usize);
+    let [counts, x, y, z] =
+        std::array::from_fn(|_| channels.next().unwrap_or_default().as_chunks_mut::<ROW>().0);
+    for (row, cells) in sums.rows() {
+        for (i, &[n, sx, sy, sz]) in cells.iter().enumerate() {
+            counts[row][i] = n.min(FULL.into()) as u16;
+            // Of none it is NaN, and 0.
+            [x[row][i], y[row][i], z[row][i]] = [sx, sy, sz].map(|s| place(n, s) as i32 as u16);
         }
     }
 }
@@ -108,7 +105,7 @@ pub fn indicate(
             || (CellSums::default(), vec![0; shape.bin_samples()]),
             |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
                 sums.accumulate(bins.contents(bin)?.particles());
-                values(sums.cells(), dense);
+                values(sums, dense);
                 let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, shape);
                 Ok(page.expect("a bin holds particles"))
             },

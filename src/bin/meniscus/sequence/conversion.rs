@@ -40,7 +40,7 @@ pub struct Settled {
     pub fingerprint: u32,
 }
 
-/// Whatever happens, nobody waits for ever.
+/// Settles at last that it cannot be known: whatever happens, nobody waits for ever.
 struct AtLast<'a>(&'a OnceLock<Option<Settled>>);
 
 impl Drop for AtLast<'_> {
@@ -86,12 +86,7 @@ impl<'a> Conversion<'a> {
     }
 
     /// Converts the frames, and those that come while it watches.
-    pub fn run(
-        &self,
-        known: Option<State>,
-        frames: &[FrameFile],
-        series: &Series,
-    ) -> Result<Verdict, Error> {
+    pub fn run(&self, known: Option<State>, frames: &[FrameFile], series: &Series) -> Result<Verdict, Error> {
         let options = &self.setup.options.sequence;
         let mut tally = Tally::new(self, series);
         // Where all frames are to be made, the first are opened while one of them is measured.
@@ -108,7 +103,7 @@ impl<'a> Conversion<'a> {
             self.setup.notes.say(format!("{done} of {} frames are done already", wanted.len()));
         }
         let watch = options.watch.map(|idle| Watch::new(idle, options.selection()));
-        let bytes = if watch.is_some() { 0 } else { todo.iter().map(|frame| size(frame)).sum() };
+        let bytes = || if watch.is_some() { 0 } else { todo.iter().map(|frame| size(frame)).sum() };
         let idle = todo.is_empty() && watch.is_none();
         let mode = if idle { ProgressMode::Never } else { options.progress };
         let (progress, notes) = Progress::start(mode, bytes, self.division.lanes, self.setup.notes.clone());
@@ -191,7 +186,7 @@ impl<'a> Conversion<'a> {
         if tally.take(&frame, result, progress.has_bars())? {
             self.stop.store(true, Ordering::Relaxed);
         }
-        progress.advance(tally.done, tally.total, tally.failed.len(), size(&frame));
+        progress.advance(tally.done, tally.total, tally.failed.len(), || size(&frame));
         Ok(made)
     }
 

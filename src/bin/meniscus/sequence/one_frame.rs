@@ -35,7 +35,8 @@ use super::conversion::{Conversion, Settled};
 /// A frame that was converted.
 pub struct Done {
     pub mesh: SeriesFrame,
-    pub stats: Value,
+    /// Where statistics are asked for.
+    pub stats: Option<Value>,
     pub seconds: f64,
     pub warnings: Vec<String>,
 }
@@ -147,14 +148,19 @@ impl Conversion<'_> {
         };
         let record = Record { input, fingerprint: settled.fingerprint, mesh: listed };
         interrupt::undisturbed(|| self.store.keep(&record))?;
-        let mut stats = match &sampled {
-            Some(sampled) => {
-                options.record([path, &target], sampled, frozen.iso().ok(), &*mesh, bytes, &laps)
-            }
-            None => json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 }),
-        };
-        stats["frame"] = json!(frame.number);
-        stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
+        let stats = options.stats.is_some().then(|| {
+            let mut stats = match &sampled {
+                Some(sampled) => {
+                    options.record([path, &target], sampled, frozen.iso().ok(), &*mesh, bytes, &laps)
+                }
+                None => {
+                    json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 })
+                }
+            };
+            stats["frame"] = json!(frame.number);
+            stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
+            stats
+        });
         Ok(Done { mesh: record.mesh, stats, seconds: laps.total(), warnings })
     }
 

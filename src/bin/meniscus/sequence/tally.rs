@@ -54,10 +54,12 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Lists what is done already.
+    /// Lists what else is done already.
     pub fn list(&mut self, frames: &[FrameFile]) {
         for frame in frames {
-            if let Some(record) = self.conversion.current(frame) {
+            if !self.lists(frame)
+                && let Some(record) = self.conversion.current(frame)
+            {
                 self.listed.insert(frame.number, record.mesh);
             }
         }
@@ -99,7 +101,7 @@ impl<'a> Tally<'a> {
                     notes.say(line)
                 }
                 self.listed.insert(frame.number, mesh);
-                options.append_stats(&stats)?;
+                stats.map_or(Ok(()), |stats| options.append_stats(&stats))?;
                 if self.series_written.is_none_or(|written| written.elapsed() > SERIES_PAUSE) {
                     self.write_series()?;
                 }
@@ -132,9 +134,7 @@ impl<'a> Tally<'a> {
         let Setup { options, notes, inputs, .. } = self.conversion.setup;
         // Other jobs may have done frames meanwhile, and the last of them lists all.
         let alone = self.conversion.store.locked();
-        let own = std::mem::take(&mut self.listed);
         self.list(&inputs.list()?);
-        self.listed.extend(own);
         self.write_series()?;
         drop(alone);
         let made = self.done - self.failed.len().min(self.done);
