@@ -119,7 +119,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--sigma", "nan"]), "sigma"),
         (ball(&["--iso", "1.5"]), "isovalue"),
         (ball(&["--iso", "high"]), "auto"),
-        (ball(&["--mu0", "3"]), "counting"),
+        (ball(&["--mu0", "3", "--indicator", "symmetry"]), "symmetry"),
         (ball(&["--method", "guess"]), "guess"),
         (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
         (ball(&["--method", "yu-turk", "--adaptive"]), "--adaptive"),

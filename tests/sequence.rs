@@ -612,13 +612,13 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
     }
-    let frozen = ["--cell-size", "1", "--iso", "0.2", "--mu0", "1.5", "--origin", "0,0,0"];
+    let frozen = ["--cell-size", "1", "--iso", "0.2", "--mu0", "1", "--origin", "0,0,0"];
     let mut sizes = Vec::new();
     for (extension, options) in [
         ("ply", &[][..]),
         ("ply", &["--simplify", "0.25"]),
-        ("ply", &["--drop-smaller", "40"]),
-        ("ply", &["--simplify", "0.25", "--drop-smaller", "40", "--up", "z", "--normals"]),
+        ("ply", &["--drop-smaller", "80"]),
+        ("ply", &["--simplify", "0.25", "--drop-smaller", "80", "--up", "z", "--normals"]),
         ("glb", &["--simplify", "0.1", "--compress", "--particles-up", "z"]),
         ("usdc", &["--up", "z"]),
     ] {
@@ -659,7 +659,7 @@ fn up_turns_places_normals_and_directions_and_back() {
     };
     let y = mesh("y.vtk", &[]);
     let z = mesh("z.vtk", &["--up", "z"]);
-    let values = |mesh: &meniscus::mesh::Mesh, name: &str| {
+    let values = |mesh: &Mesh, name: &str| {
         mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone()
     };
     assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));

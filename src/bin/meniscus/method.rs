@@ -55,6 +55,7 @@ impl Options {
             ("--detail", self.detail),
             ("--adaptive", self.adaptive),
             ("--indicator", self.sampling.indicator_given()),
+            ("--mu0", self.sampling.mu0_given()),
             ("--backend vulkan", self.run.vulkan_given()),
             ("--iso", method == Method::ZhuBridson && matches!(self.iso, IsoOption::Value(_))),
         ];

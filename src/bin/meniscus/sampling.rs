@@ -135,9 +135,14 @@ impl SamplingOptions {
         self.origin.is_some()
     }
 
-    /// Whether anything was said of the indicator.
+    /// Whether there is one.
     pub fn indicator_given(&self) -> bool {
-        self.indicator.is_some() || self.mu0.is_some()
+        self.indicator.is_some()
+    }
+
+    /// Whether there is one.
+    pub fn mu0_given(&self) -> bool {
+        self.mu0.is_some()
     }
 
     /// Refuses what is wrong whatever the particles are.
