@@ -49,11 +49,15 @@ fn share(place: u32, away: i32) -> u32 {
     let fractions = 1u << FRACTION_BITS;
     let twice = 2u * (place & (fractions - 1u)) + 1u;
     let rest = 2u * fractions - twice;
-    let half_square = (vec2(rest * rest, twice * twice) + (1u << (SQUARE_BITS - 1u))) >> vec2(SQUARE_BITS);
+    let half_square = vec2(rest * rest, twice * twice) >> vec2(SQUARE_BITS);
     if away == 0 {
         return (1u << SHARE_BITS) - half_square.x - half_square.y;
     }
     return select(half_square.x, half_square.y, away > 0);
+}
+
+fn part_of(amount: u32, share: u32) -> u32 {
+    return (amount * share + (1u << (SHARE_BITS - 1u))) >> SHARE_BITS;
 }
 
 fn theta(block: Block, cell: vec3<i32>) -> u32 {
@@ -69,22 +73,22 @@ fn theta(block: Block, cell: vec3<i32>) -> u32 {
                 if own.x == 0u {
                     continue;
                 }
-                let cloud = select(own.x * push.amount, MOST, own.x > MOST / push.amount);
+                let cloud = min(own.x * push.amount, FULL);
                 let first = max(lo, from_cell - 1);
                 let last = min(hi, from_cell + 1);
                 for (var z = first.z; z <= last.z; z++) {
-                    let slab = (cloud * share(own.w, z - from_z)) >> SHARE_BITS;
+                    let slab = part_of(cloud, share(own.w, z - from_z));
                     for (var y = first.y; y <= last.y; y++) {
-                        let row = (slab * share(own.z, y - from_y)) >> SHARE_BITS;
+                        let row = part_of(slab, share(own.z, y - from_y));
                         for (var x = first.x; x <= last.x; x++) {
-                            sum += (row * share(own.y, x - from_x)) >> SHARE_BITS;
+                            sum += part_of(row, share(own.y, x - from_x));
                         }
                     }
                 }
             }
         }
     }
-    return min((sum + (1u << (AMOUNT_FINE_BITS - 1u))) >> AMOUNT_FINE_BITS, FULL);
+    return min(sum, FULL);
 }
 
 @compute @workgroup_size(256)

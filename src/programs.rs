@@ -11,9 +11,7 @@ use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, OCTANT};
-use crate::stage::indicator::{
-    AMOUNT_FINE_BITS, CHANNELS, DISTANCE_SCALE, MOST, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
-};
+use crate::stage::indicator::{CHANNELS, DISTANCE_SCALE, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
 use crate::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES};
 use crate::units::FULL;
 use crate::vulkan::Program;
@@ -37,9 +35,7 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),
         ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
         ("SHARE_BITS", "u32", SHARE_BITS.into()),
-        ("AMOUNT_FINE_BITS", "u32", AMOUNT_FINE_BITS.into()),
         ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
-        ("MOST", "u32", MOST.into()),
         ("CLOUD_CHANNELS", "u32", CHANNELS as i64),
         ("TILE", "u32", TILE.into()),
         ("BIN", "i32", BIN.into()),

@@ -659,9 +659,8 @@ fn up_turns_places_normals_and_directions_and_back() {
     };
     let y = mesh("y.vtk", &[]);
     let z = mesh("z.vtk", &["--up", "z"]);
-    let values = |mesh: &Mesh, name: &str| {
-        mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone()
-    };
+    let values =
+        |mesh: &Mesh, name: &str| mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone();
     assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));
     let normals = y.normals.iter().flatten().zip(z.normals.iter().flatten());
     assert!(normals.map(|(a, b)| assert_eq!([a[0], -a[2], a[1]], *b)).count() > 1000);

@@ -80,7 +80,7 @@ fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_
 fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
     // Triangles with an angle below 10 degrees.
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
-    for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
+    for (what, particles, share) in [("splashes", splashes(5), 6), ("pool", pool(), 2)] {
         for indicator in INDICATORS {
             let sampling = Sampling { indicator, ..sampling() };
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());

@@ -30,7 +30,7 @@ enum Stored {
     /// Numbers of particles, which a table turns into the DIF on the way out.
     Counts(DecodeTable),
     /// Numbers of particles and their centroids, each of which makes so much of the DIF around it a particle.
-    Clouds { amount: u32 },
+    Clouds { amount: u16 },
 }
 
 impl DifField {
@@ -69,13 +69,13 @@ impl DifField {
 
     /// Takes what is stored for numbers of particles and their centroids, a particle for so much of the DIF around it.
     #[must_use]
-    pub fn with_clouds(self, amount: u32) -> Self {
+    pub fn with_clouds(self, amount: u16) -> Self {
         Self { stored: Stored::Clouds { amount }, ..self }
     }
 
     /// How much of the DIF a particle makes, if what is stored is particles and their centroids.
     #[must_use]
-    pub fn clouds(&self) -> Option<u32> {
+    pub fn clouds(&self) -> Option<u16> {
         match self.stored {
             Stored::Clouds { amount } => Some(amount),
             _ => None,
@@ -148,30 +148,9 @@ impl DifField {
         block
     }
 
-    /// Calls `visit` with all samples of each full cell among `cells`, if there are so many.
-    pub fn each_full_cell<const N: usize>(&self, cells: CellBox, mut visit: impl FnMut(IVec3, [u16; N])) {
-        let size = self.shape.side.samples();
-        self.each_brick(cells, |part, from, samples| {
-            let channels: [&[u16]; N] =
-                std::array::from_fn(|channel| &samples[channel * size..(channel + 1) * size]);
-            let edge = from.size().x;
-            for z in part.lo.z..part.hi.z {
-                for y in part.lo.y..part.hi.y {
-                    let row = (edge * (y - from.lo.y + edge * (z - from.lo.z))) as usize;
-                    for x in part.lo.x..part.hi.x {
-                        let at = row + (x - from.lo.x) as usize;
-                        if channels[0][at] > 0 {
-                            visit(IVec3::new(x, y, z), channels.map(|samples| samples[at]));
-                        }
-                    }
-                }
-            }
-        });
-    }
-
-    /// Calls `visit` with the part of every brick that is among `cells`, the brick's cells, and its samples. What no part
-    /// holds is 0.
-    fn each_brick(&self, cells: CellBox, mut visit: impl FnMut(CellBox, CellBox, &[u16])) {
+    /// Calls `visit` with the part of every brick that is among `cells`, the brick's cells, and its samples as they are
+    /// stored. What no part holds is 0.
+    pub fn each_brick(&self, cells: CellBox, mut visit: impl FnMut(CellBox, CellBox, &[u16])) {
         let edge = self.shape.side.cells();
         let per_bin = BIN / edge;
         for bin in cells.cubes(BIN) {

@@ -226,8 +226,7 @@ impl Method {
                 }
             }
         });
-        // What a particle makes, in 16ths of theta's unit.
-        let amount = (65535.0 * 16.0 / (2.0 * self.mu0())).round() as u64;
+        let amount = (65535.0 / (2.0 * self.mu0())).round() as u64;
         if let Indicator::Cloud { .. } = self.indicator {
             let mut sums = Dense::new(cells, |_| 0);
             for (cell, offsets) in &by_cell {
@@ -235,20 +234,20 @@ impl Method {
                 let shares = [0, 1, 2].map(|axis| {
                     let sum: u64 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as u64).sum();
                     let twice = 2 * ((2 * sum + n) / (2 * n)) + 1;
-                    let [below, above] =
-                        [16384 - twice, twice].map(|length| (length * length + 65536) / 131_072);
-                    [below, 4096 - below - above, above]
+                    let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
+                    [below, 65536 - below - above, above]
                 });
                 for away in cube() {
                     let of_axis = |axis: usize| shares[axis][(away[axis] + 1) as usize];
-                    let cloud = (n * amount).min((1 << 20) - 1);
-                    let share = cloud * of_axis(2) / 4096 * of_axis(1) / 4096 * of_axis(0) / 4096;
+                    let cloud = (n * amount).min(65535);
+                    let part = |amount: u64, share: u64| (amount * share + 32768) / 65536;
+                    let share = part(part(part(cloud, of_axis(2)), of_axis(1)), of_axis(0));
                     *sums.nearest(IVec3::from(*cell) + away) += share;
                 }
             }
-            theta = Dense::new(cells, |cell| ((sums.at(cell, None) + 8) / 16).min(65535) as u16);
+            theta = Dense::new(cells, |cell| sums.at(cell, None).min(65535) as u16);
         }
-        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 480).max(1) } else { 1 };
+        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 30).max(1) } else { 1 };
         let blur = |field: &Dense<u16>, half: &[u64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {

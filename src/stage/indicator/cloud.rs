@@ -10,30 +10,17 @@ use crate::units::{FULL, MeanCount};
 /// What is kept of a cell: the particles' number, and their centroid's place along x, y and z.
 pub const CHANNELS: usize = 4;
 /// Bits of a share of a cloud: a power of two is the whole.
-pub const SHARE_BITS: u32 = 12;
-/// Bits that a square of twice a place has more.
+pub const SHARE_BITS: u32 = 16;
+/// Bits that the square of a length has more than the share that is half of it: a length has one bit more than a place.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// Bits of what a cell's particles make of the DIF, all around: a product with a share fits 32 bits.
-pub const AMOUNT_BITS: u32 = 32 - SHARE_BITS;
-/// Bits of it below the unit of theta.
-pub const AMOUNT_FINE_BITS: u32 = 4;
 /// theta is 1 where so many mu0 lie in a cell.
 const MEANS_A_CELL: f64 = 2.0;
 
 /// What a particle makes of the DIF, all around.
 #[must_use]
-pub fn amount(mean: MeanCount) -> u32 {
-    let whole = f64::from(u32::from(FULL) << AMOUNT_FINE_BITS);
-    ((whole / (MEANS_A_CELL * mean.particles())).round() as u32).clamp(1, MOST)
-}
-
-/// What a cell's particles make of the DIF at the most.
-pub const MOST: u32 = (1 << AMOUNT_BITS) - 1;
-
-/// What so many particles make of it.
-#[inline(always)]
-fn amount_of(n: u16, amount: u32) -> u32 {
-    if u32::from(n) > MOST / amount { MOST } else { u32::from(n) * amount }
+pub fn amount(mean: MeanCount) -> u16 {
+    // At most FULL, for a cast saturates.
+    ((f64::from(FULL) / (MEANS_A_CELL * mean.particles())).round() as u16).max(1)
 }
 
 /// The place of a centroid in its cell along an axis, of N particles whose offsets sum to S: the step that it lies in, as
@@ -44,57 +31,102 @@ pub(super) fn place(n: f64, s: f64) -> f64 {
     ((2.0 * s + n) / (2.0 * n)).floor()
 }
 
+/// What so many particles make of it, as far as 16 bits hold it.
+#[inline(always)]
+fn cloud_of(n: u16, amount: u16) -> u32 {
+    (u32::from(n) * u32::from(amount)).min(FULL.into())
+}
+
 /// The shares of a cloud in the cell below, the centroid's own, and the one above.
 #[inline(always)]
 fn shares(place: u16) -> [u32; 3] {
-    let twice = 2 * (u32::from(place) & (FRACTIONS - 1)) + 1;
-    let half_square = |length: u32| (length * length + (1 << (SQUARE_BITS - 1))) >> SQUARE_BITS;
-    let (below, above) = (half_square(2 * FRACTIONS - twice), half_square(twice));
+    let length = 2 * (u32::from(place) & (FRACTIONS - 1)) + 1;
+    let half_square = |length: u32| (length * length) >> SQUARE_BITS;
+    let (below, above) = (half_square(2 * FRACTIONS - length), half_square(length));
     [below, (1 << SHARE_BITS) - below - above, above]
+}
+
+/// A share of an amount, of 16 bits each, rounded.
+#[inline(always)]
+fn part_of(amount: u32, share: u32) -> u32 {
+    (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
 /// The DIF of `cells`: what clouds leave in each, where a particle's makes `amount`. What would lie beyond a wall lies in
 /// the cell before it.
 #[must_use]
-pub fn clouds(dif: &DifField, amount: u32, cells: CellBox, walls: Option<CellBox>) -> Block {
+pub fn clouds(dif: &DifField, amount: u16, cells: CellBox, walls: Option<CellBox>) -> Block {
     // Around the cells whose clouds reach `cells`, and as wide along x as four cells are added at once.
     let mut sums = Block::<u32>::zero(CellBox { lo: cells.lo - 2, hi: cells.hi + IVec3::new(3, 2, 2) });
-    let mut full = Vec::new();
-    dif.each_full_cell(cells.grown(1, 1), |cell, samples| {
-        full.push((sums.index(cell - 1), samples));
-    });
     let [_, row, slab] = sums.strides();
-    add_clouds(&full, amount, row, slab, sums.samples_mut());
+    dif.each_brick(cells.grown(1, 1), |part, brick, samples| {
+        let lowest = sums.index(part.lo - 1);
+        add_clouds(part, brick, samples, amount, [row, slab], &mut sums.samples_mut()[lowest..]);
+    });
     if let Some(walls) = walls {
         fold(&mut sums, walls);
     }
     let mut block = Block::zero(cells);
     let width = cells.size().x as usize;
     for (to, (_, sums)) in block.samples_mut().chunks_exact_mut(width).zip(sums.rows(cells)) {
-        let theta =
-            |&sum: &u32| ((sum + (1 << (AMOUNT_FINE_BITS - 1))) >> AMOUNT_FINE_BITS).min(FULL.into()) as u16;
-        to.iter_mut().zip(sums).for_each(|(to, sum)| *to = theta(sum));
+        to.iter_mut().zip(sums).for_each(|(to, &sum)| *to = sum.min(FULL.into()) as u16);
     }
     block
 }
 
-/// Adds clouds to cells: for each the lowest cell that it reaches, the number of particles, and the centroid's place.
-#[multiversion(targets("x86_64+avx2", "x86_64+sse4.1"))]
-fn add_clouds(clouds: &[(usize, [u16; CHANNELS])], amount: u32, row: usize, slab: usize, sums: &mut [u32]) {
-    for &(lowest, [n, x, y, z]) in clouds {
-        let cloud = amount_of(n, amount);
-        let [x, y, z] = [x, y, z].map(shares);
-        let x = [x[0], x[1], x[2], 0];
-        for (first, z) in (lowest..).step_by(slab).zip(z) {
-            let slab = (cloud * z) >> SHARE_BITS;
-            for (first, y) in (first..).step_by(row).zip(y) {
-                let row = (slab * y) >> SHARE_BITS;
-                if let Some(to) = sums[first..].first_chunk_mut::<4>() {
-                    to.iter_mut().zip(x).for_each(|(to, x)| *to += (row * x) >> SHARE_BITS);
+/// Adds the clouds of the cells `part` of a brick to sums, which begin with the lowest that they reach and have so many from
+/// one row to the next and from one slab.
+#[multiversion(targets("x86_64+avx2+bmi1", "x86_64+sse4.1"))]
+fn add_clouds(
+    part: CellBox,
+    brick: CellBox,
+    samples: &[u16],
+    amount: u16,
+    [row, slab]: [usize; 2],
+    sums: &mut [u32],
+) {
+    let edge = brick.size().x as usize;
+    let (local, size) = ((part.lo - brick.lo).as_usizevec3(), part.size().as_usizevec3());
+    let (counts, places) = samples.split_at(edge.pow(3));
+    let (x_places, places) = places.split_at(edge.pow(3));
+    let (y_places, z_places) = places.split_at(edge.pow(3));
+    for z in 0..size.z {
+        for y in 0..size.y {
+            let first = local.x + edge * (local.y + y + edge * (local.z + z));
+            let mut full = full_cells(&counts[first..first + size.x]);
+            // Bit by bit: which cells are full nobody can foresee.
+            while full != 0 {
+                let x = full.trailing_zeros() as usize;
+                full &= full - 1;
+                let from = first + x;
+                let [below, own, above] = shares(x_places[from]);
+                let x_shares = [below, own, above, 0];
+                let (y_shares, z_shares) = (shares(y_places[from]), shares(z_places[from]));
+                let cloud = cloud_of(counts[from], amount);
+                for (z_share, slab_to) in z_shares.into_iter().zip((x + y * row + z * slab..).step_by(slab)) {
+                    let in_slab = part_of(cloud, z_share);
+                    for (y_share, to) in y_shares.into_iter().zip((slab_to..).step_by(row)) {
+                        let in_row = part_of(in_slab, y_share);
+                        let sums = &mut sums[to..to + 4];
+                        sums.iter_mut()
+                            .zip(x_shares)
+                            .for_each(|(sum, x_share)| *sum += part_of(in_row, x_share));
+                    }
                 }
             }
         }
     }
+}
+
+/// A bit for each of up to 16 cells that holds particles.
+#[inline(always)]
+fn full_cells(counts: &[u16]) -> u32 {
+    if let Ok(&[a, b, c, d, e, f, g, h]) = <&[u16; 8]>::try_from(counts) {
+        let bytes = [a > 0, b > 0, c > 0, d > 0, e > 0, f > 0, g > 0, h > 0].map(u8::from);
+        // Gathers the lowest bits of eight bytes in the highest.
+        return (u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u32;
+    }
+    counts.iter().rev().fold(0, |full, &count| full << 1 | u32::from(count > 0))
 }
 
 /// Adds what lies beyond the walls to the cells before them.
@@ -125,14 +157,14 @@ mod tests {
 
     #[test]
     fn shares_are_whole_and_hold_the_place_and_its_square() {
-        let whole = f64::from(1 << SHARE_BITS);
+        let whole = 65536.0;
         for place in 0..FRACTIONS as u16 {
             let shares = shares(place).map(|share| f64::from(share) / whole);
             assert_eq!(shares.iter().sum::<f64>(), 1.0);
             let offset = (f64::from(place) + 0.5) / f64::from(FRACTIONS) - 0.5;
             let moment = |power: i32| (-1.0_f64).powi(power) * shares[0] + shares[2];
             assert!((moment(1) - offset).abs() <= 1.0 / whole, "{place}");
-            assert!((moment(2) - offset * offset - 0.25).abs() <= 1.0 / whole, "{place}");
+            assert!((moment(2) - offset * offset - 0.25).abs() <= 2.0 / whole, "{place}");
         }
     }
 
@@ -153,12 +185,13 @@ mod tests {
     }
 
     #[test]
-    fn the_most_that_particles_make_is_what_integers_hold() {
+    fn clouds_of_a_cell_are_its_particles_as_far_as_16_bits_hold() {
         for mean in [1e-9, 0.01, 1.0, 2.5, 1000.0, MeanCount::MAX] {
             let amount = amount(MeanCount::new(mean).unwrap());
+            assert!(amount > 0);
             for n in [0, 1, 2, 31, 32, 33, 1000, u16::MAX] {
-                let expected = (u64::from(n) * u64::from(amount)).min(MOST.into());
-                assert_eq!(u64::from(amount_of(n, amount)), expected, "{n} particles, mean {mean}");
+                let expected = (u64::from(n) * u64::from(amount)).min(FULL.into());
+                assert_eq!(u64::from(cloud_of(n, amount)), expected, "{n} particles, mean {mean}");
             }
         }
     }

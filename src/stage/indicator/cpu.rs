@@ -67,10 +67,19 @@ fn centroids(sums: &CellSums, stored: &mut [u16]) {
     let [counts, x, y, z] =
         std::array::from_fn(|_| channels.next().unwrap_or_default().as_chunks_mut::<ROW>().0);
     for (row, cells) in sums.rows() {
-        for (i, &[n, sx, sy, sz]) in cells.iter().enumerate() {
-            counts[row][i] = n.min(FULL.into()) as u16;
-            // Of none it is NaN, and 0.
-            [x[row][i], y[row][i], z[row][i]] = [sx, sy, sz].map(|s| place(n, s) as i32 as u16);
+        let channels = [&mut counts[row], &mut x[row], &mut y[row], &mut z[row]];
+        let crowded = cells.iter().fold(false, |crowded, &[n, ..]| crowded | (n > 1.0));
+        for (channel, to) in channels.into_iter().enumerate() {
+            for (to, cell) in to.iter_mut().zip(cells) {
+                let (n, sum) = (cell[0], cell[channel]);
+                *to = match (channel, crowded) {
+                    (0, _) => sum.min(FULL.into()) as u16,
+                    // Of none it is NaN, and 0.
+                    (_, true) => place(n, sum) as i32 as u16,
+                    // The place of one is its offset.
+                    (_, false) => sum as i32 as u16,
+                };
+            }
         }
     }
 }

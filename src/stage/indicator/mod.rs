@@ -21,7 +21,7 @@ mod cloud;
 mod cpu;
 pub mod vulkan;
 
-pub use cloud::{AMOUNT_FINE_BITS, MOST, SHARE_BITS, SQUARE_BITS, amount, clouds};
+pub use cloud::{SHARE_BITS, SQUARE_BITS, amount, clouds};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
 use crate::brick::{BrickSide, DifField, PageShape};
@@ -98,7 +98,7 @@ impl Indicator {
     #[must_use]
     pub fn least(self) -> u16 {
         match self {
-            Self::Cloud { mean: Some(mean) } => ((amount(mean) / 30) >> AMOUNT_FINE_BITS).max(1) as u16,
+            Self::Cloud { mean: Some(mean) } => (amount(mean) / 30).max(1),
             _ => 1,
         }
     }

@@ -74,12 +74,12 @@ pub fn clouds(
     kernel: &Arc<Kernel>,
     blocks: &DeviceBlocks,
     pages: &DevicePages,
-    amount: u32,
+    amount: u16,
     walls: Option<CellBox>,
     field: &View,
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let push = CloudsPush { walls_lo, amount, walls_hi };
+    let push = CloudsPush { walls_lo, amount: amount.into(), walls_hi };
     let buffers = [&blocks.blocks, &pages.tables, &pages.pages, field].map(Clone::clone);
     batch.dispatch(kernel, &buffers, &push, blocks.groups())
 }
