@@ -1,6 +1,6 @@
 //! with wide
 // Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
-// shared memory, then theta, or for counting the number of particles, and for clouds their centroid's place besides.
+// shared memory, then theta, or for counting the number of particles, and for clouds also their centroid's place.
 
 struct Push {
     // Samples of a cell.

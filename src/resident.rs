@@ -22,7 +22,7 @@ use crate::stage::detail::Detail;
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::Indicator;
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use crate::units::{Isovalue, MeanCount, Sigma, UnitError};
+use crate::units::{Isovalue, Sigma, UnitError};
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
 
 /// Bytes of a vertex, three f32, and of a triangle, three u32.
@@ -144,12 +144,8 @@ impl Pipeline {
         let pages = frame.indicate(&bins, *indicator, side)?;
         drop(bins);
         let stored = DifField::in_memory(indicator.shape(side), pages);
-        let measured = || MeanCount::measured(census.binned as u64, stored.full_cells());
-        let mean = match indicator.counts() {
-            true => Some(indicator.mean().map_or_else(measured, Ok).map_err(ResidentError::MeanCount)?),
-            false => None,
-        };
-        let indicator = indicator.with_mean(mean);
+        let indicator =
+            indicator.measured(census.binned, stored.full_cells()).map_err(ResidentError::MeanCount)?;
         let dif = indicator.decode(stored);
         let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };

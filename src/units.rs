@@ -97,11 +97,11 @@ impl Sigma {
         if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
     }
 
-    /// As wide as the particles' spacing, which is in cells, but no less than a cell: what is left of the lattice that
-    /// particles stand on, and of how it lies on the grid, is then smoothed away, in however small cells.
+    /// So many cells wide, but one at the least. Where the width is a matter of the particles' spacing, what is left of the
+    /// lattice that they stand on, and of how it lies on the grid, is smoothed away in however small cells.
     #[must_use]
-    pub fn of_spacing(spacing: Option<f64>) -> Self {
-        Self(spacing.unwrap_or(1.0).clamp(1.0, Self::MAX))
+    pub fn at_least_a_cell(cells: Option<f64>) -> Self {
+        Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
     }
 
     /// In cells.

@@ -39,7 +39,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         domain: sampling.domain,
         indicator: sampling.indicator,
         invalid: InvalidParticles::Refuse,
-        sigma: surfacing.sigma.unwrap_or(Sigma::of_spacing(None)),
+        sigma: surfacing.sigma.unwrap_or(Sigma::at_least_a_cell(None)),
         detail: surfacing.detail,
         iso: surfacing.iso,
     }

@@ -15,6 +15,7 @@ use meniscus::mesh::compare::compare;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::source::MeshSource;
 use meniscus::simplify::{Reduction, simplify};
+use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::Tolerance;
 
@@ -80,12 +81,14 @@ fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_
 fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
     // Triangles with an angle below 10 degrees.
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
-    for (what, particles, share) in [("splashes", splashes(5), 6), ("pool", pool(), 2)] {
+    for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
         for indicator in INDICATORS {
             let sampling = Sampling { indicator, ..sampling() };
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
+                // Of clouds there are fewer to begin with.
+                let share = if matches!(indicator, Indicator::Cloud { .. }) { share.min(6) } else { share };
                 assert!(left <= whole / share, "{what}, {indicator:?}, {cells} cells: {left} of {whole}");
             }
         }

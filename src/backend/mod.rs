@@ -38,7 +38,7 @@ pub trait Backend: Debug + Send + Sync {
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// The pages of a range of bins: theta by symmetry; the numbers of particles for counting.
+    /// The pages of a range of bins: what the indicator stores.
     ///
     /// # Errors
     /// Where particles are in a scratch file that cannot be read.

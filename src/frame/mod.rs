@@ -164,12 +164,8 @@ impl Frame {
         };
         let carried = bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
-        let measured = || MeanCount::measured(census.binned as u64, sink.full_cells());
-        let mean = match indicator.counts() {
-            true => Some(indicator.mean().map_or_else(measured, Ok).map_err(FrameError::MeanCount)?),
-            false => None,
-        };
-        let indicator = indicator.with_mean(mean);
+        let indicator =
+            indicator.measured(census.binned, sink.full_cells()).map_err(FrameError::MeanCount)?;
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
         let dif = sink.finish(&facts, indicator.shape(*side), plan).map_err(&in_scratch)?;
         laps.lap("indicate");
@@ -236,7 +232,7 @@ impl Frame {
     pub fn sigma(&self, asked: Option<Sigma>) -> Sigma {
         let FrameFacts { grid, spacing, indicator, .. } = &self.facts;
         let width = |spacing: f64| indicator.spacings_smoothed() * spacing / grid.cell_size();
-        asked.unwrap_or_else(|| Sigma::of_spacing(spacing.map(width)))
+        asked.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(width)))
     }
 
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.

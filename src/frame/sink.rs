@@ -10,8 +10,8 @@ use crate::estimate::{Estimate, Plan, Shares};
 use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
 use crate::stage::indicator::Indicator;
 
-/// Bins whose pages are made at once.
-const BATCH: usize = 1024;
+/// Samples of the bins whose pages are made at once, at the most.
+const BATCH_SAMPLES: usize = 1 << 22;
 
 /// Where the DIF goes as it is made.
 pub(super) enum FieldSink {
@@ -41,8 +41,9 @@ impl FieldSink {
         side: BrickSide,
     ) -> io::Result<()> {
         let end = bins.keys().len();
-        for first in (0..end).step_by(BATCH) {
-            let pages = stages.indicate(bins, first..(first + BATCH).min(end), indicator, side)?;
+        let batch = BATCH_SAMPLES / indicator.shape(side).bin_samples();
+        for first in (0..end).step_by(batch) {
+            let pages = stages.indicate(bins, first..(first + batch).min(end), indicator, side)?;
             match self {
                 Self::Memory(kept) => kept.extend(pages),
                 Self::File { writer, full_cells, .. } => {

@@ -53,7 +53,7 @@ pub struct Frozen {
     pub cell_size: f64,
     /// Of the grid.
     pub origin: [f64; 3],
-    /// For counting.
+    /// Where the indicator counts.
     pub mu0: Option<f64>,
     /// As a fraction of 1, for DIFs.
     pub isovalue: Option<f64>,
@@ -73,7 +73,7 @@ pub enum Origin {
 pub struct Measured {
     /// Of the grid for all frames.
     pub grid: Grid,
-    /// For counting.
+    /// Where the indicator counts.
     pub mean: Option<MeanCount>,
     /// Given, or a share of the plateau.
     pub iso: Isovalue,

@@ -345,6 +345,11 @@ impl Work<'_, '_> {
             self.settle(vertex, to);
             self.calm[vertex as usize] = calm;
         }
+        for moved in self.moved.iter().filter(|moved| moved.calm == Vec3A::ZERO) {
+            for edge in self.by.leaving.at(moved.vertex) {
+                self.calm[edge.to as usize] = Vec3A::ZERO;
+            }
+        }
         let offset = self.position(target) - self.position(vertex);
         let quadric = self.quadrics[vertex as usize].moved(offset);
         self.quadrics[target as usize].add(&quadric);
@@ -478,9 +483,8 @@ impl Work<'_, '_> {
         let is_near = moved.iter_mut().all(|moved| {
             let (home, is_close) = (moved.to.triangle(), moved.to.is_close());
             let (corners, normal) = (self.surface.triangles[home as usize], self.surface.normal(home));
-            let calm = self.calm[moved.vertex as usize];
-            if is_close && normal.dot(calm) >= STEADY {
-                moved.calm = calm;
+            if self.stays_calm(moved.vertex) {
+                moved.calm = self.calm[moved.vertex as usize];
                 return true;
             }
             let mut is_calm = is_close;
@@ -492,9 +496,11 @@ impl Work<'_, '_> {
                     | (!spot.is_gone() & corners.contains(&other))
                     | facing.is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
                 is_calm &= needs_no_look;
-                // Where both ends have moved, one is enough.
+                // Where both ends have moved and look, one is enough.
                 needs_no_look
-                    || self.marks[other as usize] == self.mark && other < moved.vertex
+                    || self.marks[other as usize] == self.mark
+                        && other < moved.vertex
+                        && !self.stays_calm(other)
                     || self.is_edge_near(moved.vertex, home, other)
             });
             moved.calm = if is_calm { normal } else { Vec3A::ZERO };
@@ -502,6 +508,13 @@ impl Work<'_, '_> {
         });
         self.moved = moved;
         is_near
+    }
+
+    /// Whether a vertex that is gone needs no look at what is around it, for its home has hardly turned since nothing did.
+    fn stays_calm(&self, vertex: u32) -> bool {
+        let spot = self.surface.spot(vertex);
+        let facing = self.surface.normal_of(spot);
+        spot.is_close() && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
     }
 
     /// Whether an edge of the reference is near, one end of which is gone.

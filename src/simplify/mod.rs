@@ -65,7 +65,7 @@ pub struct Simplified {
 }
 
 /// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled surface.
-pub const BYTES_A_THREAD: u64 = 24 << 20;
+pub const BYTES_A_THREAD: u64 = 28 << 20;
 
 /// What is to be left out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -20,7 +20,7 @@ use scene::Random;
 pub const INDICATORS: [Indicator; 3] =
     [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::Cloud { mean: None }];
 
-/// Settings that tests start from: cells of edge 1 at the origin, the defaults of the command line.
+/// Settings that tests start from: cells of edge 1 at the origin, symmetry.
 pub fn sampling() -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),

@@ -61,7 +61,7 @@ fn main() {
     };
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
-    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }] {
+    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::default()] {
         let (seconds, _) =
             best_seconds(3, || indicate(&bins, 0..bins.keys().len(), indicator, BrickSide::Eight));
         let name = indicator.name();

@@ -153,7 +153,7 @@ impl Vulkan {
 pub struct ResidentFrame(DeviceFrame);
 
 impl ResidentFrame {
-    /// The pages of all bins: theta by symmetry; the numbers of particles for counting.
+    /// The pages of all bins: what the indicator stores.
     ///
     /// # Errors
     /// Those of the device.

@@ -24,6 +24,7 @@ use meniscus::units::{MeanCount, MemoryBudget};
 use serde::Serialize;
 
 use crate::reconstruct::is_frame;
+use crate::sampling::CELL;
 use crate::{Verdict, print, print_json};
 
 #[derive(Args)]
@@ -55,7 +56,7 @@ enum Info {
         spacing: Option<f64>,
         /// Where the spacing comes from.
         spacing_source: Option<String>,
-        /// To reconstruct in memory with cells of one spacing.
+        /// To reconstruct in memory by default.
         memory_bytes: Option<u64>,
     },
     Frame {
@@ -170,12 +171,12 @@ fn inspect_particles(path: &Path) -> Result<Info, Error> {
     })
 }
 
-/// What reconstructing at a cell size of one spacing takes, in bytes.
+/// What reconstructing by default takes, in bytes.
 fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
     let sampling = Sampling {
-        grid: Grid::new(DVec3::ZERO, spacing).ok()?,
+        grid: Grid::new(DVec3::ZERO, CELL * spacing).ok()?,
         domain: None,
-        indicator: Indicator::Symmetry,
+        indicator: Indicator::default(),
         invalid: InvalidParticles::Skip,
         side: BrickSide::default(),
         carried: Vec::new(),
@@ -215,7 +216,7 @@ fn describe(info: &Info) -> String {
             let source = spacing_source.as_deref().unwrap_or_default();
             line("spacing", spacing.map_or("unknown".into(), |s| format!("{s:.6}, from {source}")));
             if let Some(bytes) = memory_bytes {
-                line("memory", format!("about {} with cells of one spacing", ByteSize(*bytes)));
+                line("memory", format!("about {} by default", ByteSize(*bytes)));
             }
             format!("{}: {format}", file.display())
         }

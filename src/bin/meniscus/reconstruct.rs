@@ -53,7 +53,7 @@ pub struct Options {
     /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with.
     #[arg(long, value_enum, default_value = "dif")]
     pub method: MethodName,
-    /// Width of the Gaussian [default: the spacing, and a cell at the least].
+    /// Width of the Gaussian [default: 0.8 spacings for cloud and 1 for others, and a cell at the least].
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
     /// Where the surface is, between 0 and 1; auto: 0.47 of the field's interior plateau.

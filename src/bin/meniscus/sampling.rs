@@ -203,7 +203,7 @@ impl Cells {
 
 /// Edge of a cell in spacings. In cells of a whole one, smoothed over at least as much, drops are lost and tips shrink, and a
 /// level pool that is carried through them moves by a few hundredths of a cell. Smaller ones do not pay.
-const CELL: f64 = 2.0 / 3.0;
+pub const CELL: f64 = 2.0 / 3.0;
 
 impl SamplingRequest {
     /// The same for a kernel method instead of a DIF.

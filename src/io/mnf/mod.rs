@@ -68,7 +68,7 @@ pub struct FrameFacts {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// What the DIF was computed by; counting knows its mu0.
+    /// What the DIF was computed by, with its mu0 where it counts.
     pub indicator: Indicator,
     /// What became of the particles.
     pub census: Census,

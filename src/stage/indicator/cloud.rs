@@ -16,7 +16,7 @@ pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
 /// theta is 1 where so many mu0 lie in a cell.
 const MEANS_A_CELL: f64 = 2.0;
 
-/// What a particle makes of the DIF, all around.
+/// What a particle makes of the DIF, all around: a whole number, so that a mu0 of hundreds or more is rounded along.
 #[must_use]
 pub fn amount(mean: MeanCount) -> u16 {
     // At most FULL, for a cast saturates.

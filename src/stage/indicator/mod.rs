@@ -21,12 +21,11 @@ mod cloud;
 mod cpu;
 pub mod vulkan;
 
-pub use cloud::{SHARE_BITS, SQUARE_BITS, amount, clouds};
+pub use cloud::{CHANNELS, SHARE_BITS, SQUARE_BITS, amount, clouds};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
 use crate::brick::{BrickSide, DifField, PageShape};
-use crate::units::MeanCount;
-pub use cloud::CHANNELS;
+use crate::units::{MeanCount, UnitError};
 
 /// Which indicator, and what it needs to know.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,6 +84,17 @@ impl Indicator {
             Self::Counting { .. } => Self::Counting { mean },
             Self::Cloud { .. } => Self::Cloud { mean },
         }
+    }
+
+    /// The same with mu0 by eq. 4, if it has to know it and does not.
+    ///
+    /// # Errors
+    /// Those of [`MeanCount::measured`].
+    pub fn measured(self, particles: usize, full_cells: u64) -> Result<Self, UnitError> {
+        if self == Self::Symmetry || self.mean().is_some() {
+            return Ok(self);
+        }
+        Ok(self.with_mean(Some(MeanCount::measured(particles as u64, full_cells)?)))
     }
 
     /// How wide a Gaussian suits it, in spacings. Clouds have a width of their own.
