@@ -128,6 +128,8 @@ struct Work<'a, 'b> {
     next: Vec<u32>,
     /// For each vertex that is gone the normal of its home when nothing around it needed a look, or zero.
     calm: Vec<Vec3A>,
+    /// Vertices at the other ends of what was looked at: they are calm no more.
+    looked_at: Vec<u32>,
     quadrics: Vec<Quadric>,
     /// For each vertex its least error and where to, or `NONE` where that is to be found.
     best: Vec<(f32, u32)>,
@@ -171,6 +173,7 @@ impl<'a> Measure<'a> {
             first: vec![NONE; surface.triangles.len()],
             next: vec![NONE; vertices],
             calm: vec![Vec3A::ZERO; vertices],
+            looked_at: Vec::new(),
             quadrics: vec![Quadric::NONE; vertices],
             best: vec![(f32::INFINITY, NONE); vertices],
             changed: Vec::new(),
@@ -345,10 +348,8 @@ impl Work<'_, '_> {
             self.settle(vertex, to);
             self.calm[vertex as usize] = calm;
         }
-        for moved in self.moved.iter().filter(|moved| moved.calm == Vec3A::ZERO) {
-            for edge in self.by.leaving.at(moved.vertex) {
-                self.calm[edge.to as usize] = Vec3A::ZERO;
-            }
+        for &vertex in &self.looked_at {
+            self.calm[vertex as usize] = Vec3A::ZERO;
         }
         let offset = self.position(target) - self.position(vertex);
         let quadric = self.quadrics[vertex as usize].moved(offset);
@@ -479,7 +480,9 @@ impl Work<'_, '_> {
 
     /// Whether edges of the reference are near whose ends have new homes.
     fn is_between_near(&mut self) -> bool {
-        let mut moved = std::mem::take(&mut self.moved);
+        let (mut moved, mut looked_at) =
+            (std::mem::take(&mut self.moved), std::mem::take(&mut self.looked_at));
+        looked_at.clear();
         let is_near = moved.iter_mut().all(|moved| {
             let (home, is_close) = (moved.to.triangle(), moved.to.is_close());
             let (corners, normal) = (self.surface.triangles[home as usize], self.surface.normal(home));
@@ -495,7 +498,10 @@ impl Work<'_, '_> {
                 let needs_no_look = (spot.triangle() == home)
                     | (!spot.is_gone() & corners.contains(&other))
                     | facing.is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
-                is_calm &= needs_no_look;
+                if !needs_no_look {
+                    is_calm = false;
+                    looked_at.push(other);
+                }
                 // Where both ends have moved and look, one is enough.
                 needs_no_look
                     || self.marks[other as usize] == self.mark
@@ -506,7 +512,7 @@ impl Work<'_, '_> {
             moved.calm = if is_calm { normal } else { Vec3A::ZERO };
             is_near
         });
-        self.moved = moved;
+        (self.moved, self.looked_at) = (moved, looked_at);
         is_near
     }
 
