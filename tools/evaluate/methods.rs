@@ -50,7 +50,7 @@ impl Method {
     pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
     pub const ZHU_BRIDSON: Self = Self::Rival(Rival::ZhuBridson);
     pub const YU_TURK: Self = Self::Rival(Rival::YuTurk { iso: Rival::HALF });
-    /// The paper's five, with the surface half-way between inside and outside; ours first.
+    /// Ours, and the paper's five with the surface half-way between inside and outside.
     pub const ALL: &[Self] =
         &[Self::CLOUD, Self::SYMMETRY, Self::COUNTING, Self::MUELLER, Self::ZHU_BRIDSON, Self::YU_TURK];
     /// And with other isovalues: the paper's own, and those that suit a lattice of particles best.

@@ -10,8 +10,8 @@
 //! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
 //! farthest centroid is half a step away from a corner.
 //!
-//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds, no more than 2 mu0 of a cell. A cell's
-//! particles lie around their centroid as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood
+//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds, no more than
+//! 2 mu0 of a cell. A cell's particles lie around their centroid as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood
 //! (Computer Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the
 //! cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
 //! how wide they lie, save for a constant, and nothing jumps. What is kept of a cell is N and its centroid; theta
@@ -113,11 +113,16 @@ impl Indicator {
         }
     }
 
+    /// How many samples it stores of a cell.
+    #[must_use]
+    pub fn channels(self) -> usize {
+        if matches!(self, Self::Cloud { .. }) { CHANNELS } else { 1 }
+    }
+
     /// How what it stores lies in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
-        let channels = if matches!(self, Self::Cloud { .. }) { CHANNELS } else { 1 };
-        PageShape { side, channels }
+        PageShape { side, channels: self.channels() }
     }
 
     /// The DIF by what was stored, once mu0 is known.

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use crate::brick::BrickSide;
 use crate::brick::vulkan::{DeviceBlocks, DevicePages, wall_bounds};
 use crate::grid::CellBox;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
@@ -59,8 +58,7 @@ pub fn indicate(
     indicator: Indicator,
     [bins, records, pages]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let channels = indicator.shape(BrickSide::default()).channels as u32;
-    let push = Push { channels, counting: indicator.counts().into() };
+    let push = Push { channels: indicator.channels() as u32, counting: indicator.counts().into() };
     batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [8, count, 1])
 }
 
