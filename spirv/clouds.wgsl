@@ -1,6 +1,6 @@
-//! with block
-// Cuts padded blocks out of pages of particles' numbers and centroids: what their clouds leave in each cell. Clouds of
-// cells beyond a block's faces are left out.
+//! with binned brick
+// The discrete indicator function of clouds, a part of a bin's samples a work group: atomic sums in shared memory of what
+// the clouds of the bin's particles leave in the bricks that hold them, and in those bricks' rims.
 
 struct Push {
     // The lowest cell within the walls, and the highest.
@@ -8,96 +8,90 @@ struct Push {
     // What a particle makes of the DIF, all around.
     amount: u32,
     walls_hi: vec3<i32>,
+    // Of a cell's coordinate, those in its brick.
+    brick_bits: u32,
+    // Of a work group.
+    group_samples: u32,
 }
 
 var<immediate> push: Push;
-@group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// For every bin that a block touches, x fastest, one more than the number of its page, or 0.
-@group(0) @binding(1) var<storage, read> tables: array<u32>;
-// Channel by channel: numbers, and centroids' places along x, y and z.
-@group(0) @binding(2) var<storage, read> pages: array<u32>;
-@group(0) @binding(3) var<storage, read_write> field: array<u32>;
+@group(0) @binding(0) var<storage, read> bins: array<Bin>;
+@group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read_write> pages: array<u32>;
 
-// What is stored of a cell: its particles' number, and their centroid's place along x, y and z.
-fn stored(block: Block, cell: vec3<i32>) -> vec4<u32> {
-    if any(cell < block.lo) || any(cell >= block.lo + vec3<i32>(block.size)) {
-        return vec4(0u);
+var<workgroup> sums: array<atomic<u32>, CLOUD_SAMPLES>;
+
+// Sums beyond this are as good as infinite, and far from what 32 bits hold.
+const ENOUGH: u32 = 1u << 31u;
+
+fn add(at: u32, value: u32) {
+    if atomicAdd(&sums[at], value) >= ENOUGH {
+        atomicSub(&sums[at], value);
     }
-    let first = block.lo >> vec3(BIN_BITS);
-    let bins = ((block.lo + vec3<i32>(block.size) - 1) >> vec3(BIN_BITS)) - first + 1;
-    let bin = (cell >> vec3(BIN_BITS)) - first;
-    let page = tables[block.table + u32(bin.x + bins.x * (bin.y + bins.y * bin.z))];
-    if page == 0u {
-        return vec4(0u);
-    }
-    let local = vec3<u32>(cell & vec3(BIN - 1));
-    let at = (page - 1u) * CLOUD_CHANNELS * PAGE_WORDS + (local.x + u32(BIN) * (local.y + u32(BIN) * local.z)) / 2u;
-    let count = half_of(pages[at], local.x);
-    if count == 0u {
-        return vec4(0u);
-    }
-    return vec4(
-        count,
-        half_of(pages[at + PAGE_WORDS], local.x),
-        half_of(pages[at + 2u * PAGE_WORDS], local.x),
-        half_of(pages[at + 3u * PAGE_WORDS], local.x),
-    );
 }
 
-// The share of a cloud that falls so many cells from its own along an axis: -1, 0 or 1.
-fn share(place: u32, away: i32) -> u32 {
-    let fractions = 1u << FRACTION_BITS;
-    let twice = 2u * (place & (fractions - 1u)) + 1u;
-    let rest = 2u * fractions - twice;
+// The shares of a cloud in the cell below, the particle's own, and the one above. What would lie beyond a wall lies in
+// the cell before it.
+fn shares(offset: u32, at_lo: bool, at_hi: bool) -> array<u32, 3> {
+    let twice = 2u * offset + 1u;
+    let rest = (2u << FRACTION_BITS) - twice;
     let half_square = vec2(rest * rest, twice * twice) >> vec2(SQUARE_BITS);
-    if away == 0 {
-        return (1u << SHARE_BITS) - half_square.x - half_square.y;
-    }
-    return select(half_square.x, half_square.y, away > 0);
+    let kept = select(half_square, vec2(0u), vec2(at_lo, at_hi));
+    return array(kept.x, (1u << SHARE_BITS) - kept.x - kept.y, kept.y);
 }
 
 fn part_of(amount: u32, share: u32) -> u32 {
     return (amount * share + (1u << (SHARE_BITS - 1u))) >> SHARE_BITS;
 }
 
-fn theta(block: Block, cell: vec3<i32>) -> u32 {
-    // What would lie beyond a wall lies in the cell before it.
-    let lo = cell - vec3<i32>(cell == push.walls_lo);
-    let hi = cell + vec3<i32>(cell == push.walls_hi);
-    var sum = 0u;
-    for (var from_z = lo.z - 1; from_z <= hi.z + 1; from_z++) {
-        for (var from_y = lo.y - 1; from_y <= hi.y + 1; from_y++) {
-            for (var from_x = lo.x - 1; from_x <= hi.x + 1; from_x++) {
-                let from_cell = vec3(from_x, from_y, from_z);
-                let own = stored(block, from_cell);
-                if own.x == 0u {
-                    continue;
-                }
-                let cloud = min(own.x * push.amount, FULL);
-                let first = max(lo, from_cell - 1);
-                let last = min(hi, from_cell + 1);
-                for (var z = first.z; z <= last.z; z++) {
-                    let slab = part_of(cloud, share(own.w, z - from_z));
-                    for (var y = first.y; y <= last.y; y++) {
-                        let row = part_of(slab, share(own.z, y - from_y));
-                        for (var x = first.x; x <= last.x; x++) {
-                            sum += part_of(row, share(own.y, x - from_x));
-                        }
+@compute @workgroup_size(256)
+fn clouds(
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+) {
+    for (var i = local.x; i < push.group_samples; i += 256u) {
+        atomicStore(&sums[i], 0u);
+    }
+    workgroupBarrier();
+    let edge = (1u << push.brick_bits) + 2u * RIM;
+    let begin = group.x * push.group_samples;
+    let bin = bins[group.y];
+    for (var i = local.x; i < bin.count; i += 256u) {
+        let place = place_of(records[bin.first + i]);
+        let cell = place >> vec3(FRACTION_BITS);
+        let offset = place & vec3((1u << FRACTION_BITS) - 1u);
+        let inside = cell & vec3((1u << push.brick_bits) - 1u);
+        let brick = brick_of(cell, push.brick_bits);
+        let lowest = inside.x + edge * (inside.y + edge * (inside.z + edge * brick));
+        if lowest >= begin + push.group_samples || lowest + 2u * (1u + edge + edge * edge) < begin {
+            continue;
+        }
+        let at = vec3<i32>(cell) + vec3(bin.x, bin.y, bin.z) * BIN;
+        let at_lo = at == push.walls_lo;
+        let at_hi = at == push.walls_hi;
+        let x_shares = shares(offset.x, at_lo.x, at_hi.x);
+        let y_shares = shares(offset.y, at_lo.y, at_hi.y);
+        let z_shares = shares(offset.z, at_lo.z, at_hi.z);
+        for (var z = 0u; z < 3u; z++) {
+            let in_slab = part_of(push.amount, z_shares[z]);
+            for (var y = 0u; y < 3u; y++) {
+                let in_row = part_of(in_slab, y_shares[y]);
+                for (var x = 0u; x < 3u; x++) {
+                    // Wraps around below the part.
+                    let to = lowest + x + edge * (y + edge * z) - begin;
+                    if to < push.group_samples {
+                        add(to, part_of(in_row, x_shares[x]));
                     }
                 }
             }
         }
     }
-    return min(sum, FULL);
-}
-
-@compute @workgroup_size(256)
-fn clouds(@builtin(global_invocation_id) id: vec3<u32>) {
-    let block = blocks[id.y];
-    let at = cell_of(block, id.x);
-    if at.z >= block.size.z {
-        return;
+    workgroupBarrier();
+    let words = push.group_samples / 2u;
+    for (var word = local.x; word < words; word += 256u) {
+        let low = min(atomicLoad(&sums[2u * word]), FULL);
+        let high = min(atomicLoad(&sums[2u * word + 1u]), FULL);
+        pages[(group.y * groups.x + group.x) * words + word] = low | (high << 16u);
     }
-    let cell = block.lo + vec3<i32>(at);
-    field[word_of(block, at)] = theta(block, cell) | (theta(block, cell + vec3(1, 0, 0)) << 16u);
 }

@@ -1,23 +1,14 @@
-//! with wide
+//! with wide binned
 // Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
-// shared memory, then theta, or for counting the number of particles, and for clouds also their centroid's place.
+// shared memory, then theta, or for counting the number of particles.
 
 struct Push {
-    // Samples of a cell.
-    channels: u32,
     // 0 for symmetry.
     counting: u32,
 }
 
-struct Bin {
-    // Of its first particle, and how many there are.
-    first: u32,
-    count: u32,
-}
-
 var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> bins: array<Bin>;
-// A packed particle: per axis, from x on, the offset in the cell and then the cell in the bin.
 @group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;
 
@@ -102,23 +93,9 @@ fn symmetry(n: u32, s: array<vec2<u32>, 3>) -> u32 {
     return FULL - ((distance * THETA_PER_DISTANCE + (1u << 14u)) >> 15u);
 }
 
-// The place of the centroid along an axis.
-fn place(n: u32, s: vec2<u32>) -> u32 {
-    if n == 0u {
-        return 0u;
-    }
-    var sum = vec2(s.x << 1u, (s.y << 1u) | (s.x >> 31u));
-    sum.x += n;
-    sum.y += u32(sum.x < n);
-    return divided(sum, n, FRACTION_BITS + 1u).x / 2u;
-}
-
-fn value(cell: u32, channel: u32) -> u32 {
+fn value(cell: u32) -> u32 {
     let at = cell * SUMS;
     let n = atomicLoad(&sums[at]);
-    if channel > 0u {
-        return place(n, vec2(atomicLoad(&sums[at + channel]), atomicLoad(&sums[at + channel + 3u])));
-    }
     if push.counting != 0u {
         return min(n, FULL);
     }
@@ -136,13 +113,7 @@ fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
     let octant = vec3(group.x & 1u, (group.x >> 1u) & 1u, group.x >> 2u);
     let bin = bins[group.y];
     for (var i = local.x; i < bin.count; i += 256u) {
-        let record = records[bin.first + i];
-        // Bits of y lie in both words.
-        let bits = vec3(
-            record.x,
-            (record.x >> AXIS_BITS) | (record.y << (32u - AXIS_BITS)),
-            record.y >> (2u * AXIS_BITS - 32u),
-        ) & vec3((1u << AXIS_BITS) - 1u);
+        let bits = place_of(records[bin.first + i]);
         let cell = bits >> vec3(FRACTION_BITS);
         if all(cell / OCTANT == octant) {
             let inside = cell % OCTANT;
@@ -161,9 +132,6 @@ fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         let inside = vec3(cell % OCTANT, cell / OCTANT % OCTANT, cell / (OCTANT * OCTANT));
         let at = octant * OCTANT + inside;
         let word = (at.x + u32(BIN) * (at.y + u32(BIN) * at.z)) / 2u;
-        for (var channel = 0u; channel < push.channels; channel++) {
-            let first = (group.y * push.channels + channel) * PAGE_WORDS;
-            pages[first + word] = value(cell, channel) | (value(cell + 1u, channel) << 16u);
-        }
+        pages[group.y * PAGE_WORDS + word] = value(cell) | (value(cell + 1u) << 16u);
     }
 }

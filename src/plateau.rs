@@ -163,16 +163,14 @@ fn interior_samples(
     domain: Option<&Domain>,
     cells: CellBox,
 ) -> Vec<u16> {
-    // Closing is a dilation and an erosion by one cell; then what decides a cell's field is taken off.
-    let closing = 1;
-    let erosion = closing + dif.reach() + smoothing.reach();
-    let seen = closing + erosion;
-    let mut wide = dif.gather(cells.grown(seen, seen));
-    if let Some(domain) = domain {
-        wide.repeat_edges(domain.cells());
-    }
+    // Closing is a dilation and an erosion by one cell, unless clouds dilate by themselves; then what decides a cell's
+    // field is taken off.
+    let dilation = 1 - dif.reach();
+    let erosion = 1 + dif.reach() + smoothing.reach();
+    let seen = dilation + erosion;
+    let wide = gather(dif, cells.grown(seen, seen), domain);
     let full: Vec<u8> = wide.samples().iter().map(|&sample| u8::from(sample > 0)).collect();
-    let covered = windows(full, wide.strides(), 2 * closing + 1, |a, b| a | b);
+    let covered = windows(full, wide.strides(), 2 * dilation + 1, |a, b| a | b);
     let interior = windows(covered, wide.strides(), 2 * erosion + 1, |a, b| a & b);
     // Both windows of a cell begin as far below it as `wide` does below `cells`.
     let CellBox { lo, hi } = cells;

@@ -10,15 +10,15 @@ use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
-use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, OCTANT};
-use crate::stage::indicator::{CHANNELS, DISTANCE_SCALE, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
+use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
+use crate::stage::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
 use crate::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES};
 use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
 pub const PROGRAMS: [&Program; 20] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &GATHER, &CLOUDS, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD,
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD,
     &BLEND, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
 ];
 
@@ -36,7 +36,8 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
         ("SHARE_BITS", "u32", SHARE_BITS.into()),
         ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
-        ("CLOUD_CHANNELS", "u32", CHANNELS as i64),
+        ("RIM", "u32", RIM.into()),
+        ("CLOUD_SAMPLES", "u32", CLOUD_SAMPLES.into()),
         ("TILE", "u32", TILE.into()),
         ("BIN", "i32", BIN.into()),
         ("BIN_BITS", "u32", BIN.ilog2().into()),

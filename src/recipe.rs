@@ -8,7 +8,6 @@ use crate::grid::{CellBox, Domain};
 use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
 use crate::stage::blur::{Kernel, Smoothing, filter};
 use crate::stage::detail::{lost, raise};
-use crate::stage::indicator;
 use crate::units::Isovalue;
 
 /// Everything between the DIF and the isosurface.
@@ -197,13 +196,9 @@ impl Fields for Blocks {
 /// Cuts `cells` out of the DIF; beyond the walls of a domain the edge cells are repeated.
 #[must_use]
 pub fn gather(dif: &DifField, cells: CellBox, domain: Option<&Domain>) -> Block {
-    let walls = domain.map(Domain::cells);
-    let mut block = match dif.clouds() {
-        None => dif.gather(cells),
-        Some(amount) => indicator::clouds(dif, amount, cells, walls),
-    };
-    if let Some(walls) = walls {
-        block.repeat_edges(walls);
+    let mut block = dif.gather(cells);
+    if let Some(domain) = domain {
+        block.repeat_edges(domain.cells());
     }
     block
 }

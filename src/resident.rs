@@ -13,14 +13,14 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::backend::{Surfaces, Vulkan};
+use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
 use crate::brick::{BinError, BrickSide, Census, DifField, InvalidParticles};
 use crate::grid::{Domain, Grid};
 use crate::plateau::{self, Plateau};
 use crate::stage::detail::Detail;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::{Indicator, PageRule};
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use crate::units::{Isovalue, Sigma, UnitError};
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
@@ -141,11 +141,22 @@ impl Pipeline {
         }
         let frame = self.vulkan.start_resident();
         let side = BrickSide::default();
-        let pages = frame.indicate(&bins, *indicator, side)?;
+        let walls = domain.map(Domain::cells);
+        let stored = |frame: &ResidentFrame, indicator: Indicator| {
+            let pages = frame.indicate(&bins, &PageRule { indicator, side, walls })?;
+            Ok::<_, VulkanError>(DifField::in_memory(indicator.shape(side), pages))
+        };
+        let measured = |indicator: Indicator, by: &DifField| {
+            indicator.measured(census.binned, by.full_cells()).map_err(ResidentError::MeanCount)
+        };
+        let mut indicator = *indicator;
+        if indicator.waits_for_mean() {
+            let counts = stored(&self.vulkan.start_resident(), Indicator::Counting { mean: None })?;
+            indicator = measured(indicator, &counts)?;
+        }
+        let stored = stored(&frame, indicator)?;
         drop(bins);
-        let stored = DifField::in_memory(indicator.shape(side), pages);
-        let indicator =
-            indicator.measured(census.binned, stored.full_cells()).map_err(ResidentError::MeanCount)?;
+        let indicator = measured(indicator, &stored)?;
         let dif = indicator.decode(stored);
         let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };

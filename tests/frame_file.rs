@@ -17,7 +17,7 @@ use meniscus::io::input::open_particles;
 use meniscus::io::mnf::{FrameFacts, FrameWriter, frame_from_file, open_frame, write_frame};
 use meniscus::particles::Particles;
 use meniscus::recipe::gather;
-use meniscus::stage::indicator::{Indicator, indicate};
+use meniscus::stage::indicator::{Indicator, PageRule, indicate};
 use meniscus::units::MeanCount;
 use rayon::prelude::*;
 use tempfile::TempDir;
@@ -35,10 +35,10 @@ fn sample(
     let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, usize::MAX).unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let pages = indicate(&bins, 0..bins.keys().len(), indicator, side).unwrap();
-    let field = DifField::in_memory(indicator.shape(side), pages);
-    let mean = MeanCount::measured(census.binned as u64, field.full_cells()).unwrap();
-    let indicator = indicator.with_mean(Some(mean));
+    let indicator = indicator.measured(census.binned, bins.full_cells().unwrap()).unwrap();
+    let rule = PageRule { indicator, side, walls: domain.as_ref().map(Domain::cells) };
+    let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
+    let field = DifField::in_memory(rule.shape(), pages);
     (FrameFacts { grid, domain, indicator, census, spacing: Some(0.5) }, indicator.decode(field))
 }
 

@@ -617,8 +617,8 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
     for (extension, options) in [
         ("ply", &[][..]),
         ("ply", &["--simplify", "0.25"]),
-        ("ply", &["--drop-smaller", "80"]),
-        ("ply", &["--simplify", "0.25", "--drop-smaller", "80", "--up", "z", "--normals"]),
+        ("ply", &["--drop-smaller", "150"]),
+        ("ply", &["--simplify", "0.25", "--drop-smaller", "150", "--up", "z", "--normals"]),
         ("glb", &["--simplify", "0.1", "--compress", "--particles-up", "z"]),
         ("usdc", &["--up", "z"]),
     ] {

@@ -21,7 +21,7 @@ use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::recipe::{Details, Recipe};
 use meniscus::stage::blur::{self, Kernel, Smoothing};
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::{Indicator, PageRule};
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
@@ -129,12 +129,16 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
         let vulkan = Vulkan::new(device.clone()).unwrap();
         for budget in [MemoryBudget(1 << 30), MemoryBudget(200 << 20)] {
             for indicator in INDICATORS {
-                let frame = vulkan.start(budget);
-                let all = 0..bins.keys().len();
-                let pages = frame.indicate(&bins, all.clone(), indicator, BrickSide::Eight).unwrap();
-                let expected = Cpu.start(budget).indicate(&bins, all, indicator, BrickSide::Eight).unwrap();
-                assert!(pages == expected, "{indicator:?} under {budget:?}");
-                assert_eq!(frame.warnings(), [""; 0]);
+                for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+                    let frame = vulkan.start(budget);
+                    let all = 0..bins.keys().len();
+                    let indicator = indicator.measured(particles.len(), bins.full_cells().unwrap()).unwrap();
+                    let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
+                    let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
+                    let expected = Cpu.start(budget).indicate(&bins, all, &rule).unwrap();
+                    assert!(pages == expected, "{rule:?} under {budget:?}");
+                    assert_eq!(frame.warnings(), [""; 0]);
+                }
             }
         }
     });

@@ -5,11 +5,11 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::brick::{Bins, BrickSide};
+use crate::brick::Bins;
 use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
 use crate::stage::dual_mc::{Normals, contour, normals};
-use crate::stage::indicator::{Indicator, indicate};
+use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
 use super::{Backend, Pages, Stages, Surfaces};
@@ -37,14 +37,8 @@ impl Backend for Cpu {
 }
 
 impl Stages for Cpu {
-    fn indicate(
-        &self,
-        bins: &Bins,
-        range: Range<usize>,
-        indicator: Indicator,
-        side: BrickSide,
-    ) -> io::Result<Pages> {
-        indicate(bins, range, indicator, side)
+    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
+        indicate(bins, range, rule)
     }
 
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {

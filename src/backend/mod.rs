@@ -10,12 +10,12 @@ use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
 
-use crate::brick::{Bins, BrickSide, DifField, PageInfo};
+use crate::brick::{Bins, DifField, PageInfo};
 use crate::grid::{CellBox, Domain};
 use crate::mesh::BlockMesh;
 use crate::recipe::Recipe;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::PageRule;
 use crate::units::MemoryBudget;
 
 /// Pages of the DIF, each with what there is to know of it.
@@ -38,17 +38,14 @@ pub trait Backend: Debug + Send + Sync {
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// The pages of a range of bins: what the indicator stores.
+    /// The pages of a range of bins.
     ///
     /// # Errors
     /// Where particles are in a scratch file that cannot be read.
-    fn indicate(
-        &self,
-        bins: &Bins,
-        range: Range<usize>,
-        indicator: Indicator,
-        side: BrickSide,
-    ) -> io::Result<Pages>;
+    ///
+    /// # Panics
+    /// If the indicator [waits for its mean](crate::stage::indicator::Indicator::waits_for_mean).
+    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages>;
 
     /// The surfaces through some regions of blocks, each `None` where there is none.
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>>;

@@ -106,6 +106,21 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
+    /// How many cells hold particles.
+    ///
+    /// # Errors
+    /// Where they are in a scratch file that cannot be read.
+    pub fn full_cells(&self) -> io::Result<u64> {
+        let full_cells = |bin| {
+            let mut full = [0_u64; (BIN * BIN * BIN) as usize / u64::BITS as usize];
+            for (cell, _) in self.contents(bin)?.particles() {
+                full[cell / u64::BITS as usize % full.len()] |= 1 << (cell % u64::BITS as usize);
+            }
+            Ok(full.iter().map(|word| u64::from(word.count_ones())).sum::<u64>())
+        };
+        (0..self.keys.len()).into_par_iter().map(full_cells).sum()
+    }
+
     /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever
     /// adds real numbers can then add them in one order.
     ///

@@ -80,11 +80,17 @@ impl<T: Copy + Default> Block<T> {
         })
     }
 
-    /// Fills `part` from `samples`, which are those of the box `from`, x fastest.
+    /// Puts what `value` makes of what is there and of `samples`, which are those of the box `from`, x fastest, in `part`.
     ///
     /// # Panics
     /// Unless `part` is in the block and in `from`.
-    pub(super) fn copy_part(&mut self, part: CellBox, from: CellBox, samples: &[T], value: impl Fn(T) -> T) {
+    pub(super) fn put_part(
+        &mut self,
+        part: CellBox,
+        from: CellBox,
+        samples: &[T],
+        value: impl Fn(T, T) -> T,
+    ) {
         assert!(self.cells.covers(&part) && from.covers(&part), "{part:?} is not in {:?}", self.cells);
         let [_, row, slab] = self.strides();
         let [from_row, from_slab] = [from.size().x, from.size().x * from.size().y].map(|n| n as usize);
@@ -92,14 +98,20 @@ impl<T: Copy + Default> Block<T> {
         let first = self.index(part.lo);
         let local = (part.lo - from.lo).as_usizevec3();
         let samples = &samples[local.x + local.y * from_row + local.z * from_slab..];
+        let put = |to: &mut [T], from: &[T]| {
+            to.iter_mut().zip(from).for_each(|(to, &from)| *to = value(*to, from));
+        };
         for z in 0..size.z {
             for y in 0..size.y {
                 let to = &mut self.samples[first + y * row + z * slab..][..size.x];
                 let from = &samples[y * from_row + z * from_slab..][..size.x];
-                match (to.first_chunk_mut::<8>(), from.first_chunk::<8>()) {
-                    // Whole rows of bricks, in one piece.
-                    (Some(to), Some(from)) if size.x == 8 => *to = from.map(&value),
-                    _ => to.iter_mut().zip(from).for_each(|(to, &sample)| *to = value(sample)),
+                match (to.split_first_chunk_mut::<8>(), from.split_first_chunk::<8>()) {
+                    // In one piece: the most of a brick's row.
+                    (Some((to, to_rest)), Some((from, from_rest))) => {
+                        put(to, from);
+                        put(to_rest, from_rest);
+                    }
+                    _ => put(to, from),
                 }
             }
         }

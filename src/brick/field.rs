@@ -12,7 +12,7 @@ use super::{Block, BrickSide, PageInfo, PageShape, PageSource, Samples};
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
 ///
-/// A cell is full, in the paper's sense, exactly where what is stored is not 0.
+/// A cell is full exactly where what is stored is not 0: where it holds particles, in the paper's sense, or is near some.
 #[derive(Debug)]
 pub struct DifField {
     shape: PageShape,
@@ -29,8 +29,6 @@ enum Stored {
     Theta,
     /// Numbers of particles, which a table turns into the DIF on the way out.
     Counts(DecodeTable),
-    /// Numbers of particles and their centroids, each of which makes so much of the DIF around it a particle.
-    Clouds { amount: u16 },
 }
 
 impl DifField {
@@ -67,25 +65,10 @@ impl DifField {
         Self { stored: Stored::Counts(DecodeTable::new(theta)), ..self }
     }
 
-    /// Takes what is stored for numbers of particles and their centroids, a particle for so much of the DIF around it.
-    #[must_use]
-    pub fn with_clouds(self, amount: u16) -> Self {
-        Self { stored: Stored::Clouds { amount }, ..self }
-    }
-
-    /// How much of the DIF a particle makes, if what is stored is particles and their centroids.
-    #[must_use]
-    pub fn clouds(&self) -> Option<u16> {
-        match self.stored {
-            Stored::Clouds { amount } => Some(amount),
-            _ => None,
-        }
-    }
-
-    /// How far from a full cell the DIF can be more than 0, in cells.
+    /// How far from a page's full cells the DIF can be more than 0, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
-        self.clouds().map_or(0, |_| 1)
+        self.shape.rim
     }
 
     /// How its pages' samples lie.
@@ -100,29 +83,19 @@ impl DifField {
         self.shape.side
     }
 
-    /// Cells that hold particles.
+    /// Cells that are full by what their own bin's particles leave in them.
     #[must_use]
     pub fn full_cells(&self) -> u64 {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// Mean of the DIF over the full cells, in 0 to 1, where it is 0 in all others. Reads all pages.
+    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no rims. Reads all pages.
     #[must_use]
-    pub fn mean_of_full(&self) -> Option<f64> {
-        let sum: Option<u64> = (0..self.infos.len())
-            .into_par_iter()
-            .map(|page| {
-                let samples = self.stored(page);
-                match &self.stored {
-                    Stored::Theta => Some(samples.iter().map(|&theta| u64::from(theta)).sum::<u64>()),
-                    Stored::Counts(table) => {
-                        Some(samples.iter().map(|&count| u64::from(table.theta(count))).sum())
-                    }
-                    Stored::Clouds { .. } => None,
-                }
-            })
-            .sum();
-        sum.map(|sum| sum as f64 / (self.full_cells() as f64 * f64::from(FULL)))
+    pub fn mean_of_full(&self) -> f64 {
+        let theta = |&sample: &u16| u64::from(self.stored.theta(sample));
+        let pages = (0..self.infos.len()).into_par_iter();
+        let sum: u64 = pages.map(|page| self.stored(page).iter().map(theta).sum::<u64>()).sum();
+        sum as f64 / (self.full_cells() as f64 * f64::from(FULL))
     }
 
     /// Bricks that hold particles.
@@ -137,39 +110,40 @@ impl DifField {
         sample_bytes(&self.infos, self.shape)
     }
 
-    /// Cuts the samples of `cells` out of the bricks: the first of each cell, or the DIF by it.
+    /// Cuts the DIF of `cells` out of the bricks.
     #[must_use]
     pub fn gather(&self, cells: CellBox) -> Block {
+        let PageShape { side, rim } = self.shape;
+        let edge = side.cells();
         let mut block = Block::zero(cells);
-        self.each_brick(cells, |part, from, samples| match &self.stored {
-            Stored::Counts(table) => block.copy_part(part, from, samples, |count| table.theta(count)),
-            _ => block.copy_part(part, from, samples, |theta| theta),
-        });
-        block
-    }
-
-    /// Calls `visit` with the part of every brick that is among `cells`, the brick's cells, and its samples as they are
-    /// stored. What no part holds is 0.
-    pub fn each_brick(&self, cells: CellBox, mut visit: impl FnMut(CellBox, CellBox, &[u16])) {
-        let edge = self.shape.side.cells();
-        let per_bin = BIN / edge;
-        for bin in cells.cubes(BIN) {
+        for bin in cells.grown(rim, rim).cubes(BIN) {
             let Some(&rank) = self.rank.get(&bin) else { continue };
             let info = &self.infos[rank as usize];
-            let inside = cells.intersection(&info.full);
+            let inside = cells.intersection(&info.full.grown(rim, rim));
             if inside.is_empty() {
                 continue;
             }
             let samples = self.store.cached(rank);
-            for brick in inside.cubes(edge) {
-                let Some(samples) = info.brick(&samples, brick - bin * per_bin, self.shape) else { continue };
-                let from = CellBox::cube(brick, edge);
-                visit(inside.intersection(&from), from, samples);
+            let own = CellBox::cube(bin, BIN).intersection(&inside.grown(rim, rim));
+            for brick in own.cubes(edge) {
+                let Some(samples) = info.brick(&samples, brick - bin * (BIN / edge), self.shape) else {
+                    continue;
+                };
+                let from = self.shape.cells_of(brick);
+                let part = inside.intersection(&from);
+                match &self.stored {
+                    Stored::Theta if rim > 0 => block.put_part(part, from, samples, u16::saturating_add),
+                    Stored::Theta => block.put_part(part, from, samples, |_, theta| theta),
+                    Stored::Counts(table) => {
+                        block.put_part(part, from, samples, |_, count| table.theta(count));
+                    }
+                }
             }
         }
+        block
     }
 
-    /// Writes the samples of a whole bin as they are stored, channel by channel, x fastest.
+    /// Writes the samples of a whole bin as they are stored, dense as [`PageInfo::from_dense`] takes them.
     ///
     /// # Panics
     /// If no page is there, or `dense` is not as long as a bin.
@@ -221,6 +195,16 @@ impl DifField {
 
 fn sample_bytes(infos: &[PageInfo], shape: PageShape) -> u64 {
     infos.iter().map(|info| (info.samples(shape) * size_of::<u16>()) as u64).sum()
+}
+
+impl Stored {
+    #[inline]
+    fn theta(&self, sample: u16) -> u16 {
+        match self {
+            Self::Theta => sample,
+            Self::Counts(table) => table.theta(sample),
+        }
+    }
 }
 
 /// theta by the number of particles; the last one, 1, for all numbers from there on.

@@ -45,11 +45,11 @@ impl BrickSide {
 pub struct PageInfo {
     /// Its bin.
     pub key: MortonKey,
-    /// A bit for every brick that has a full cell, by its Morton index in the bin. Others are not stored.
+    /// A bit for every brick that has a full cell of its own, by its Morton index in the bin. Others are not stored.
     pub bricks: u64,
-    /// The tightest box around the full cells, in cells of the world.
+    /// The tightest box around the bin's full cells, in cells of the world.
     pub full: CellBox,
-    /// How many cells are full.
+    /// How many of the bin's cells are full: what is stored of them is not 0.
     pub full_count: u32,
 }
 
@@ -58,57 +58,83 @@ pub struct PageInfo {
 pub struct PageShape {
     /// Of its bricks.
     pub side: BrickSide,
-    /// Samples of a cell. A cell is full where the first is not 0.
-    pub channels: usize,
+    /// How many cells around its own a brick stores, in which its own particles leave something: 0 or 1. What is in a
+    /// cell is the sum over all bricks, at most 65535.
+    pub rim: i32,
 }
 
 impl From<BrickSide> for PageShape {
-    /// One sample a cell.
+    /// Without a rim.
     fn from(side: BrickSide) -> Self {
-        Self { side, channels: 1 }
+        Self { side, rim: 0 }
     }
 }
 
 impl PageShape {
+    /// Edge of a brick with its rim, in cells.
+    #[must_use]
+    pub fn edge(self) -> i32 {
+        self.side.cells() + 2 * self.rim
+    }
+
+    /// The cells of a brick with its rim, given its place in bricks.
+    pub(super) fn cells_of(self, brick: IVec3) -> CellBox {
+        CellBox::cube(brick, self.side.cells()).grown(self.rim, self.rim)
+    }
+
     /// Samples of a brick.
     #[must_use]
     pub fn brick_samples(self) -> usize {
-        self.side.samples() * self.channels
+        self.edge().pow(3) as usize
     }
 
-    /// Samples of a whole bin.
+    /// Samples of a whole bin, dense.
     #[must_use]
     pub fn bin_samples(self) -> usize {
-        BIN.pow(3) as usize * self.channels
+        self.side.bricks_a_bin() * self.brick_samples()
+    }
+
+    /// Where the samples of a cell lie in a dense bin with rims, for the lowest of the cells around it: the sum over the
+    /// axes, each by the cell's coordinate in the bin.
+    #[must_use]
+    pub fn firsts(self) -> [[usize; BIN as usize]; 3] {
+        let (side, edge) = (self.side.cells(), self.edge() as usize);
+        [0, 1, 2].map(|axis: usize| {
+            std::array::from_fn(|cell| {
+                let mut brick = IVec3::ZERO;
+                brick[axis] = cell as i32 / side;
+                local_morton(brick) * self.brick_samples() + (cell % side as usize) * edge.pow(axis as u32)
+            })
+        })
     }
 }
 
 impl PageInfo {
-    /// Keeps the bricks of `dense` that have a full cell: a whole bin, channel by channel, x fastest in each. Their samples
-    /// lie one brick after the other in Morton order, each channel by channel, x fastest. `None` where no cell is full.
+    /// Keeps the bricks of `dense` that have a full cell of their own. Without rims `dense` is a whole bin, x fastest; with
+    /// rims it is all bricks in Morton order, x fastest in each, as they lie in the page.
     #[must_use]
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, Box<[u16]>)> {
         let edge = shape.side.cells();
-        let mut page = Self::empty(MortonKey::of(bin));
+        let mut full = FullCells::default();
+        let mut bricks = 0;
         let mut samples = Vec::with_capacity(dense.len());
         for index in 0..shape.side.bricks_a_bin() {
-            let corner = local_from_morton(index) * edge;
-            let begin = samples.len();
-            for dense in dense.chunks_exact(BIN.pow(3) as usize) {
-                for first in rows(corner, edge) {
+            let (local, begin) = (local_from_morton(index), samples.len());
+            if shape.rim == 0 {
+                for first in rows(local * edge, edge) {
                     let (fours, _) = dense[first..first + edge as usize].as_chunks::<4>();
                     fours.iter().for_each(|four| samples.extend_from_slice(four));
                 }
-                // One channel says whether there is anything.
-                if samples.len() - begin == shape.side.samples()
-                    && !page.add(bin, index, &samples[begin..], shape.side)
-                {
-                    samples.truncate(begin);
-                    break;
-                }
+            } else {
+                samples.extend_from_slice(&dense[index * shape.brick_samples()..][..shape.brick_samples()]);
+            }
+            if full.add(local, &samples[begin..], shape) {
+                bricks |= 1 << index;
+            } else {
+                samples.truncate(begin);
             }
         }
-        (page.bricks != 0).then(|| (page, samples.into()))
+        (bricks != 0).then(|| (full.page(MortonKey::of(bin), bricks), samples.into()))
     }
 
     /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`.
@@ -117,42 +143,13 @@ impl PageInfo {
     /// If the samples are not of the bricks' number.
     #[must_use]
     pub fn from_samples(key: MortonKey, bricks: u64, samples: &[u16], shape: PageShape) -> Option<Self> {
-        let PageShape { side, .. } = shape;
-        let mut page = Self::empty(key);
-        let set = (0..side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
+        let mut full = FullCells::default();
+        let set = (0..shape.side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
         assert_eq!(set.clone().count() * shape.brick_samples(), samples.len());
         set.zip(samples.chunks_exact(shape.brick_samples()))
-            .all(|(index, brick)| page.add(key.coord(), index, &brick[..side.samples()], side))
-            .then_some(page)
-            .filter(|page| page.bricks == bricks)
-    }
-
-    fn empty(key: MortonKey) -> Self {
-        Self { key, bricks: 0, full: CellBox::EMPTY, full_count: 0 }
-    }
-
-    /// Counts brick number `index` in by its first channel, unless it has no full cell.
-    fn add(&mut self, bin: IVec3, index: usize, samples: &[u16], side: BrickSide) -> bool {
-        let edge = side.cells();
-        let (mut full, mut full_count) = (CellBox::EMPTY, 0);
-        let rows = (0..edge).flat_map(|z| (0..edge).map(move |y| (y, z)));
-        for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
-            let (fours, _) = row.as_chunks::<4>();
-            let bits = fours.iter().rev().fold(0, |bits, four| bits << 4 | full_bits(*four));
-            if bits != 0 {
-                full_count += bits.count_ones();
-                let (left, right) = (bits.trailing_zeros() as i32, bits.ilog2() as i32);
-                full = full.union(&CellBox { lo: IVec3::new(left, y, z), hi: IVec3::new(right, y, z) + 1 });
-            }
-        }
-        if full_count == 0 {
-            return false;
-        }
-        let corner = bin * BIN + local_from_morton(index) * edge;
-        self.full = self.full.union(&CellBox { lo: full.lo + corner, hi: full.hi + corner });
-        self.full_count += full_count;
-        self.bricks |= 1 << index;
-        true
+            .all(|(index, brick)| full.add(local_from_morton(index), brick, shape))
+            .then(|| full.page(key, bricks))
+            .filter(|_| bricks != 0)
     }
 
     /// The inverse of [`from_dense`](Self::from_dense).
@@ -162,11 +159,12 @@ impl PageInfo {
         for index in (0..shape.side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
             let local = local_from_morton(index);
             let Some(samples) = self.brick(samples, local, shape) else { continue };
-            let channels = dense.chunks_exact_mut(BIN.pow(3) as usize);
-            for (dense, samples) in channels.zip(samples.chunks_exact(shape.side.samples())) {
+            if shape.rim == 0 {
                 for (first, from) in rows(local * edge, edge).zip(samples.chunks_exact(edge as usize)) {
                     dense[first..first + edge as usize].copy_from_slice(from);
                 }
+            } else {
+                dense[index * shape.brick_samples()..][..shape.brick_samples()].copy_from_slice(samples);
             }
         }
     }
@@ -194,8 +192,65 @@ fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }
 
-/// A bit for each sample that is not 0.
-fn full_bits(four: [u16; 4]) -> u32 {
-    // Most are empty.
-    if four == [0; 4] { 0 } else { (0..4).map(|i| u32::from(four[i] > 0) << i).sum() }
+/// Which cells of a bin are full, with what its bricks leave in one another.
+struct FullCells {
+    /// A bit for each cell of a row along x, y fastest.
+    rows: [u16; (BIN * BIN) as usize],
+}
+
+impl Default for FullCells {
+    fn default() -> Self {
+        Self { rows: [0; (BIN * BIN) as usize] }
+    }
+}
+
+impl FullCells {
+    /// Counts the brick at `local` in, unless it has no full cell of its own.
+    fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
+        let PageShape { side, rim } = shape;
+        let (edge, corner) = (shape.edge(), local * side.cells());
+        let own = (1_u32 << side.cells()) - 1;
+        let mut any = false;
+        let rows = (-rim..edge - rim).flat_map(|z| (-rim..edge - rim).map(move |y| (y, z)));
+        for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
+            let bits = full_bits(row);
+            let [inside_y, inside_z] = [y, z].map(|at| (0..side.cells()).contains(&at));
+            any |= inside_y && inside_z && bits >> rim & own != 0;
+            let (y, z) = (corner.y + y, corner.z + z);
+            if bits != 0 && (0..BIN).contains(&y) && (0..BIN).contains(&z) {
+                // What lies beyond the bin is shifted out at either end.
+                self.rows[(y + BIN * z) as usize] |= ((u64::from(bits) << corner.x) >> rim) as u16;
+            }
+        }
+        any
+    }
+
+    /// A page of which these cells are full.
+    fn page(&self, key: MortonKey, bricks: u64) -> PageInfo {
+        let (mut full, mut full_count) = (CellBox::EMPTY, 0);
+        for (row, &bits) in (0..).zip(&self.rows).filter(|(_, bits)| **bits != 0) {
+            let (left, right) = (bits.trailing_zeros() as i32, bits.ilog2() as i32);
+            let [lo, hi] = [left, right].map(|x| IVec3::new(x, row % BIN, row / BIN));
+            full = full.union(&CellBox { lo, hi: hi + 1 });
+            full_count += bits.count_ones();
+        }
+        let corner = key.coord() * BIN;
+        PageInfo { key, bricks, full: CellBox { lo: full.lo + corner, hi: full.hi + corner }, full_count }
+    }
+}
+
+/// A bit for each sample of a row that is not 0.
+#[inline(always)]
+fn full_bits(row: &[u16]) -> u32 {
+    let (eights, rest) = row.as_chunks::<8>();
+    let rest = rest.iter().rev().fold(0, |bits, &sample| bits << 1 | u32::from(sample > 0));
+    eights.iter().rev().fold(rest, |bits, &eight| {
+        // Most are empty.
+        if eight == [0; 8] {
+            return bits << 8;
+        }
+        // Gathers the lowest bits of eight bytes in the highest.
+        let bytes = u64::from_le_bytes(eight.map(|sample| u8::from(sample > 0)));
+        bits << 8 | (bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u32
+    })
 }

@@ -15,12 +15,13 @@ pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use std::io::{self, Write};
+use std::path::Path;
 
 use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
-use crate::brick::{BinPlan, Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore};
-use crate::estimate::{Estimate, Plan, Shares};
+use crate::brick::{Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins};
+use crate::estimate::{Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
 use crate::laps::Laps;
@@ -33,7 +34,7 @@ use crate::simplify::{Reduction, Simplified};
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::Crossings;
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::{Indicator, PageRule};
 use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma};
 
@@ -146,28 +147,37 @@ impl Frame {
         let plan = estimate.plan(resources.budget);
         resources.check_room(estimate.least_scratch(plan))?;
         let in_scratch = resources.scratch_error();
-        let mut sink = FieldSink::new(plan, &estimate, indicator.shape(*side), &resources.scratch)
-            .map_err(&in_scratch)?;
+        let shape = indicator.shape(*side);
+        let mut sink = FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
 
         let stages = resources.backend.start(resources.budget);
-        let bins = match plan {
-            Plan::InCore => {
-                let bins = bin_plan.fill(particles, carried);
-                laps.lap("bin");
-                sink.take(&*stages, &bins, *indicator, *side).map_err(&in_scratch)?;
-                (!carried.is_empty()).then_some(bins)
-            }
+        let binned = match plan {
+            Plan::InCore => Binned::InMemory(bin_plan.fill(particles, carried)),
             Plan::OutOfCore(shares) => {
-                spill(bin_plan, particles, sampling, shares, &*stages, &mut sink, laps)
-                    .map_err(&in_scratch)?
+                let runs = bin_plan.runs(particles, carried, shares.particles);
+                // The field is not there yet, so its share is free for buffers.
+                let buffer_bytes = shares.field as usize;
+                let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, buffer_bytes);
+                Binned::Spilled(spilled.map_err(&in_scratch)?)
             }
         };
-        let carried = bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
+        laps.lap("bin");
+        let measured = |indicator: Indicator, full_cells: u64| {
+            indicator.measured(census.binned, full_cells).map_err(FrameError::MeanCount)
+        };
+        let mut indicator = *indicator;
+        if indicator.waits_for_mean() {
+            indicator = measured(indicator, binned.full_cells().map_err(&in_scratch)?)?;
+        }
+        let rule = PageRule { indicator, side: *side, walls: domain.as_ref().map(Domain::cells) };
+        let take = |bins: &Bins| sink.take(&*stages, bins, &rule);
+        let carried_bins =
+            binned.visit(take, !carried.is_empty(), &resources.scratch).map_err(&in_scratch)?;
+        let carried = carried_bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
-        let indicator =
-            indicator.measured(census.binned, sink.full_cells()).map_err(FrameError::MeanCount)?;
+        let indicator = measured(indicator, sink.full_cells())?;
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
-        let dif = sink.finish(&facts, indicator.shape(*side), plan).map_err(&in_scratch)?;
+        let dif = sink.finish(&facts, shape, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
         let surface_share = estimate.surface_share(resources.budget);
         Ok(Self { facts, dif, carried, surface_share, resources: resources.clone(), stages })
@@ -336,33 +346,46 @@ fn carry(
     Ok(())
 }
 
-/// Bins the particles through a scratch file, run by run into `sink`. Where attributes are carried the bins are
-/// returned, in a scratch file of their own.
-fn spill(
-    plan: BinPlan,
-    particles: &(impl Particles + ?Sized),
-    sampling: &Sampling,
-    shares: Shares,
-    stages: &dyn Stages,
-    sink: &mut FieldSink,
-    laps: &mut Laps,
-) -> io::Result<Option<Bins>> {
-    let Sampling { indicator, side, carried, resources, .. } = sampling;
-    let runs = plan.runs(particles, carried, shares.particles);
-    // The field is not there yet, so its share is free for buffers.
-    let buffer_bytes = shares.field as usize;
-    let spilled = plan.spill(particles, carried, runs, &resources.scratch, buffer_bytes)?;
-    laps.lap("bin");
-    let mut sorted = match carried[..] {
-        [] => None,
-        _ => Some(spilled.sorted_store(&resources.scratch)?),
-    };
-    for run in 0..spilled.runs().len() {
-        let bins = spilled.load(run)?;
-        sink.take(stages, &bins, *indicator, *side)?;
-        if let Some(sorted) = &mut sorted {
-            sorted.push(&bins)?;
+/// Particles in order of their bins.
+enum Binned {
+    InMemory(Bins),
+    /// Run by run in a scratch file.
+    Spilled(SpilledBins),
+}
+
+impl Binned {
+    /// How many cells hold particles.
+    fn full_cells(&self) -> io::Result<u64> {
+        match self {
+            Self::InMemory(bins) => bins.full_cells(),
+            Self::Spilled(spilled) => {
+                (0..spilled.runs().len()).map(|run| spilled.load(run)?.full_cells()).sum()
+            }
         }
     }
-    Ok(sorted.map(SortedStore::finish))
+
+    /// Shows all bins to `take`, and returns them if they are to be kept: what was in a scratch file, in one of its own.
+    fn visit(
+        self,
+        mut take: impl FnMut(&Bins) -> io::Result<()>,
+        keep: bool,
+        scratch: &Path,
+    ) -> io::Result<Option<Bins>> {
+        let spilled = match self {
+            Self::InMemory(bins) => {
+                take(&bins)?;
+                return Ok(keep.then_some(bins));
+            }
+            Self::Spilled(spilled) => spilled,
+        };
+        let mut sorted = keep.then(|| spilled.sorted_store(scratch)).transpose()?;
+        for run in 0..spilled.runs().len() {
+            let bins = spilled.load(run)?;
+            take(&bins)?;
+            if let Some(sorted) = &mut sorted {
+                sorted.push(&bins)?;
+            }
+        }
+        Ok(sorted.map(SortedStore::finish))
+    }
 }

@@ -5,10 +5,10 @@ use std::io;
 use std::path::Path;
 
 use crate::backend::Stages;
-use crate::brick::{Bins, BrickSide, DifField, PageInfo, PageShape};
+use crate::brick::{Bins, DifField, PageInfo, PageShape};
 use crate::estimate::{Estimate, Plan, Shares};
 use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::PageRule;
 
 /// Samples of the bins whose pages are made at once, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;
@@ -33,17 +33,11 @@ impl FieldSink {
     }
 
     /// Takes the pages of all `bins`.
-    pub(super) fn take(
-        &mut self,
-        stages: &dyn Stages,
-        bins: &Bins,
-        indicator: Indicator,
-        side: BrickSide,
-    ) -> io::Result<()> {
+    pub(super) fn take(&mut self, stages: &dyn Stages, bins: &Bins, rule: &PageRule) -> io::Result<()> {
         let end = bins.keys().len();
-        let batch = BATCH_SAMPLES / indicator.shape(side).bin_samples();
+        let batch = BATCH_SAMPLES / rule.shape().bin_samples();
         for first in (0..end).step_by(batch) {
-            let pages = stages.indicate(bins, first..(first + batch).min(end), indicator, side)?;
+            let pages = stages.indicate(bins, first..(first + batch).min(end), rule)?;
             match self {
                 Self::Memory(kept) => kept.extend(pages),
                 Self::File { writer, full_cells, .. } => {
@@ -55,7 +49,7 @@ impl FieldSink {
         Ok(())
     }
 
-    /// Cells that hold particles.
+    /// Cells that are full.
     pub(super) fn full_cells(&self) -> u64 {
         match self {
             Self::Memory(pages) => full_count(pages),

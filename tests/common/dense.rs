@@ -148,13 +148,12 @@ impl Method {
             }
         });
         if let Indicator::Cloud { .. } = self.indicator {
-            for (cell, offsets) in &by_cell {
-                let n = offsets.len() as f64;
-                let centroid = offsets.iter().sum::<DVec3>() / n;
+            for (cell, offset) in
+                by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
+            {
                 for away in cube() {
-                    let share: f64 =
-                        (0..3).map(|axis| b_spline(f64::from(away[axis]) + 0.5 - centroid[axis])).product();
-                    *theta.nearest(IVec3::from(*cell) + away) += n.min(2.0 * self.mu0()) * share;
+                    let share = |axis| b_spline(f64::from(away[axis]) + 0.5 - offset[axis]);
+                    *theta.nearest(IVec3::from(*cell) + away) += (0..3).map(share).product::<f64>();
                 }
             }
             theta.values.iter_mut().for_each(|rho| *rho = (*rho / (2.0 * self.mu0())).min(1.0));
@@ -226,23 +225,31 @@ impl Method {
                 }
             }
         });
-        let amount = (65535.0 / (2.0 * self.mu0())).round() as u64;
+        let amount = ((65535.0 / (2.0 * self.mu0())).round() as u64).max(4);
         if let Indicator::Cloud { .. } = self.indicator {
             let mut sums = Dense::new(cells, |_| 0);
-            for (cell, offsets) in &by_cell {
-                let n = offsets.len() as u64;
+            for (cell, offset) in
+                by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
+            {
+                let cell = IVec3::from(*cell);
                 let shares = [0, 1, 2].map(|axis| {
-                    let sum: u64 = offsets.iter().map(|o| (o[axis] * 8192.0).floor() as u64).sum();
-                    let twice = 2 * ((2 * sum + n) / (2 * n)) + 1;
+                    let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
                     let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
-                    [below, 65536 - below - above, above]
+                    // By how far from the cell; what would lie beyond a wall lies in the cell before it.
+                    let mut shares = BTreeMap::new();
+                    for (away, share) in [(-1, below), (0, 65536 - below - above), (1, above)] {
+                        let mut to = cell;
+                        to[axis] += away;
+                        let within = self.walls.map_or(to, |walls| to.clamp(walls.lo, walls.hi - 1));
+                        *shares.entry(within[axis] - cell[axis]).or_insert(0) += share;
+                    }
+                    shares
                 });
+                let part = |amount: u64, share: u64| (amount * share + 32768) / 65536;
                 for away in cube() {
-                    let of_axis = |axis: usize| shares[axis][(away[axis] + 1) as usize];
-                    let cloud = (n * amount).min(65535);
-                    let part = |amount: u64, share: u64| (amount * share + 32768) / 65536;
-                    let share = part(part(part(cloud, of_axis(2)), of_axis(1)), of_axis(0));
-                    *sums.nearest(IVec3::from(*cell) + away) += share;
+                    let of_axis = |axis: usize| shares[axis].get(&away[axis]).copied().unwrap_or(0);
+                    let share = part(part(part(amount, of_axis(2)), of_axis(1)), of_axis(0));
+                    *sums.nearest(cell + away) += share;
                 }
             }
             theta = Dense::new(cells, |cell| sums.at(cell, None).min(65535) as u16);

@@ -16,9 +16,9 @@ use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{
     BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
-use meniscus::grid::{BIN, Grid};
+use meniscus::grid::{BIN, Grid, MortonKey};
 use meniscus::stage::indicator::Indicator;
-use meniscus::stage::indicator::vulkan::{INDICATE, indicate};
+use meniscus::stage::indicator::vulkan::{BinEntry, INDICATE, indicate};
 use meniscus::vulkan::{
     Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
 };
@@ -112,7 +112,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         row(&format!("  {}", timing.stage), count, timing.seconds);
     }
 
-    let entries: Vec<[u32; 2]> = bins.first.windows(2).map(|w| [w[0] as u32, (w[1] - w[0]) as u32]).collect();
+    let entry = |(key, first): (&MortonKey, &[usize])| BinEntry {
+        first: first[0] as u32,
+        count: (first[1] - first[0]) as u32,
+        coord: key.coord().to_array(),
+    };
+    let entries: Vec<BinEntry> = bins.keys.iter().zip(bins.first.windows(2)).map(entry).collect();
     let entries_view = upload(&device, &entries)?;
     let pages = device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
     let indicator = Arc::new(device.kernel(&INDICATE)?);

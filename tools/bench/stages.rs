@@ -16,7 +16,7 @@ use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::spool::Spool;
 use meniscus::stage::blur::{Kernel, blur};
 use meniscus::stage::dual_mc::contour;
-use meniscus::stage::indicator::{Indicator, indicate};
+use meniscus::stage::indicator::{Indicator, PageRule, indicate};
 use meniscus::stitch::Stitched;
 use meniscus::units::{MemoryBudget, Sigma};
 use rayon::prelude::*;
@@ -62,8 +62,10 @@ fn main() {
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
     for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::default()] {
-        let (seconds, _) =
-            best_seconds(3, || indicate(&bins, 0..bins.keys().len(), indicator, BrickSide::Eight));
+        let full_cells = bins.full_cells().expect("bins in memory");
+        let indicator = indicator.measured(particles.len(), full_cells).expect("a mean count");
+        let rule = PageRule { indicator, side: BrickSide::Eight, walls: None };
+        let (seconds, _) = best_seconds(3, || indicate(&bins, 0..bins.keys().len(), &rule));
         let name = indicator.name();
         row(&format!("accumulate, {name}"), count, "M particles/s", seconds);
         row(&format!("bin and accumulate, {name}"), count, "M particles/s", bin_seconds + seconds);

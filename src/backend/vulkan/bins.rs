@@ -3,27 +3,18 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 
 use crate::backend::Pages;
 use crate::brick::vulkan::DeviceBins;
-use crate::brick::{Bins, BrickSide, PageInfo, PageShape};
+use crate::brick::{Bins, PageInfo, PageShape};
 use crate::grid::MortonKey;
-use crate::stage::indicator::Indicator;
-use crate::stage::indicator::vulkan::indicate;
+use crate::stage::indicator::vulkan::{BinEntry, clouds, indicate};
+use crate::stage::indicator::{Indicator, PageRule};
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
 use super::{BIN_BATCH, DeviceFrame, Fault, State, page_bytes};
-
-/// A bin's particles among those of a batch, as `indicate.wgsl` has it.
-#[derive(Debug, Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-struct BinEntry {
-    first: u32,
-    count: u32,
-}
 
 /// Bins on their way through a lane.
 struct BinBatch {
@@ -39,11 +30,10 @@ impl DeviceFrame {
         state: &mut State,
         bins: &Bins,
         range: Range<usize>,
-        indicator: Indicator,
-        side: BrickSide,
+        rule: &PageRule,
         done: &mut Pages,
     ) -> Result<(), Fault> {
-        let shape = indicator.shape(side);
+        let shape = rule.shape();
         state.make_resident(&self.device, bins.keys(), shape);
         let room = state.batch_bytes;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
@@ -54,7 +44,7 @@ impl DeviceFrame {
             |lane| {
                 let batch = bin_batch(bins, next..range.end, shape, room);
                 next = batch.end;
-                let start = || self.start_bins(lane, bins, batch.clone(), indicator, resident.as_ref());
+                let start = || self.start_bins(lane, bins, batch.clone(), rule, resident.as_ref());
                 (!batch.is_empty()).then(start).transpose()
             },
             |lane, batch| {
@@ -69,14 +59,14 @@ impl DeviceFrame {
         lane: &mut Lane,
         bins: &Bins,
         range: Range<usize>,
-        indicator: Indicator,
+        rule: &PageRule,
         resident: Option<&Arc<Buffer>>,
     ) -> Result<BinBatch, Fault> {
         let mut entries = Vec::with_capacity(range.len());
         let mut first = 0;
         for bin in range.clone() {
             let count = bins.count(bin) as u32;
-            entries.push(BinEntry { first, count });
+            entries.push(BinEntry { first, count, coord: bins.keys()[bin].coord().to_array() });
             first += count;
         }
         let mut layout = Layout::default();
@@ -95,7 +85,7 @@ impl DeviceFrame {
 
         lane.send(&staged, &inputs)?;
         let [entries, records] = [part(&inputs, &entries_at), part(&inputs, &records_at)];
-        Ok(self.compute_bins(lane, range, &entries, &records, indicator, resident)?)
+        Ok(self.compute_bins(lane, range, &entries, &records, rule, resident)?)
     }
 
     /// Has the pages of some bins computed and read.
@@ -105,11 +95,11 @@ impl DeviceFrame {
         bins: Range<usize>,
         entries: &View,
         records: &View,
-        indicator: Indicator,
+        rule: &PageRule,
         resident: Option<&Arc<Buffer>>,
     ) -> Result<BinBatch, VulkanError> {
         let device = &self.device;
-        let page_bytes = page_bytes(indicator.shape(BrickSide::default()));
+        let page_bytes = page_bytes(rule.shape());
         let bytes = bins.len() as u64 * page_bytes;
         let read = lane.buffer(device, "pages read", Place::Download, bytes)?;
         let pages = match resident {
@@ -117,8 +107,11 @@ impl DeviceFrame {
             None => lane.buffer(device, "pages", Place::Device, bytes)?,
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
-        let views = [entries, records, &pages];
-        indicate(&mut lane.compute, &self.kernels.indicate, bins.len() as u32, indicator, views)?;
+        let (views, count) = ([entries, records, &pages], bins.len() as u32);
+        match rule.indicator {
+            Indicator::Cloud { .. } => clouds(&mut lane.compute, &self.kernels.clouds, count, rule, views),
+            _ => indicate(&mut lane.compute, &self.kernels.indicate, count, rule.indicator, views),
+        }?;
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
     }
@@ -128,10 +121,9 @@ impl DeviceFrame {
         &self,
         state: &mut State,
         bins: &DeviceBins,
-        indicator: Indicator,
-        side: BrickSide,
+        rule: &PageRule,
     ) -> Result<Pages, VulkanError> {
-        let shape = indicator.shape(side);
+        let shape = rule.shape();
         state.make_resident(&self.device, &bins.keys, shape);
         state.make_lanes(&self.device)?;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
@@ -149,6 +141,7 @@ impl DeviceFrame {
                 let entry = |bin: usize| BinEntry {
                     first: (bins.first[bin] - base) as u32,
                     count: (bins.first[bin + 1] - bins.first[bin]) as u32,
+                    coord: bins.keys[bin].coord().to_array(),
                 };
                 let entries: Vec<BinEntry> = range.clone().map(entry).collect();
                 lane.begin()?;
@@ -158,7 +151,7 @@ impl DeviceFrame {
                 staged.write(0, &entries);
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
-                self.compute_bins(lane, range, &inputs, &records, indicator, resident.as_ref()).map(Some)
+                self.compute_bins(lane, range, &inputs, &records, rule, resident.as_ref()).map(Some)
             },
             |lane, batch| {
                 pages.extend(read_pages(lane, batch, &bins.keys, shape)?);

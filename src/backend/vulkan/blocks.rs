@@ -15,7 +15,6 @@ use crate::recipe::Details;
 use crate::stage::blur::Kernel;
 use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
-use crate::stage::indicator::vulkan::clouds;
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
 use super::fields::{Padded, PaddedFields};
@@ -199,15 +198,15 @@ impl BlockBatch {
             room: MOST_VERTICES,
         };
         let limit = work.frame.device.limits().storage_range;
-        let halo = work.surfaces.dif.reach() + work.surfaces.recipe.halo();
+        let halo = work.surfaces.recipe.halo();
         let page_bytes = page_bytes(work.surfaces.dif.shape());
         let mut numbers: HashMap<IVec3, u32> = HashMap::new();
         let mut taken = batch.room * work.vertex_bytes() * 2;
         for &region in regions.iter().take(BLOCK_BATCH) {
+            let dif = work.surfaces.dif;
             let cells = work.surfaces.field(region).grown(halo, halo);
             let mut block = DeviceBlock::new(cells, region.tiled());
-            let bins: Vec<IVec3> = block.bins().collect();
-            let dif = work.surfaces.dif;
+            let bins: Vec<IVec3> = block.bins(dif.shape().rim).collect();
             let unknown = |bin: &&IVec3| dif.has_page(**bin) && !numbers.contains_key(*bin);
             let new = if work.resident.is_some() { 0 } else { bins.iter().filter(unknown).count() as u64 };
             taken += work.block_bytes(&block) + new * 2 * page_bytes + 8 * bins.len() as u64;
@@ -337,16 +336,14 @@ impl Contouring<'_> {
         let pages = DevicePages {
             tables: part(&inputs, &tables_at),
             pages: self.resident.map_or_else(|| part(&inputs, &pages_at), |resident| resident.pages.whole()),
+            shape: dif.shape(),
             theta: self.constants.theta.clone(),
             decode: self.constants.decode,
         };
         commands.stage("gather", pages.pages.bytes() + field_bytes);
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
-        match dif.clouds() {
-            None => gather(commands, &kernels.gather, &blocks, &pages, &first)?,
-            Some(amount) => clouds(commands, &kernels.clouds, &blocks, &pages, amount, walls, &first)?,
-        }
-        let dif = Rc::new(Padded { samples: first, margin: dif.reach() });
+        gather(commands, &kernels.gather, &blocks, &pages, &first)?;
+        let dif = Rc::new(Padded { samples: first, margin: 0 });
         let weights = &self.constants.weights;
         let mut fields = PaddedFields { kernels, weights, walls, commands, blocks: &blocks, free };
         let field = self.surfaces.recipe.apply(&mut fields, dif)?;

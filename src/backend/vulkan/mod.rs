@@ -18,14 +18,14 @@ use glam::IVec3;
 use hashbrown::HashMap;
 
 use crate::brick::vulkan::{DeviceBins, GATHER};
-use crate::brick::{Bins, BrickSide, PageShape};
+use crate::brick::{Bins, PageShape};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
 use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE};
 use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
@@ -153,19 +153,14 @@ impl Vulkan {
 pub struct ResidentFrame(DeviceFrame);
 
 impl ResidentFrame {
-    /// The pages of all bins: what the indicator stores.
+    /// The pages of all bins.
     ///
     /// # Errors
     /// Those of the device.
-    pub fn indicate(
-        &self,
-        bins: &DeviceBins,
-        indicator: Indicator,
-        side: BrickSide,
-    ) -> Result<Pages, VulkanError> {
+    pub fn indicate(&self, bins: &DeviceBins, rule: &PageRule) -> Result<Pages, VulkanError> {
         let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
-            match self.0.indicate_resident(&mut state, bins, indicator, side) {
+            match self.0.indicate_resident(&mut state, bins, rule) {
                 Err(error @ VulkanError::OutOfMemory { .. }) if state.resident.is_some() => {
                     state.recover(&error);
                 }
@@ -240,16 +235,10 @@ struct Resident {
 }
 
 impl Stages for DeviceFrame {
-    fn indicate(
-        &self,
-        bins: &Bins,
-        range: Range<usize>,
-        indicator: Indicator,
-        side: BrickSide,
-    ) -> io::Result<Pages> {
+    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let mut pages = Pages::with_capacity(range.len());
-        let shape = indicator.shape(side);
+        let shape = rule.shape();
         while !state.on_cpu && pages.len() < range.len() {
             let begin = range.start + pages.len();
             let room = state.batch_bytes.min(self.device.limits().storage_range);
@@ -258,10 +247,10 @@ impl Stages for DeviceFrame {
             if end == begin {
                 // A bin too large for any batch. Without its page the others are of no use on the device.
                 (state.resident, state.resident_bytes) = (None, 0);
-                pages.extend(Cpu.indicate(bins, begin..begin + 1, indicator, side)?);
+                pages.extend(Cpu.indicate(bins, begin..begin + 1, rule)?);
                 continue;
             }
-            match self.indicate_batches(&mut state, bins, begin..end, indicator, side, &mut pages) {
+            match self.indicate_batches(&mut state, bins, begin..end, rule, &mut pages) {
                 Ok(()) => {}
                 Err(Fault::Scratch(error)) => return Err(error),
                 Err(Fault::Device(error)) => state.recover(&error),
@@ -270,7 +259,7 @@ impl Stages for DeviceFrame {
         if pages.len() < range.len() {
             // Without the pages of these bins the others are of no use.
             state.resident = None;
-            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, indicator, side)?);
+            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, rule)?);
         }
         Ok(pages)
     }

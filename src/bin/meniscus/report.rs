@@ -37,7 +37,8 @@ pub fn report_frame(frame: &Frame, notes: &Notes) {
     if frame.facts().indicator != Indicator::Symmetry {
         return;
     }
-    if let Some(mean) = frame.dif().mean_of_full().filter(|&mean| mean < 0.2) {
+    let mean = frame.dif().mean_of_full();
+    if mean < 0.2 {
         let grid = frame.facts().grid;
         let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
         notes.say(format!(

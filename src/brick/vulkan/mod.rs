@@ -17,10 +17,11 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
 
+use super::PageShape;
 use crate::grid::{BIN, CellBox};
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-/// Words of a page's channel on the device: all cells of a bin, x fastest, two samples to a word.
+/// Words of a page without rims on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
 /// Threads of a work group.
 const GROUP: u32 = 256;
@@ -71,9 +72,9 @@ impl DeviceBlock {
         CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
     }
 
-    /// The bins that it touches, in the order of its table.
-    pub fn bins(&self) -> impl Iterator<Item = IVec3> + use<> {
-        self.cells().cubes(BIN)
+    /// The bins whose bricks with their rims it touches, in the order of its table.
+    pub fn bins(&self, rim: i32) -> impl Iterator<Item = IVec3> + use<> {
+        self.cells().grown(rim, rim).cubes(BIN)
     }
 
     /// Words of its samples.
@@ -121,6 +122,8 @@ push_block! {
     /// Of [`GATHER`].
     struct GatherPush {
         decode: u32,
+        brick_bits: u32,
+        rim: u32,
     }
 }
 
@@ -138,8 +141,10 @@ pub const GATHER: Program = Program {
 pub struct DevicePages {
     /// For every bin of every block one more than its page's number, or 0.
     pub tables: View,
-    /// [`PAGE_WORDS`] for each channel of each.
+    /// Each dense, two samples to a word.
     pub pages: View,
+    /// How their samples lie.
+    pub shape: PageShape,
     /// theta by number of particles, and 1 for all beyond, where pages hold numbers.
     pub theta: View,
     /// How many entries that has; 0 where pages hold theta.
@@ -157,7 +162,10 @@ pub fn gather(
     pages: &DevicePages,
     field: &View,
 ) -> Result<(), VulkanError> {
-    let push = GatherPush { decode: pages.decode };
+    let &DevicePages { shape, decode, .. } = pages;
+    // Without rims a bin is one brick.
+    let brick = if shape.rim == 0 { BIN } else { shape.side.cells() };
+    let push = GatherPush { decode, brick_bits: brick.ilog2(), rim: shape.rim as u32 };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
     batch.dispatch(kernel, &buffers, &push, blocks.groups())

@@ -32,9 +32,9 @@
 //!
 //! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
 //! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
-//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has
-//! four samples a cell: these numbers for all of its cells, then all centroids' places along x, along y and along z,
-//! in 8192ths of a cell from its lower face, rounded down.
+//! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has a
+//! rim of one more cell on every side, and its samples are what its own particles make of the DIF there, which is the sum
+//! over all bricks, at most 65535. A cell is full where what its own page holds of it is not 0.
 
 mod read;
 mod write;

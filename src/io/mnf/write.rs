@@ -160,7 +160,7 @@ fn compress(pages: &[(PageInfo, impl AsRef<[u16]>)]) -> io::Result<Compressed> {
 pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io::Result<u64> {
     let mut writer = FrameWriter::create(out, field.shape())?;
     // Two chunks a thread at a time: the last to end is not waited for long.
-    let batch = (2 * CHUNK / field.shape().channels) * rayon::current_num_threads();
+    let batch = 2 * CHUNK * rayon::current_num_threads();
     for first in (0..field.infos().len()).step_by(batch) {
         let infos = field.infos()[first..].iter().take(batch);
         let pages: Vec<_> = infos.zip(first..).map(|(&info, page)| (info, field.stored(page))).collect();

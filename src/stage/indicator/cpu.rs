@@ -3,15 +3,16 @@
 use std::io;
 use std::ops::Range;
 
+use glam::IVec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use crate::brick::{Bins, BrickSide, CellSums, PageInfo};
+use crate::brick::{Bins, CellSums, PageInfo};
 use crate::grid::{BIN, FRACTIONS};
 use crate::units::{FULL, MeanCount};
 
-use super::Indicator;
-use super::cloud::place;
+use super::cloud::{Clouds, amount};
+use super::{Indicator, PageRule};
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
@@ -59,31 +60,6 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
     }
 }
 
-/// N, capped, and the places of centroids, channel by channel.
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn centroids(sums: &CellSums, stored: &mut [u16]) {
-    stored.fill(0);
-    let mut channels = stored.chunks_exact_mut(BIN.pow(3) as usize);
-    let [counts, x, y, z] =
-        std::array::from_fn(|_| channels.next().unwrap_or_default().as_chunks_mut::<ROW>().0);
-    for (row, cells) in sums.rows() {
-        let channels = [&mut counts[row], &mut x[row], &mut y[row], &mut z[row]];
-        let crowded = cells.iter().fold(false, |crowded, &[n, ..]| crowded | (n > 1.0));
-        for (channel, to) in channels.into_iter().enumerate() {
-            for (to, cell) in to.iter_mut().zip(cells) {
-                let (n, sum) = (cell[0], cell[channel]);
-                *to = match (channel, crowded) {
-                    (0, _) => sum.min(FULL.into()) as u16,
-                    // Of none it is NaN, and 0.
-                    (_, true) => place(n, sum) as i32 as u16,
-                    // The place of one is its offset.
-                    (_, false) => sum as i32 as u16,
-                };
-            }
-        }
-    }
-}
-
 /// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
 #[must_use]
 pub fn count_table(mean: MeanCount) -> Vec<u16> {
@@ -91,35 +67,40 @@ pub fn count_table(mean: MeanCount) -> Vec<u16> {
     (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
 }
 
-/// The pages of a range of bins: theta by symmetry; the numbers of particles for counting, and their centroids' places
-/// too for clouds. These become theta when all bins are done and mu0 is known, by [`Indicator::decode`].
+/// The pages of a range of bins: theta by symmetry and of clouds; for counting the numbers of particles, which become
+/// theta when all bins are done and mu0 is known, by [`Indicator::decode`].
 ///
 /// # Errors
 /// Where particles are in a scratch file that cannot be read.
+///
+/// # Panics
+/// If the indicator [waits for its mean](Indicator::waits_for_mean).
 pub fn indicate(
     bins: &Bins,
     range: Range<usize>,
-    indicator: Indicator,
-    side: BrickSide,
+    rule: &PageRule,
 ) -> io::Result<Vec<(PageInfo, Box<[u16]>)>> {
-    let values = match indicator {
-        Indicator::Symmetry => symmetry_all,
-        Indicator::Counting { .. } => counts,
-        Indicator::Cloud { .. } => centroids,
+    let &PageRule { indicator, walls, .. } = rule;
+    let shape = rule.shape();
+    let page =
+        |bin: IVec3, dense: &[u16]| PageInfo::from_dense(bin, dense, shape).expect("a bin holds particles");
+    if let Indicator::Cloud { mean } = indicator {
+        let amount = amount(mean.expect("clouds are made once mu0 is known"));
+        let start = || Clouds::new(amount, walls, shape);
+        let clouds_page = |clouds: &mut Clouds, bin: usize| {
+            let coord = bins.keys()[bin].coord();
+            Ok(page(coord, clouds.of(coord, &bins.contents(bin)?)))
+        };
+        return range.into_par_iter().map_init(start, clouds_page).collect();
+    }
+    let values = if indicator.counts() { counts } else { symmetry_all };
+    let start = || (CellSums::default(), vec![0; shape.bin_samples()]);
+    let sums_page = |(sums, dense): &mut (CellSums, Vec<u16>), bin: usize| {
+        sums.accumulate(bins.contents(bin)?.particles());
+        values(sums, dense);
+        Ok(page(bins.keys()[bin].coord(), dense))
     };
-    let shape = indicator.shape(side);
-    range
-        .into_par_iter()
-        .map_init(
-            || (CellSums::default(), vec![0; shape.bin_samples()]),
-            |(sums, dense): &mut (CellSums, Vec<u16>), bin| {
-                sums.accumulate(bins.contents(bin)?.particles());
-                values(sums, dense);
-                let page = PageInfo::from_dense(bins.keys()[bin].coord(), dense, shape);
-                Ok(page.expect("a bin holds particles"))
-            },
-        )
-        .collect()
+    range.into_par_iter().map_init(start, sums_page).collect()
 }
 
 #[cfg(test)]

@@ -10,22 +10,41 @@
 //! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
 //! farthest centroid is half a step away from a corner.
 //!
-//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds, no more than
-//! 2 mu0 of a cell. A cell's particles lie around their centroid as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood
-//! (Computer Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the
-//! cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
-//! how wide they lie, save for a constant, and nothing jumps. What is kept of a cell is N and its centroid; theta
-//! reaches one cell farther.
+//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds. A particle
+//! lies around its place as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood (Computer
+//! Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the cell
+//! below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
+//! how wide they lie, save for a constant, and nothing jumps. theta is more than 0 in all cells around a particle's own.
 
 mod cloud;
 mod cpu;
 pub mod vulkan;
 
-pub use cloud::{CHANNELS, SHARE_BITS, SQUARE_BITS, amount, clouds};
+pub use cloud::{RIM, SHARE_BITS, SQUARE_BITS, amount};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
 use crate::brick::{BrickSide, DifField, PageShape};
+use crate::grid::CellBox;
 use crate::units::{MeanCount, UnitError};
+
+/// How pages are made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PageRule {
+    /// What is stored; one that [waits for its mean](Indicator::waits_for_mean) cannot be.
+    pub indicator: Indicator,
+    /// How it is stored.
+    pub side: BrickSide,
+    /// Walls, if the fluid is in a tank.
+    pub walls: Option<CellBox>,
+}
+
+impl PageRule {
+    /// How the samples lie.
+    #[must_use]
+    pub fn shape(&self) -> PageShape {
+        self.indicator.shape(self.side)
+    }
+}
 
 /// Which indicator, and what it needs to know.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +58,7 @@ pub enum Indicator {
     },
     /// By how much of their clouds lies in a cell.
     Cloud {
-        /// As for counting.
+        /// As for counting, but known before there is any DIF.
         mean: Option<MeanCount>,
     },
 }
@@ -113,16 +132,16 @@ impl Indicator {
         }
     }
 
-    /// How many samples it stores of a cell.
+    /// Whether mu0 has to be known, and is not, before there is any DIF.
     #[must_use]
-    pub fn channels(self) -> usize {
-        if matches!(self, Self::Cloud { .. }) { CHANNELS } else { 1 }
+    pub fn waits_for_mean(self) -> bool {
+        self == Self::Cloud { mean: None }
     }
 
     /// How what it stores lies in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
-        PageShape { side, channels: self.channels() }
+        PageShape { side, rim: if matches!(self, Self::Cloud { .. }) { RIM } else { 0 } }
     }
 
     /// The DIF by what was stored, once mu0 is known.
@@ -130,7 +149,6 @@ impl Indicator {
     pub fn decode(self, stored: DifField) -> DifField {
         match self {
             Self::Counting { mean: Some(mean) } => stored.with_decode(&count_table(mean)),
-            Self::Cloud { mean: Some(mean) } => stored.with_clouds(amount(mean)),
             _ => stored,
         }
     }

@@ -2,19 +2,34 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{DeviceBlocks, DevicePages, wall_bounds};
-use crate::grid::CellBox;
+use bytemuck::{Pod, Zeroable};
+
+use crate::brick::vulkan::wall_bounds;
+use crate::units::MeanCount;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-use super::Indicator;
+use super::{Indicator, PageRule, amount};
 
 /// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every device.
 pub const OCTANT: u32 = 8;
+/// Samples of a bin that a work group makes of clouds, at the most: the same.
+pub const CLOUD_SAMPLES: u32 = 1728;
+
+/// A bin and its particles among those of a batch, as `binned.wgsl` has it.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct BinEntry {
+    /// Of its first particle.
+    pub first: u32,
+    /// How many there are.
+    pub count: u32,
+    /// Where it is, in bins.
+    pub coord: [i32; 3],
+}
 
 push_block! {
     /// Of [`INDICATE`].
     struct Push {
-        channels: u32,
         counting: u32,
     }
 }
@@ -25,6 +40,8 @@ push_block! {
         walls_lo: [i32; 3],
         amount: u32,
         walls_hi: [i32; 3],
+        brick_bits: u32,
+        group_samples: u32,
     }
 }
 
@@ -37,17 +54,16 @@ pub const INDICATE: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Cuts blocks out of pages of particles' numbers and centroids: the twin of [`clouds`](super::clouds).
+/// Clouds, part by part of a bin's samples.
 pub const CLOUDS: Program = Program {
     name: "clouds",
     code: include_bytes!("../../../spirv/clouds.spv"),
-    buffers: &["blocks", "tables", "pages", "field"],
+    buffers: &["bins", "records", "pages"],
     push: CloudsPush::FIELDS,
     group: [256, 1, 1],
 };
 
-/// Writes the pages of `count` bins, dense: theta by symmetry; the numbers of particles for counting, and their centroids'
-/// places too for clouds.
+/// Writes the pages of `count` bins, dense: theta by symmetry, or the numbers of particles for counting.
 ///
 /// # Errors
 /// Those of the device.
@@ -58,26 +74,34 @@ pub fn indicate(
     indicator: Indicator,
     [bins, records, pages]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let push = Push { channels: indicator.channels() as u32, counting: indicator.counts().into() };
+    let push = Push { counting: indicator.counts().into() };
     batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [8, count, 1])
 }
 
-/// Fills `field` with the DIF of all blocks, where a particle's cloud makes `amount`. At the blocks' faces clouds of cells
-/// beyond them are missing.
+/// Writes the pages of `count` bins, dense: what the clouds of their particles leave.
 ///
 /// # Errors
 /// Those of the device.
+///
+/// # Panics
+/// If mu0 is not known.
 pub fn clouds(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
-    blocks: &DeviceBlocks,
-    pages: &DevicePages,
-    amount: u16,
-    walls: Option<CellBox>,
-    field: &View,
+    count: u32,
+    rule: &PageRule,
+    [bins, records, pages]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
-    let push = CloudsPush { walls_lo, amount: amount.into(), walls_hi };
-    let buffers = [&blocks.blocks, &pages.tables, &pages.pages, field].map(Clone::clone);
-    batch.dispatch(kernel, &buffers, &push, blocks.groups())
+    let mean: MeanCount = rule.indicator.mean().expect("clouds are made once mu0 is known");
+    let samples = rule.shape().bin_samples() as u32;
+    let groups = samples.div_ceil(CLOUD_SAMPLES).next_power_of_two();
+    let [walls_lo, walls_hi] = wall_bounds(rule.walls);
+    let push = CloudsPush {
+        walls_lo,
+        amount: amount(mean).into(),
+        walls_hi,
+        brick_bits: rule.side.cells().ilog2(),
+        group_samples: samples / groups,
+    };
+    batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [groups, count, 1])
 }
