@@ -421,20 +421,23 @@ fn the_extension_chooses_the_format_in_any_case() {
 
 #[test]
 fn an_existing_file_is_replaced_only_with_permission_and_only_by_a_whole_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
-    fs::write(&path, "precious").unwrap();
-    let refused = MeshOutput::prepare(&path, Replace::Refuse).unwrap_err();
-    assert!(matches!(refused.fault, WriteFault::Exists), "{refused}");
-    let output = MeshOutput::prepare(&path, Replace::Allow).unwrap();
-    assert_eq!(names(folder.path()).len(), 2);
-    assert_eq!(fs::read(&path).unwrap(), b"precious");
-    drop(output);
-    assert_eq!(names(folder.path()), ["a.ply"]);
-    let output = MeshOutput::prepare(&path, Replace::Allow).unwrap();
-    output.write(&cuboid([0.; 3], [1.; 3]), CoordinateWidth::F32).unwrap();
-    assert_eq!(read_mesh(&path).unwrap().triangles.len(), 12);
-    assert_eq!(names(folder.path()), ["a.ply"]);
+    // Memory that is a folder among the devices is a folder nevertheless.
+    let shared = Path::new("/dev/shm").is_dir().then(|| tempfile::tempdir_in("/dev/shm").unwrap());
+    for folder in shared.into_iter().chain([tempfile::tempdir().unwrap()]) {
+        let path = folder.path().join("a.ply");
+        fs::write(&path, "precious".repeat(1000)).unwrap();
+        let refused = MeshOutput::prepare(&path, Replace::Refuse).unwrap_err();
+        assert!(matches!(refused.fault, WriteFault::Exists), "{refused}");
+        let output = MeshOutput::prepare(&path, Replace::Allow).unwrap();
+        assert_eq!(names(folder.path()).len(), 2);
+        assert_eq!(fs::read(&path).unwrap(), "precious".repeat(1000).as_bytes());
+        drop(output);
+        assert_eq!(names(folder.path()), ["a.ply"]);
+        let output = MeshOutput::prepare(&path, Replace::Allow).unwrap();
+        output.write(&cuboid([0.; 3], [1.; 3]), CoordinateWidth::F32).unwrap();
+        assert_eq!(read_mesh(&path).unwrap().triangles.len(), 12);
+        assert_eq!(names(folder.path()), ["a.ply"]);
+    }
 }
 
 #[test]

@@ -159,9 +159,13 @@ fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     }
 }
 
-/// Whether the output is to be written where it is: /dev/stdout may be a file, but has no room beside it.
+/// Names of what this process has open: that may be a file, but there is no room beside it.
+const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"];
+
+/// Whether the output is to be written where it is.
 fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
-    found.is_some_and(|found| !found.is_dir() && (!found.is_file() || path.starts_with("/dev")))
+    let is_open = || OPEN.iter().any(|open| path.starts_with(open));
+    found.is_some_and(|found| !found.is_dir() && (!found.is_file() || is_open()))
 }
 
 /// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
