@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BinError, BrickSide, Census, DifField, InvalidParticles};
+use crate::brick::{BinError, Census, DifField, InvalidParticles};
 use crate::grid::{Domain, Grid};
 use crate::plateau::{self, Plateau};
 use crate::stage::detail::Detail;
@@ -140,7 +140,7 @@ impl Pipeline {
             return Err(ResidentError::NoParticles(census));
         }
         let frame = self.vulkan.start_resident();
-        let side = BrickSide::default();
+        let side = indicator.brick_side();
         let walls = domain.map(Domain::cells);
         let stored = |frame: &ResidentFrame, indicator: Indicator| {
             let pages = frame.indicate(&bins, &PageRule { indicator, side, walls })?;

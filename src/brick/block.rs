@@ -105,14 +105,10 @@ impl<T: Copy + Default> Block<T> {
             for y in 0..size.y {
                 let to = &mut self.samples[first + y * row + z * slab..][..size.x];
                 let from = &samples[y * from_row + z * from_slab..][..size.x];
-                match (to.split_first_chunk_mut::<8>(), from.split_first_chunk::<8>()) {
-                    // In one piece: the most of a brick's row.
-                    (Some((to, to_rest)), Some((from, from_rest))) => {
-                        put(to, from);
-                        put(to_rest, from_rest);
-                    }
-                    _ => put(to, from),
-                }
+                // The most of a row in pieces of which the compiler knows the length.
+                let ((to, to_rest), (from, from_rest)) = (to.as_chunks_mut::<8>(), from.as_chunks::<8>());
+                to.iter_mut().zip(from).for_each(|(to, from)| put(to, from));
+                put(to_rest, from_rest);
             }
         }
     }

@@ -239,18 +239,19 @@ impl FullCells {
     }
 }
 
-/// A bit for each sample of a row that is not 0.
+/// A bit for each sample of a row that is not 0; up to 32.
 #[inline(always)]
 fn full_bits(row: &[u16]) -> u32 {
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &sample| bits << 1 | u32::from(sample > 0));
-    eights.iter().rev().fold(rest, |bits, &eight| {
-        // Most are empty.
-        if eight == [0; 8] {
-            return bits << 8;
-        }
-        // Gathers the lowest bits of eight bytes in the highest.
-        let bytes = u64::from_le_bytes(eight.map(|sample| u8::from(sample > 0)));
-        bits << 8 | (bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u32
-    })
+    eights.iter().rev().fold(rest, |bits, &eight| bits << 8 | bits_of_eight(eight))
+}
+
+#[inline(always)]
+fn bits_of_eight(samples: [u16; 8]) -> u32 {
+    let mut bits = [0_u16; 8];
+    for x in 0..8 {
+        bits[x] = u16::from(samples[x] > 0) << x;
+    }
+    u32::from(bits.into_iter().fold(0, |all, bit| all | bit))
 }

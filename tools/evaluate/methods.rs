@@ -1,7 +1,7 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
-use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::brick::InvalidParticles;
 use meniscus::frame::{Detail, Frame, FrameError, KernelFrame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
@@ -171,7 +171,7 @@ pub fn sampling(grid: Grid, spacing: f64, indicator: Indicator) -> Sampling {
         domain: None,
         indicator,
         invalid: InvalidParticles::Refuse,
-        side: BrickSide::default(),
+        side: indicator.brick_side(),
         carried: Vec::new(),
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use bytesize::ByteSize;
 use clap::Args;
 use glam::{DVec3, IVec3};
-use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::brick::InvalidParticles;
 use meniscus::error::Error;
 use meniscus::frame::{Counted, Resources, Sampling};
 use meniscus::grid::Grid;
@@ -178,7 +178,7 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         domain: None,
         indicator: Indicator::default(),
         invalid: InvalidParticles::Skip,
-        side: BrickSide::default(),
+        side: Indicator::default().brick_side(),
         carried: Vec::new(),
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), PathBuf::new()),

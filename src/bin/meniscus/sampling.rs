@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use meniscus::brick::{BrickSide, Census, InvalidParticles};
+use meniscus::brick::{Census, InvalidParticles};
 use meniscus::error::Error;
 use meniscus::frame::{Counted, FrameError, Resources, Sampling};
 use meniscus::grid::{Domain, DomainError, Grid};
@@ -273,7 +273,7 @@ impl SamplingRequest {
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
             indicator,
             invalid: self.invalid,
-            side: BrickSide::default(),
+            side: indicator.brick_side(),
             carried,
             spacing,
             resources,

@@ -138,6 +138,12 @@ impl Indicator {
         self == Self::Cloud { mean: None }
     }
 
+    /// The bricks that suit it: rims weigh less around large ones.
+    #[must_use]
+    pub fn brick_side(self) -> BrickSide {
+        if matches!(self, Self::Cloud { .. }) { BrickSide::Sixteen } else { BrickSide::default() }
+    }
+
     /// How what it stores lies in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
