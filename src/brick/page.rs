@@ -205,24 +205,26 @@ impl Default for FullCells {
 }
 
 impl FullCells {
-    /// Counts the brick at `local` in, unless it has no full cell of its own.
+    /// Counts in what the brick at `local` leaves in the bin; whether it has a full cell of its own.
     fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
         let PageShape { side, rim } = shape;
-        let (edge, corner) = (shape.edge(), local * side.cells());
-        let own = (1_u32 << side.cells()) - 1;
-        let mut any = false;
-        let rows = (-rim..edge - rim).flat_map(|z| (-rim..edge - rim).map(move |y| (y, z)));
-        for ((y, z), row) in rows.zip(samples.chunks_exact(edge as usize)) {
-            let bits = full_bits(row);
-            let [inside_y, inside_z] = [y, z].map(|at| (0..side.cells()).contains(&at));
-            any |= inside_y && inside_z && bits >> rim & own != 0;
-            let (y, z) = (corner.y + y, corner.z + z);
-            if bits != 0 && (0..BIN).contains(&y) && (0..BIN).contains(&z) {
-                // What lies beyond the bin is shifted out at either end.
-                self.rows[(y + BIN * z) as usize] |= ((u64::from(bits) << corner.x) >> rim) as u16;
+        let (own, edge) = (CellBox::cube(local, side.cells()), shape.edge());
+        let first = own.lo - rim;
+        let inside = own.grown(rim, rim).intersection(&CellBox::cube(IVec3::ZERO, BIN));
+        let of_brick = ((1_u32 << side.cells()) - 1) << own.lo.x;
+        let mut any = 0;
+        for z in inside.lo.z..inside.hi.z {
+            for y in inside.lo.y..inside.hi.y {
+                let at = IVec3::new(inside.lo.x, y, z) - first;
+                let row = &samples[(at.x + edge * (at.y + edge * at.z)) as usize..];
+                let bits = full_bits(&row[..inside.size().x as usize]) << inside.lo.x;
+                self.rows[(y + BIN * z) as usize] |= bits as u16;
+                if own.contains(IVec3::new(own.lo.x, y, z)) {
+                    any |= bits & of_brick;
+                }
             }
         }
-        any
+        any != 0
     }
 
     /// A page of which these cells are full.
@@ -242,16 +244,11 @@ impl FullCells {
 /// A bit for each sample of a row that is not 0; up to 32.
 #[inline(always)]
 fn full_bits(row: &[u16]) -> u32 {
+    let bits =
+        |samples: &[u16]| samples.iter().rev().fold(0, |bits, &sample| bits << 1 | u32::from(sample > 0));
     let (eights, rest) = row.as_chunks::<8>();
-    let rest = rest.iter().rev().fold(0, |bits, &sample| bits << 1 | u32::from(sample > 0));
-    eights.iter().rev().fold(rest, |bits, &eight| bits << 8 | bits_of_eight(eight))
-}
-
-#[inline(always)]
-fn bits_of_eight(samples: [u16; 8]) -> u32 {
-    let mut bits = [0_u16; 8];
-    for x in 0..8 {
-        bits[x] = u16::from(samples[x] > 0) << x;
-    }
-    u32::from(bits.into_iter().fold(0, |all, bit| all | bit))
+    eights.iter().rev().fold(bits(rest), |all, eight| {
+        // Most are empty.
+        if *eight == [0; 8] { all << 8 } else { all << 8 | bits(eight) }
+    })
 }

@@ -1,5 +1,7 @@
 //! The DIF of clouds: see the room's `mod.rs` for the formula.
 
+use std::hint::black_box;
+
 use glam::IVec3;
 use multiversion::multiversion;
 
@@ -94,11 +96,13 @@ impl Clouds {
     }
 }
 
-/// Adds the clouds of particles, slab by slab: three rows of four samples, the last of which is as it was.
+/// Adds the clouds of particles, row by row of four samples, the last of which stays as it was.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2+bmi1", "x86_64+sse4.1"))]
 fn add_clouds(to: &mut Clouds, particles: &BinContents<'_>, walls: Option<Walls>) {
     let Clouds { amount, firsts, edge, samples, .. } = to;
     let (row, slab) = (*edge, *edge * *edge);
+    // If the compiler knew, it would add to three samples one by one.
+    let nothing = black_box(0);
     for (cell, [x, y, z]) in particles.particles() {
         let cell = [cell % ROW, cell / ROW % ROW, cell / (ROW * ROW) % ROW];
         let mut shares = [shares(x), shares(y), shares(z)];
@@ -107,18 +111,15 @@ fn add_clouds(to: &mut Clouds, particles: &BinContents<'_>, walls: Option<Walls>
                 *shares = walls.fold(axis, cell[axis], *shares);
             }
         }
-        let [x_shares, y_shares, z_shares] = shares.map(|[below, own, above]| [below, own, above, 0]);
+        let [[below, own, above], y_shares, z_shares] = shares;
+        let x_shares = [below, own, above, nothing];
         let first = firsts[0][cell[0]] + firsts[1][cell[1]] + firsts[2][cell[2]];
-        for (z_share, to) in z_shares.into_iter().take(3).zip((first..).step_by(slab)) {
+        for (z_share, to) in z_shares.into_iter().zip((first..).step_by(slab)) {
             let in_slab = part_of((*amount).into(), z_share);
-            let mut parts = [0; 16];
-            for (i, part) in parts.iter_mut().enumerate() {
-                *part = part_of(part_of(in_slab, y_shares[i / 4]), x_shares[i % 4]) as u16;
-            }
-            for (parts, to) in parts.chunks_exact(4).take(3).zip((to..).step_by(row)) {
-                let samples = &mut samples[to..to + 4];
-                for (sample, &part) in samples.iter_mut().zip(parts) {
-                    *sample = sample.saturating_add(part);
+            for (y_share, to) in y_shares.into_iter().zip((to..).step_by(row)) {
+                let in_row = part_of(in_slab, y_share);
+                for (sample, x_share) in samples[to..to + 4].iter_mut().zip(x_shares) {
+                    *sample = sample.saturating_add(part_of(in_row, x_share) as u16);
                 }
             }
         }
