@@ -1,5 +1,6 @@
 //! The command line: sees only the public interface of the library.
 
+mod allocator;
 mod devices;
 mod info;
 mod inspect;
@@ -54,6 +55,7 @@ enum Verdict {
 }
 
 fn main() -> ExitCode {
+    allocator::keep_freed();
     let Arguments { command } = Arguments::parse();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),
