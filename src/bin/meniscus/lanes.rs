@@ -1,8 +1,9 @@
 //! Frames side by side: how many, what each may take, and large ones alone.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use meniscus::units::MemoryBudget;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// A lane that may not have so much is not worth a thread.
 const LEAST: u64 = 64 << 20;
@@ -50,6 +51,9 @@ impl Division {
 #[derive(Debug)]
 pub struct Gate {
     lanes: usize,
+    threads: usize,
+    /// For who is alone.
+    all: OnceLock<ThreadPool>,
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -68,8 +72,15 @@ pub struct Permit<'a> {
 }
 
 impl Gate {
-    pub fn new(lanes: usize) -> Self {
-        Self { lanes, state: Mutex::default(), changed: Condvar::new() }
+    /// Who is alone has so many threads.
+    pub fn new(lanes: usize, threads: usize) -> Self {
+        let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
+        Self { lanes, threads, all, state, changed }
+    }
+
+    fn all(&self) -> &ThreadPool {
+        let start = || ThreadPoolBuilder::new().num_threads(self.threads).build();
+        self.all.get_or_init(|| start().expect("threads can be started"))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -97,16 +108,9 @@ impl Gate {
 }
 
 impl Permit<'_> {
-    /// Runs `act` with the threads of this lane, or alone with all there are: those of the global pool, which a thread of
-    /// another pool does not reach.
+    /// Runs `act` with the threads of this lane, or alone with as many as there are.
     pub fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
-        if self.lanes < self.gate.lanes {
-            return act();
-        }
-        std::thread::scope(|scope| match scope.spawn(act).join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
+        if self.lanes < self.gate.lanes { act() } else { self.gate.all().install(act) }
     }
 }
 
@@ -144,7 +148,7 @@ mod tests {
 
     #[test]
     fn who_is_alone_is_alone_and_comes_through_a_crowd() {
-        let gate = Gate::new(3);
+        let gate = Gate::new(3, 1);
         let inside = AtomicUsize::new(0);
         std::thread::scope(|scope| {
             for thread in 0..6 {

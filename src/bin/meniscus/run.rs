@@ -61,13 +61,13 @@ enum BackendName {
 impl RunOptions {
     /// Starts the threads, and says what a frame may take.
     pub fn resources(&self, output: &Path) -> Result<Resources, Error> {
-        if let Some(threads) = self.threads {
-            if !(1..=MOST_THREADS).contains(&threads) {
-                return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
-            }
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-            pool.build_global().map_err(|e| Error::Request(format!("--threads {threads}: {e}")))?;
+        if self.threads.is_some_and(|threads| !(1..=MOST_THREADS).contains(&threads)) {
+            return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
         }
+        // This thread is one of them: work that it finds need not wait for another to wake up.
+        let pool =
+            rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0)).use_current_thread();
+        pool.build_global().map_err(|e| Error::Request(format!("threads cannot be started: {e}")))?;
         let budget = self.memory.map_or_else(default_budget, |size| MemoryBudget(size.as_u64()));
         if budget < SMALLEST_BUDGET {
             let smallest = ByteSize(SMALLEST_BUDGET.0);

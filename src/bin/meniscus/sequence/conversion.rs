@@ -58,7 +58,7 @@ struct Outcome {
 impl<'a> Conversion<'a> {
     pub fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, frames: usize) -> Self {
         let division = setup.division(frames);
-        let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes));
+        let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, rayon::current_num_threads()));
         Self { setup, format, store, settled, division, gate, stop: AtomicBool::new(false) }
     }
 
