@@ -8,7 +8,7 @@ use crate::mesh::Mesh;
 use crate::mesh::source::MeshSource;
 
 use super::bytes::open_bytes;
-use super::whole::{Replace, WholeFile};
+use super::whole::{FilledFile, Replace, WholeFile};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 use super::{glb, obj, ply, stl, usd, vtk, vtp};
 
@@ -254,8 +254,19 @@ impl MeshOutput {
     /// # Panics
     /// As [`MeshFormat::write`].
     pub fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
+        self.fill(mesh, width)?.keep()
+    }
+
+    /// Writes `mesh` to a file that has no name yet.
+    ///
+    /// # Errors
+    /// What [`WholeFile::fill`] refuses, and [`WriteFault::Unsupported`] for more than the format can number.
+    ///
+    /// # Panics
+    /// As [`MeshFormat::write`].
+    pub fn fill(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<FilledFile, WriteError> {
         let Self { file, format } = self;
-        file.write(|out| format.write(out, mesh, width))
+        file.fill(|out| format.write(out, mesh, width))
     }
 }
 

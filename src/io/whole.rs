@@ -87,31 +87,68 @@ impl WholeFile {
     /// bytes.
     ///
     /// # Errors
-    /// [`WriteFault::Io`] where the system or `content` refuses, [`WriteFault::Exists`] if the name was taken
-    /// meanwhile, and [`WriteFault::Unsupported`] where `content` fails as [`io::ErrorKind::InvalidInput`].
+    /// As [`fill`](Self::fill) and [`FilledFile::keep`].
     pub fn write(self, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<u64, WriteError> {
-        let Self { path, target } = self;
-        let written = match target {
+        self.fill(content)?.keep()
+    }
+
+    /// Writes what `content` writes to a file that has no name yet.
+    ///
+    /// # Errors
+    /// [`WriteFault::Io`] where the system or `content` refuses, and [`WriteFault::Unsupported`] where `content` fails as
+    /// [`io::ErrorKind::InvalidInput`].
+    pub fn fill(
+        mut self,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<FilledFile, WriteError> {
+        let filled = match &mut self.target {
             Target::Direct => {
-                let open = OpenOptions::new().write(true).open(&path);
+                let open = OpenOptions::new().write(true).open(&self.path);
                 match open.and_then(|mut file| counted(&mut file, content)) {
                     // A reader that has seen enough is no error.
                     Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok(0),
                     outcome => outcome,
                 }
             }
-            Target::Temporary { mut file, place, replace } => {
-                counted(file.as_file_mut(), content).and_then(|bytes| {
-                    file.as_file().sync_all()?;
-                    match replace {
-                        Replace::Allow => file.persist(place)?,
-                        Replace::Refuse => file.persist_noclobber(place)?,
-                    };
-                    Ok(bytes)
+            Target::Temporary { file, .. } => counted(file.as_file_mut(), content),
+        };
+        match filled {
+            Ok(bytes) => Ok(FilledFile { file: self, bytes }),
+            Err(fault) => Err(WriteError::new(&self.path, fault_of(fault))),
+        }
+    }
+}
+
+/// A file that is written, and has no name yet.
+#[derive(Debug)]
+pub struct FilledFile {
+    file: WholeFile,
+    bytes: u64,
+}
+
+impl FilledFile {
+    /// Its size.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Waits until the file is on disk, and gives it its name. Returns its size in bytes.
+    ///
+    /// # Errors
+    /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was taken meanwhile.
+    pub fn keep(self) -> Result<u64, WriteError> {
+        let Self { file: WholeFile { path, target }, bytes } = self;
+        let kept = match target {
+            Target::Direct => Ok(()),
+            Target::Temporary { file, place, replace } => {
+                file.as_file().sync_all().and_then(|()| match replace {
+                    Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
+                    Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
                 })
             }
         };
-        written.map_err(|fault| WriteError::new(&path, fault_of(fault)))
+        kept.map(|()| bytes).map_err(|fault| WriteError::new(&path, fault_of(fault)))
     }
 }
 

@@ -24,13 +24,13 @@ pub struct Division {
 }
 
 impl Division {
-    /// For so many frames, with `chunk` bytes for each thread that are no frame's. Of two frames for each thread one may
-    /// wait for the disk, and one more makes up for uneven ones.
+    /// For so many frames, with `chunk` bytes for each thread that are no frame's: one for each thread, and one more
+    /// that makes up for uneven ones and for reading.
     pub fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // A lane has a thread at the least, and a frame that is alone has all.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
         let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
-        let lanes = (1..=frames.min(2 * threads + 1)).rev().find(affordable).unwrap_or(1);
+        let lanes = (1..=frames.min(threads + 1)).rev().find(affordable).unwrap_or(1);
         let budget = MemoryBudget(left(lanes));
         if lanes == 1 {
             return Self { lanes, threads, opening: budget, share: budget, alone: budget };

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use meniscus::error::Error;
@@ -17,7 +17,7 @@ use crate::lanes::{Division, Gate};
 use crate::progress::{Progress, ProgressMode};
 use crate::run::Notes;
 
-use super::one_frame::Done;
+use super::one_frame::{Done, Filled};
 use super::tally::Tally;
 use super::watch::Watch;
 use super::{POLL, Setup};
@@ -50,9 +50,9 @@ impl Drop for AtLast<'_> {
 }
 
 /// What became of a frame.
-struct Outcome {
+struct Outcome<T> {
     frame: FrameFile,
-    result: Result<Done, Error>,
+    result: Result<T, Error>,
 }
 
 impl<'a> Conversion<'a> {
@@ -111,11 +111,19 @@ impl<'a> Conversion<'a> {
 
         let (to_lanes, jobs) = mpsc::channel::<FrameFile>();
         let jobs = Mutex::new(jobs);
+        // Bounded: what waits for the disk is an open file.
+        let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
+        let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
         std::thread::scope(|scope| {
             for lane in 0..self.division.lanes {
-                let (jobs, results, progress) = (&jobs, results.clone(), &progress);
-                scope.spawn(move || self.lane(lane, jobs, &results, progress));
+                let (jobs, to_disk, progress) = (&jobs, to_disk.clone(), &progress);
+                scope.spawn(move || self.lane(lane, jobs, &to_disk, progress));
+            }
+            drop(to_disk);
+            for _ in 0..self.division.lanes {
+                let (filled, results) = (&filled, results.clone());
+                scope.spawn(move || self.keep(filled, &results));
             }
             drop(results);
             let _at_last = AtLast(&self.settled);
@@ -145,7 +153,7 @@ impl<'a> Conversion<'a> {
         &self,
         mut watch: Watch,
         to_lanes: Sender<FrameFile>,
-        outcomes: &Receiver<Outcome>,
+        outcomes: &Receiver<Outcome<Done>>,
         tally: &mut Tally,
         progress: &Progress,
     ) -> Result<(), Error> {
@@ -180,7 +188,7 @@ impl<'a> Conversion<'a> {
     }
 
     /// Notes what became of a frame; whether it was made.
-    fn note(&self, outcome: Outcome, tally: &mut Tally, progress: &Progress) -> Result<bool, Error> {
+    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally, progress: &Progress) -> Result<bool, Error> {
         let Outcome { frame, result } = outcome;
         let made = result.is_ok();
         if tally.take(&frame, result, progress.has_bars())? {
@@ -195,15 +203,13 @@ impl<'a> Conversion<'a> {
         &self,
         lane: usize,
         jobs: &Mutex<Receiver<FrameFile>>,
-        results: &Sender<Outcome>,
+        to_disk: &SyncSender<Outcome<Filled>>,
         progress: &Progress,
     ) {
         // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
         let _pool = pool.build().expect("threads can be started");
-        loop {
-            let job = jobs.lock().unwrap_or_else(PoisonError::into_inner).recv();
-            let Ok(frame) = job else { return };
+        while let Some(frame) = next(jobs) {
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
@@ -212,11 +218,26 @@ impl<'a> Conversion<'a> {
             let Some(settled) = self.settled.wait() else { return };
             let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
             progress.stage(lane, String::new);
+            if to_disk.send(Outcome { frame, result }).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Waits for the disk, so that no lane has to.
+    fn keep(&self, filled: &Mutex<Receiver<Outcome<Filled>>>, results: &Sender<Outcome<Done>>) {
+        while let Some(Outcome { frame, result }) = next(filled) {
+            let result = result.and_then(|filled| self.finish(filled));
             if results.send(Outcome { frame, result }).is_err() {
                 return;
             }
         }
     }
+}
+
+/// What comes next to any of several threads.
+fn next<T>(receiver: &Mutex<Receiver<T>>) -> Option<T> {
+    receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }
 
 /// What is left to do is told by this.

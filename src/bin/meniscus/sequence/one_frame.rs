@@ -9,7 +9,7 @@ use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::MeshOutput;
 use meniscus::io::series::SeriesFrame;
-use meniscus::io::whole::Replace;
+use meniscus::io::whole::{FilledFile, Replace};
 use meniscus::io::{CoordinateWidth, ParticleFile, ReadError};
 use meniscus::laps::Laps;
 use meniscus::mesh::bounds::Bounded;
@@ -39,6 +39,16 @@ pub struct Done {
     pub stats: Option<Value>,
     pub seconds: f64,
     pub warnings: Vec<String>,
+}
+
+/// A frame whose mesh is written, but not known to be on disk.
+pub struct Filled {
+    file: FilledFile,
+    unfinished: Unfinished,
+    record: Record,
+    stats: Option<Value>,
+    seconds: f64,
+    warnings: Vec<String>,
 }
 
 /// A frame that was opened, and the output that waits for its mesh.
@@ -100,7 +110,7 @@ impl Conversion<'_> {
         opened: Opened,
         settled: &Settled,
         stage: &dyn Fn(&str),
-    ) -> Result<Done, Error> {
+    ) -> Result<Filled, Error> {
         let options = self.setup.options;
         let path = &frame.path;
         let frozen = &settled.state.frozen;
@@ -128,8 +138,8 @@ impl Conversion<'_> {
         });
         let turned = orientation.turned(&*mesh);
         let bounded = Bounded::new(&turned);
-        let bytes = permit.run(|| output.write(&bounded, width))?;
-        drop(unfinished);
+        let file = permit.run(|| output.fill(&bounded, width))?;
+        let bytes = file.bytes();
         drop(permit);
         laps.lap("write");
 
@@ -147,7 +157,6 @@ impl Conversion<'_> {
             attributes: mesh.attributes(),
         };
         let record = Record { input, fingerprint: settled.fingerprint, mesh: listed };
-        interrupt::undisturbed(|| self.store.keep(&record))?;
         let stats = options.stats.is_some().then(|| {
             let mut stats = match &sampled {
                 Some(sampled) => {
@@ -161,7 +170,16 @@ impl Conversion<'_> {
             stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
             stats
         });
-        Ok(Done { mesh: record.mesh, stats, seconds: laps.total(), warnings })
+        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), warnings })
+    }
+
+    /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
+    pub fn finish(&self, filled: Filled) -> Result<Done, Error> {
+        let Filled { file, unfinished, record, stats, seconds, warnings } = filled;
+        file.keep()?;
+        drop(unfinished);
+        interrupt::undisturbed(|| self.store.keep(&record))?;
+        Ok(Done { mesh: record.mesh, stats, seconds, warnings })
     }
 
     /// Reads a frame that was sampled before.
