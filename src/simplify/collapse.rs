@@ -8,7 +8,7 @@
 //! whose home they were must find new ones among them. What lies between two vertices that one triangle is near to, it is
 //! near to as well, for triangles are convex; elsewhere it is halved.
 
-use glam::{Mat3A, Vec3A};
+use glam::{Vec3A, Vec4};
 
 use super::surface::{Edge, Leaving, NONE, Spot, Surface, scaled_normal, squared_near};
 use super::topology::Topology;
@@ -82,40 +82,51 @@ pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A],
     }
 }
 
-/// Squared distances from planes, weighted, as seen from a vertex.
+/// Squared distances from planes, weighted, as seen from a vertex: a cache line.
 #[derive(Clone, Copy)]
+#[repr(align(64))]
 struct Quadric {
-    planes: Mat3A,
-    linear: Vec3A,
-    constant: f32,
-    weight: f32,
+    /// Columns of a matrix. The last of the first is the weight.
+    planes: [Vec4; 3],
+    /// The last is the constant.
+    linear: Vec4,
 }
 
 impl Quadric {
-    const NONE: Self = Self { planes: Mat3A::ZERO, linear: Vec3A::ZERO, constant: 0.0, weight: 0.0 };
+    const NONE: Self = Self { planes: [Vec4::ZERO; 3], linear: Vec4::ZERO };
 
     /// Of a plane through the vertex, by a normal as long as its weight.
     fn of_plane(normal: Vec3A) -> Self {
         let weight = normal.length();
         let unit = normal.normalize_or_zero();
-        let planes = Mat3A::from_cols(normal * unit.x, normal * unit.y, normal * unit.z);
-        Self { planes, linear: Vec3A::ZERO, constant: 0.0, weight }
+        let planes =
+            [(normal * unit.x).extend(weight), (normal * unit.y).extend(0.0), (normal * unit.z).extend(0.0)];
+        Self { planes, linear: Vec4::ZERO }
+    }
+
+    fn weight(&self) -> f32 {
+        self.planes[0].w
+    }
+
+    /// The first three are the matrix times `offset`.
+    fn times(&self, offset: Vec3A) -> Vec4 {
+        let [x, y, z] = self.planes;
+        x * offset.x + y * offset.y + z * offset.z
     }
 
     fn at(&self, offset: Vec3A) -> f32 {
-        (self.planes * offset + 2.0 * self.linear).dot(offset) + self.constant
+        Vec3A::from_vec4(self.times(offset) + 2.0 * self.linear).dot(offset) + self.linear.w
     }
 
     /// As seen from a vertex at `offset`.
     fn moved(&self, offset: Vec3A) -> Self {
-        Self { linear: self.linear + self.planes * offset, constant: self.at(offset).max(0.0), ..*self }
+        let linear = self.linear + self.times(offset);
+        Self { linear: linear.with_w(self.at(offset).max(0.0)), ..*self }
     }
 
     fn add(&mut self, other: &Self) {
-        self.planes += other.planes;
+        self.planes.iter_mut().zip(other.planes).for_each(|(to, from)| *to += from);
         self.linear += other.linear;
-        self.constant += other.constant;
-        self.weight += other.weight;
     }
 }
 
@@ -264,7 +275,7 @@ impl Work<'_, '_> {
 
     fn error(&self, from: u32, to: u32) -> f32 {
         let quadric = &self.quadrics[from as usize];
-        quadric.at(self.position(to) - self.position(from)) / quadric.weight
+        quadric.at(self.position(to) - self.position(from)) / quadric.weight()
     }
 
     /// The least error of a vertex, and where to.
