@@ -251,3 +251,35 @@ impl<W: Write> Write for Counted<W> {
         self.out.flush()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn filled(path: &Path) -> FilledFile {
+        WholeFile::prepare(path, Replace::Refuse).unwrap().fill(|out| out.write_all(b"mesh")).unwrap()
+    }
+
+    #[test]
+    fn what_is_filled_gets_its_name_when_it_is_kept_and_leaves_nothing_if_it_never_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        let file = filled(&path);
+        assert!(!path.exists());
+        drop(file);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+        assert_eq!(filled(&path).keep().unwrap(), 4);
+        assert_eq!(fs::read(&path).unwrap(), b"mesh");
+    }
+
+    #[test]
+    fn a_name_that_was_taken_between_filling_and_keeping_is_refused_and_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        let file = filled(&path);
+        fs::write(&path, "other").unwrap();
+        assert!(matches!(file.keep().unwrap_err().fault, WriteFault::Exists));
+        assert_eq!(fs::read(&path).unwrap(), b"other");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+    }
+}
