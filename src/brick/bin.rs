@@ -1,8 +1,8 @@
 //! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
 //!
-//! Positions are read twice and never kept: once to count, once to drop each particle, packed into 51
-//! bits, into its bin's place in memory, or into its run of bins in a scratch file. The order inside a bin
-//! is arbitrary; whoever reads a bin adds integers.
+//! Positions are read twice: once to count, once to drop each particle, packed into 51 bits, into its bin's place in
+//! memory, or into its run of bins in a scratch file. Of few particles the first reading keeps what the second would
+//! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
 use std::io;
@@ -17,12 +17,15 @@ use thiserror::Error;
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::Particles;
 
-use super::bins::{Bins, RECORD_BITS, Slots};
+use super::bins::{Bins, RECORD_BITS, Record, Slots};
 use super::place::{BinCode, COORD_BITS, Placer, bin_coord};
 use super::spill::{SpilledBins, tuple_bytes};
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
+
+/// Particles of which it is kept where they are: 4 MiB of them.
+const KEPT: usize = 1 << 18;
 
 /// What to do with particles that are not finite, or beyond the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,7 +101,11 @@ struct RangePlan {
     table: BinTable,
     /// The rank among all bins of each bin in the table.
     ranks: Vec<u32>,
+    placed: Vec<Placed>,
 }
+
+/// A particle's bin, by its rank in the table of its range, and its place there; `None` for one that is left out.
+type Placed = Option<(u32, Record)>;
 
 impl<'a> BinPlan<'a> {
     /// Counts `particles` by bin, unless they touch more than `limit` bins.
@@ -144,13 +151,13 @@ impl<'a> BinPlan<'a> {
         let ranges = ranges
             .into_iter()
             .zip(counts)
-            .map(|(range, RangeCount { table, .. })| {
+            .map(|(range, RangeCount { table, placed, .. })| {
                 let mut ranks = vec![0; table.numbers.len()];
                 for (bin, &local) in &table.rank {
                     ranks[local as usize] = rank[bin];
                     first[rank[bin] as usize + 1] += table.numbers[local as usize];
                 }
-                RangePlan { range, table, ranks }
+                RangePlan { range, table, ranks, placed }
             })
             .collect();
         for i in 0..bins.len() {
@@ -193,12 +200,22 @@ impl<'a> BinPlan<'a> {
                 *number = slot;
             }
         }
-        ranges.into_par_iter().for_each(|RangePlan { range, mut table, .. }| {
+        ranges.into_par_iter().for_each(|RangePlan { range, mut table, placed, .. }| {
+            if placed.len() == range.len() {
+                let attributes = Tuples::read(particles, carried, &components, range.start, range.len());
+                for (i, placed) in placed.into_iter().enumerate() {
+                    if let Some((rank, record)) = placed {
+                        slots.put(table.advance(rank), record, attributes.tuple(i));
+                    }
+                }
+                return;
+            }
             let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
                 let attributes = Tuples::read(particles, carried, &components, first, addresses.len());
                 for (i, address) in addresses.iter().enumerate() {
                     if address.is_somewhere() {
-                        slots.put(table.advance(address.bin), address.record, attributes.tuple(i));
+                        let rank = table.rank(address.bin);
+                        slots.put(table.advance(rank), address.record, attributes.tuple(i));
                     }
                 }
                 Ok::<_, Infallible>(())
@@ -250,7 +267,7 @@ impl<'a> BinPlan<'a> {
         runs.iter().zip(0..).for_each(|(run, i)| run_of_bin[run.clone()].fill(i));
         let spilled = SpilledBins::new(keys, first, components(particles, carried), runs, folder)?;
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
-        ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks }| {
+        ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks, .. }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
             placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
                 let attributes =
@@ -269,7 +286,7 @@ impl<'a> BinPlan<'a> {
     }
 }
 
-/// The carried attributes of a chunk of particles.
+/// The carried attributes of some particles that follow one another.
 struct Tuples<'a> {
     values: Vec<Vec<f32>>,
     components: &'a [usize],
@@ -291,7 +308,7 @@ impl<'a> Tuples<'a> {
         Self { values: carried.iter().zip(components).map(read).collect(), components }
     }
 
-    /// All components of all attributes of particle number `i` of the chunk.
+    /// All components of all attributes of particle number `i` of them.
     fn tuple(&self, i: usize) -> impl Iterator<Item = f32> + '_ {
         let all = self.values.iter().zip(self.components);
         all.flat_map(move |(values, n)| values[i * n..(i + 1) * n].iter().copied())
@@ -313,6 +330,8 @@ struct RangeCount {
     table: BinTable,
     census: Census,
     first_invalid: Option<(usize, [f64; 3], Unplaced)>,
+    /// Of each, or of none.
+    placed: Vec<Placed>,
 }
 
 /// Bits per axis of a bin's coordinates by which it is found among the latest.
@@ -352,9 +371,8 @@ impl BinTable {
         rank
     }
 
-    /// Adds one to a bin's number, and returns what it was.
-    fn advance(&mut self, bin: BinCode) -> usize {
-        let rank = self.rank(bin);
+    /// Adds one to the number of the bin with a rank, and returns what it was.
+    fn advance(&mut self, rank: u32) -> usize {
         let number = &mut self.numbers[rank as usize];
         *number += 1;
         *number - 1
@@ -382,13 +400,24 @@ impl Counter<'_> {
         let mut table = BinTable::default();
         let mut census = Census::default();
         let mut first_invalid = None;
+        let kept = particles.len() <= KEPT;
+        let mut placed = Vec::with_capacity(if kept { range.len() } else { 0 });
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {
                 if address.is_somewhere() {
                     census.binned += 1;
-                    table.advance(address.bin);
-                } else if let Err(fault) = self.placer.place(positions[i]) {
+                    let rank = table.rank(address.bin);
+                    table.advance(rank);
+                    if kept {
+                        placed.push(Some((rank, address.record)));
+                    }
+                    continue;
+                }
+                if kept {
+                    placed.push(None);
+                }
+                if let Err(fault) = self.placer.place(positions[i]) {
                     match fault {
                         Unplaced::NotFinite => census.not_finite += 1,
                         Unplaced::TooFar => census.too_far += 1,
@@ -403,6 +432,6 @@ impl Counter<'_> {
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
-        RangeCount { table, census, first_invalid }
+        RangeCount { table, census, first_invalid, placed }
     }
 }
