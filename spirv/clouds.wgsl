@@ -12,6 +12,7 @@ struct Push {
     brick_bits: u32,
     // Of a work group.
     group_samples: u32,
+    page_words: u32,
 }
 
 var<immediate> push: Push;
@@ -45,11 +46,7 @@ fn part_of(amount: u32, share: u32) -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn clouds(
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-) {
+fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
     for (var i = local.x; i < push.group_samples; i += 256u) {
         atomicStore(&sums[i], 0u);
     }
@@ -92,6 +89,6 @@ fn clouds(
     for (var word = local.x; word < words; word += 256u) {
         let low = min(atomicLoad(&sums[2u * word]), FULL);
         let high = min(atomicLoad(&sums[2u * word + 1u]), FULL);
-        pages[(group.y * groups.x + group.x) * words + word] = low | (high << 16u);
+        pages[group.y * push.page_words + group.x * words + word] = low | (high << 16u);
     }
 }

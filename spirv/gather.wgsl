@@ -8,6 +8,7 @@ struct Push {
     brick_bits: u32,
     // How many cells around their own bricks hold.
     rim: u32,
+    page_words: u32,
 }
 
 var<immediate> push: Push;
@@ -38,11 +39,10 @@ fn stored(block: Block, cell: vec3<i32>, brick: vec3<i32>) -> u32 {
         return 0u;
     }
     let edge = (1u << push.brick_bits) + 2u * push.rim;
-    let bricks = 1u << (3u * (BIN_BITS - push.brick_bits));
-    let number = (page - 1u) * bricks + brick_of(vec3<u32>(corner & vec3(BIN - 1)), push.brick_bits);
+    let number = brick_of(vec3<u32>(corner & vec3(BIN - 1)), push.brick_bits);
     let inside = vec3<u32>(cell - corner + rim);
-    let at = inside.x + edge * (inside.y + edge * inside.z);
-    return half_of(pages[number * (edge * edge * edge / 2u) + at / 2u], at);
+    let at = inside.x + edge * (inside.y + edge * (inside.z + edge * number));
+    return half_of(pages[(page - 1u) * push.page_words + at / 2u], at);
 }
 
 fn sample(block: Block, cell: vec3<i32>) -> u32 {

@@ -163,7 +163,7 @@ fn interior_samples(
     domain: Option<&Domain>,
     cells: CellBox,
 ) -> Vec<u16> {
-    // Closing is a dilation and an erosion by one cell, unless clouds dilate by themselves; then what decides a cell's
+    // Closing is a dilation and an erosion by one cell, which clouds dilate by themselves; then what decides a cell's
     // field is taken off.
     let dilation = 1 - dif.reach();
     let erosion = 1 + dif.reach() + smoothing.reach();

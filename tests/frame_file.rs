@@ -269,6 +269,32 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
 }
 
 #[test]
+fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
+    let folder = Folder::new();
+    let particle = [[8.5; 3]];
+    let cloud = Indicator::Cloud { mean: None };
+    let (facts, field) = sample(&particle[..], sampling().grid, None, cloud, BrickSide::Sixteen);
+    let mut samples = field.stored(0).to_vec();
+    let written = |samples: &[u16]| {
+        let mut bytes = Vec::new();
+        let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
+        writer.push(&[(field.infos()[0], samples)]).unwrap();
+        writer.finish(&facts).unwrap();
+        bytes
+    };
+    let mut whole = written(&samples);
+    open_frame(&folder.file(&whole), 0).unwrap();
+    samples[0] = 1;
+    assert!(refusal(&folder, &written(&samples)).contains("page 0 holds other cells"));
+
+    // As many particles as a file can speak of.
+    let layout = Layout::of(&whole);
+    whole[layout.footer + 104..][..8].fill(0xff);
+    layout.seal(&mut whole);
+    open_frame(&folder.file(&whole), 0).unwrap();
+}
+
+#[test]
 fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     let folder = Folder::new();
     let (facts, field) = small();

@@ -18,7 +18,7 @@ use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::Particles;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots};
-use super::place::{BinCode, COORD_BITS, Placer, bin_coord};
+use super::place::{BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
 use super::spill::{SpilledBins, tuple_bytes};
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
@@ -104,8 +104,11 @@ struct RangePlan {
     placed: Vec<Placed>,
 }
 
-/// A particle's bin, by its rank in the table of its range, and its place there; `None` for one that is left out.
-type Placed = Option<(u32, Record)>;
+/// A particle's bin, by its rank in the table of its range, and its place there.
+type Placed = (u32, Record);
+
+/// The bin of a particle that is left out.
+const NOWHERE: u32 = u32::MAX;
 
 impl<'a> BinPlan<'a> {
     /// Counts `particles` by bin, unless they touch more than `limit` bins.
@@ -202,11 +205,14 @@ impl<'a> BinPlan<'a> {
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, placed, .. }| {
             if placed.len() == range.len() {
-                let attributes = Tuples::read(particles, carried, &components, range.start, range.len());
-                for (i, placed) in placed.into_iter().enumerate() {
-                    if let Some((rank, record)) = placed {
-                        slots.put(table.advance(rank), record, attributes.tuple(i));
+                for (first, placed) in range.step_by(CHUNK).zip(placed.chunks(CHUNK)) {
+                    let attributes = Tuples::read(particles, carried, &components, first, placed.len());
+                    for (i, &(rank, record)) in placed.iter().enumerate() {
+                        if rank != NOWHERE {
+                            slots.put(table.advance(rank), record, attributes.tuple(i));
+                        }
                     }
+                    particles.release(first..first + placed.len());
                 }
                 return;
             }
@@ -262,7 +268,8 @@ impl<'a> BinPlan<'a> {
         folder: &Path,
         buffer_bytes: usize,
     ) -> io::Result<SpilledBins> {
-        let Self { placer, keys, first, ranges, .. } = self;
+        let Self { placer, keys, first, mut ranges, .. } = self;
+        ranges.iter_mut().for_each(|range| range.placed = Vec::new());
         let mut run_of_bin = vec![0_u32; keys.len()];
         runs.iter().zip(0..).for_each(|(run, i)| run_of_bin[run.clone()].fill(i));
         let spilled = SpilledBins::new(keys, first, components(particles, carried), runs, folder)?;
@@ -410,12 +417,12 @@ impl Counter<'_> {
                     let rank = table.rank(address.bin);
                     table.advance(rank);
                     if kept {
-                        placed.push(Some((rank, address.record)));
+                        placed.push((rank, address.record));
                     }
                     continue;
                 }
                 if kept {
-                    placed.push(None);
+                    placed.push((NOWHERE, 0));
                 }
                 if let Err(fault) = self.placer.place(positions[i]) {
                     match fault {

@@ -137,7 +137,8 @@ impl PageInfo {
         (bricks != 0).then(|| (full.page(MortonKey::of(bin), bricks), samples.into()))
     }
 
-    /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`.
+    /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`, and nothing
+    /// farther from the bin's full cells than the rim is wide.
     ///
     /// # Panics
     /// If the samples are not of the bricks' number.
@@ -146,10 +147,16 @@ impl PageInfo {
         let mut full = FullCells::default();
         let set = (0..shape.side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
         assert_eq!(set.clone().count() * shape.brick_samples(), samples.len());
-        set.zip(samples.chunks_exact(shape.brick_samples()))
-            .all(|(index, brick)| full.add(local_from_morton(index), brick, shape))
-            .then(|| full.page(key, bricks))
-            .filter(|_| bricks != 0)
+        let stored = || set.clone().map(local_from_morton).zip(samples.chunks_exact(shape.brick_samples()));
+        if bricks == 0 || !stored().all(|(local, brick)| full.add(local, brick, shape)) {
+            return None;
+        }
+        let page = full.page(key, bricks);
+        let near = page.full.grown(shape.rim, shape.rim);
+        let first = |local: IVec3| key.coord() * (BIN / shape.side.cells()) + local;
+        let is_near =
+            |(local, brick): (IVec3, &[u16])| nonzero_are_in(brick, shape.cells_of(first(local)), near);
+        (shape.rim == 0 || stored().all(is_near)).then_some(page)
     }
 
     /// The inverse of [`from_dense`](Self::from_dense).
@@ -184,6 +191,13 @@ impl PageInfo {
             &samples[rank * size..(rank + 1) * size]
         })
     }
+}
+
+/// Whether all samples of the box `cells` that are not 0 are those of cells in `inside`.
+fn nonzero_are_in(samples: &[u16], cells: CellBox, inside: CellBox) -> bool {
+    let size = cells.size();
+    let at = |i: i32| cells.lo + IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y));
+    (0..).zip(samples).all(|(i, &sample)| sample == 0 || inside.contains(at(i)))
 }
 
 /// Where the rows of a brick begin among the cells of its bin, given its lowest cell there.

@@ -11,7 +11,7 @@ use crate::particles::Particles;
 use super::bins::{AXIS_BITS, Record, pack};
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
-const CHUNK: usize = 512;
+pub(super) const CHUNK: usize = 512;
 /// Particles after which a mapped file's pages are given back; a multiple of [`CHUNK`].
 const RELEASE: usize = CHUNK << 3;
 /// Positions whose coordinates fill vectors of any width.

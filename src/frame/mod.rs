@@ -114,7 +114,7 @@ pub struct Surface {
 }
 
 impl Frame {
-    /// Computes the DIF of `particles`, which are read twice.
+    /// Computes the DIF of `particles`, which are read once or twice.
     ///
     /// # Errors
     /// [`FrameError`] for particles that cannot be placed, none at all, more than the budget or the disk can

@@ -20,6 +20,9 @@ pub use kernel::{Field, Kernel, Program};
 use ash::vk;
 use thiserror::Error;
 
+/// Bytes at whose multiples any device lets a part of a buffer begin.
+pub const ALIGNMENT: u64 = 256;
+
 /// What a device, its driver or the loader refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum VulkanError {

@@ -174,11 +174,13 @@ fn read_pages(
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
-    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * shape.bin_samples());
-    let page = |(dense, bin): (&[u16], usize)| {
+    let stride = page_bytes(shape) as usize / size_of::<u16>();
+    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * stride);
+    let page = |(samples, bin): (&[u16], usize)| {
+        let dense = &samples[..shape.bin_samples()];
         PageInfo::from_dense(keys[bin].coord(), dense, shape).expect("a bin holds particles")
     };
-    Ok(samples.par_chunks_exact(shape.bin_samples()).zip(batch.bins).map(page).collect())
+    Ok(samples.par_chunks_exact(stride).zip(batch.bins).map(page).collect())
 }
 
 /// Bytes of a bin with so many particles, on the device and staged.

@@ -6,10 +6,7 @@ use std::sync::Arc;
 
 use hashbrown::HashMap;
 
-use crate::vulkan::{Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
-
-/// Offsets in buffers that are shared are multiples of what any device asks for.
-const ALIGNMENT: u64 = 256;
+use crate::vulkan::{ALIGNMENT, Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
 
 /// What a batch works with, used again by the next.
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::IVec3;
 use hashbrown::HashMap;
 
-use crate::brick::vulkan::{DeviceBins, GATHER};
+use crate::brick::vulkan::{DeviceBins, GATHER, page_words};
 use crate::brick::{Bins, PageShape};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
@@ -350,5 +350,5 @@ impl State {
 
 /// Bytes of a page on the device.
 fn page_bytes(shape: PageShape) -> u64 {
-    (size_of::<u16>() * shape.bin_samples()) as u64
+    4 * u64::from(page_words(shape))
 }

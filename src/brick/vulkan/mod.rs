@@ -19,10 +19,16 @@ use glam::IVec3;
 
 use super::PageShape;
 use crate::grid::{BIN, CellBox};
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{ALIGNMENT, Batch, Kernel, Program, View, VulkanError, push_block};
 
 /// Words of a page without rims on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
+/// Words of a page on the device: its samples, dense, two to a word, up to where a part of a buffer may begin.
+#[must_use]
+pub fn page_words(shape: PageShape) -> u32 {
+    (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
+}
+
 /// Threads of a work group.
 const GROUP: u32 = 256;
 
@@ -124,6 +130,7 @@ push_block! {
         decode: u32,
         brick_bits: u32,
         rim: u32,
+        page_words: u32,
     }
 }
 
@@ -141,7 +148,7 @@ pub const GATHER: Program = Program {
 pub struct DevicePages {
     /// For every bin of every block one more than its page's number, or 0.
     pub tables: View,
-    /// Each dense, two samples to a word.
+    /// [`page_words`] each.
     pub pages: View,
     /// How their samples lie.
     pub shape: PageShape,
@@ -165,7 +172,8 @@ pub fn gather(
     let &DevicePages { shape, decode, .. } = pages;
     // Without rims a bin is one brick.
     let brick = if shape.rim == 0 { BIN } else { shape.side.cells() };
-    let push = GatherPush { decode, brick_bits: brick.ilog2(), rim: shape.rim as u32 };
+    let (rim, page_words) = (shape.rim as u32, page_words(shape));
+    let push = GatherPush { decode, brick_bits: brick.ilog2(), rim, page_words };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
     batch.dispatch(kernel, &buffers, &push, blocks.groups())
@@ -176,4 +184,24 @@ pub fn gather(
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     const NOWHERE: i32 = 1 << 24;
     walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| [walls.lo.to_array(), (walls.hi - 1).to_array()])
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::brick::BrickSide;
+
+    use super::*;
+
+    #[test]
+    fn every_page_begins_where_a_part_of_a_buffer_may() {
+        for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+            for rim in [0, 1] {
+                let shape = PageShape { side, rim };
+                let bytes = 4 * u64::from(page_words(shape));
+                assert!(bytes.is_multiple_of(ALIGNMENT), "{shape:?}: {bytes}");
+                assert!(bytes >= 2 * shape.bin_samples() as u64, "{shape:?}: {bytes}");
+            }
+        }
+        assert_eq!(page_words(BrickSide::Eight.into()), PAGE_WORDS);
+    }
 }

@@ -185,7 +185,7 @@ fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), 
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = facts.indicator.shape(side);
     let cells_a_particle = (2 * shape.rim as u64 + 1).pow(3);
-    if full_cells > cells_a_particle * facts.census.binned as u64 {
+    if full_cells > cells_a_particle.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(footer, format!("more full cells than particles make: {full_cells}")));
     }
     Ok((facts, infos, MappedPages { window, shape, first, bricks, checksums }))

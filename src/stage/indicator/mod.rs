@@ -14,7 +14,7 @@
 //! lies around its place as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood (Computer
 //! Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the cell
 //! below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
-//! how wide they lie, save for a constant, and nothing jumps. theta is more than 0 in all cells around a particle's own.
+//! how wide they lie, save for a constant, and nothing jumps. theta can be more than 0 in all cells around a particle's own.
 
 mod cloud;
 mod cpu;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::brick::vulkan::wall_bounds;
+use crate::brick::vulkan::{page_words, wall_bounds};
 use crate::units::MeanCount;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
@@ -42,6 +42,7 @@ push_block! {
         walls_hi: [i32; 3],
         brick_bits: u32,
         group_samples: u32,
+        page_words: u32,
     }
 }
 
@@ -102,6 +103,7 @@ pub fn clouds(
         walls_hi,
         brick_bits: rule.side.cells().ilog2(),
         group_samples: samples / groups,
+        page_words: page_words(rule.shape()),
     };
     batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [groups, count, 1])
 }

@@ -160,6 +160,10 @@ impl<'a> Conversion<'a> {
         let options = &self.setup.options.sequence;
         let mut under_way = 0;
         loop {
+            if self.stop.load(Ordering::Relaxed) {
+                drop(to_lanes);
+                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally, progress).map(drop));
+            }
             match outcomes.recv_timeout(POLL) {
                 Ok(outcome) => {
                     under_way -= 1;
@@ -179,7 +183,7 @@ impl<'a> Conversion<'a> {
                             let _ = to_lanes.send(frame);
                         }
                     }
-                    if under_way == 0 && (watch.is_over() || self.stop.load(Ordering::Relaxed)) {
+                    if under_way == 0 && watch.is_over() {
                         return Ok(());
                     }
                 }
@@ -191,9 +195,11 @@ impl<'a> Conversion<'a> {
     fn note(&self, outcome: Outcome<Done>, tally: &mut Tally, progress: &Progress) -> Result<bool, Error> {
         let Outcome { frame, result } = outcome;
         let made = result.is_ok();
-        if tally.take(&frame, result, progress.has_bars())? {
+        let taken = tally.take(&frame, result, progress.has_bars());
+        if !matches!(taken, Ok(false)) {
             self.stop.store(true, Ordering::Relaxed);
         }
+        taken?;
         progress.advance(tally.done, tally.total, tally.failed.len(), || size(&frame));
         Ok(made)
     }
