@@ -205,15 +205,15 @@ impl<'a> BinPlan<'a> {
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, placed, .. }| {
             if placed.len() == range.len() {
-                for (first, placed) in range.step_by(CHUNK).zip(placed.chunks(CHUNK)) {
+                for (first, placed) in range.clone().step_by(CHUNK).zip(placed.chunks(CHUNK)) {
                     let attributes = Tuples::read(particles, carried, &components, first, placed.len());
                     for (i, &(rank, record)) in placed.iter().enumerate() {
                         if rank != NOWHERE {
                             slots.put(table.advance(rank), record, attributes.tuple(i));
                         }
                     }
-                    particles.release(first..first + placed.len());
                 }
+                particles.release(range);
                 return;
             }
             let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{page_words, wall_bounds};
-use crate::units::MeanCount;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
 use super::{Indicator, PageRule, amount};
@@ -93,7 +92,7 @@ pub fn clouds(
     rule: &PageRule,
     [bins, records, pages]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let mean: MeanCount = rule.indicator.mean().expect("clouds are made once mu0 is known");
+    let mean = rule.indicator.mean().expect("clouds are made once mu0 is known");
     let samples = rule.shape().bin_samples() as u32;
     let groups = samples.div_ceil(CLOUD_SAMPLES).next_power_of_two();
     let [walls_lo, walls_hi] = wall_bounds(rule.walls);
