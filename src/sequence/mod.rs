@@ -9,6 +9,7 @@
 pub mod frozen;
 pub mod inputs;
 pub mod naming;
+pub mod records;
 pub mod state;
 
 use std::collections::BTreeMap;

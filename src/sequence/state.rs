@@ -1,5 +1,5 @@
 //! What is kept beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
-//! all frames have in common, and `42.json`, the record of frame 42.
+//! all frames have in common, and the [records](super::records) of those that are done.
 
 use std::fs::{self, File};
 use std::io;
@@ -8,14 +8,12 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::io::series::SeriesFrame;
 use crate::io::whole::replace_small;
 use crate::units::MeanCount;
 
 use super::SequenceError;
-pub use super::frozen::Stamp;
-
 use super::frozen::Frozen;
+use super::records::Log;
 
 /// What was asked for, by the names of the options.
 pub type Settings = Map<String, Value>;
@@ -57,21 +55,11 @@ impl State {
     }
 }
 
-/// A frame that is done.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Record {
-    /// What it was made from.
-    pub input: Stamp,
-    /// The state's fingerprint.
-    pub fingerprint: u32,
-    /// What it was made into.
-    pub mesh: SeriesFrame,
-}
-
 /// The folder that holds all this.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Store {
-    folder: PathBuf,
+    /// Where this process keeps its records.
+    pub log: Log,
 }
 
 impl Store {
@@ -80,19 +68,19 @@ impl Store {
     pub fn beside(sequence: &Path) -> Self {
         let mut name = sequence.as_os_str().to_owned();
         name.push(".meniscus");
-        Self { folder: name.into() }
+        Self { log: Log::new(name.into()) }
     }
 
     /// Where it is.
     #[must_use]
     pub fn folder(&self) -> &Path {
-        &self.folder
+        self.log.folder()
     }
 
     /// The state's file.
     #[must_use]
     pub fn state_path(&self) -> PathBuf {
-        self.folder.join("state.json")
+        self.folder().join("state.json")
     }
 
     /// The state, if there is one.
@@ -122,8 +110,8 @@ impl Store {
     /// # Errors
     /// [`SequenceError::Io`].
     pub fn save(&self, state: &State) -> Result<(), SequenceError> {
-        fs::create_dir_all(&self.folder)
-            .map_err(|fault| SequenceError::Io { path: self.folder.clone(), fault })?;
+        let folder = self.folder();
+        fs::create_dir_all(folder).map_err(|fault| SequenceError::Io { path: folder.to_owned(), fault })?;
         let path = self.state_path();
         replace_small(&path, &json(state)).map_err(|fault| SequenceError::Io { path, fault })
     }
@@ -134,36 +122,6 @@ impl Store {
         let file = File::open(self.state_path()).ok()?;
         file.lock().ok()?;
         Some(file)
-    }
-
-    fn record_path(&self, frame: u64) -> PathBuf {
-        self.folder.join(format!("{frame}.json"))
-    }
-
-    /// The record of a frame. One that cannot be read is none: the frame is made again.
-    #[must_use]
-    pub fn record(&self, frame: u64) -> Option<Record> {
-        serde_json::from_slice(&fs::read(self.record_path(frame)).ok()?).ok()
-    }
-
-    /// Keeps the record of a frame.
-    ///
-    /// # Errors
-    /// [`SequenceError::Io`].
-    pub fn keep(&self, record: &Record) -> Result<(), SequenceError> {
-        let path = self.record_path(record.mesh.frame);
-        replace_small(&path, &json(record)).map_err(|fault| SequenceError::Io { path, fault })
-    }
-
-    /// The record of a frame whose output is whole and what it would be if it were made now.
-    #[must_use]
-    pub fn current(&self, frame: u64, input: &Path, output: &Path, fingerprint: u32) -> Option<Record> {
-        let record = self.record(frame)?;
-        let same = record.fingerprint == fingerprint
-            && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
-            && output.file_name().is_some_and(|name| *name == *record.mesh.file)
-            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
-        same.then_some(record)
     }
 }
 
@@ -176,6 +134,7 @@ fn json(value: &impl Serialize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sequence::frozen::Stamp;
     use crate::units::Isovalue;
 
     fn frozen(isovalue: f64) -> Frozen {
@@ -207,39 +166,5 @@ mod tests {
         }
         fs::write(store.state_path(), "{").unwrap();
         assert!(matches!(store.load(), Err(SequenceError::State { .. })));
-    }
-
-    #[test]
-    fn a_record_holds_only_for_the_same_input_output_and_settings() {
-        let folder = tempfile::tempdir().unwrap();
-        let [input, output] = ["in_1.xyz", "out_1.ply"].map(|name| folder.path().join(name));
-        fs::write(&input, "particles").unwrap();
-        fs::write(&output, "mesh").unwrap();
-        let store = Store::beside(&folder.path().join("out.ply"));
-        fs::create_dir(store.folder()).unwrap();
-        let mesh = SeriesFrame {
-            frame: 1,
-            time: Some(0.1),
-            file: "out_1.ply".into(),
-            bytes: 4,
-            particles: 1,
-            vertices: 0,
-            triangles: 0,
-            bounds: Some([[1e-17, -0.1, 1.0 / 3.0], [0.1 + 0.2, 0.0, 1e300]]),
-            normals: true,
-            attributes: Vec::new(),
-        };
-        let record = Record { input: Stamp::of(&input).unwrap(), fingerprint: 5, mesh };
-        store.keep(&record).unwrap();
-        let current = |fingerprint| store.current(1, &input, &output, fingerprint);
-        assert_eq!(current(5), Some(record));
-        assert_eq!(current(6), None, "other settings");
-        assert_eq!(store.current(2, &input, &output, 5), None, "another frame");
-        assert_eq!(store.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");
-        fs::write(&output, "mes").unwrap();
-        assert_eq!(current(5), None, "a truncated output");
-        fs::write(&output, "mesh").unwrap();
-        fs::write(&input, "particles and more").unwrap();
-        assert_eq!(current(5), None, "another input");
     }
 }

@@ -21,10 +21,10 @@ use meniscus::io::{WriteError, WriteFault};
 use meniscus::laps::Laps;
 use meniscus::plateau::recipe_at;
 use meniscus::sequence::SequenceError;
-use meniscus::sequence::frozen::Frozen;
+use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::{FrameFile, Inputs};
 use meniscus::sequence::naming::Naming;
-use meniscus::sequence::state::{Stamp, State, Store};
+use meniscus::sequence::state::{State, Store};
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
 use meniscus::stitch::Stitched;
 

@@ -9,8 +9,10 @@ use meniscus::error::Error;
 use meniscus::frame::Resources;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
+use meniscus::sequence::frozen::Stamp;
 use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::state::{Record, Stamp, State, Store};
+use meniscus::sequence::records::{Record, Records};
+use meniscus::sequence::state::{State, Store};
 
 use crate::Verdict;
 use crate::lanes::{Division, Gate};
@@ -67,9 +69,9 @@ impl<'a> Conversion<'a> {
     }
 
     /// The record of a frame that need not be made again, as far as is known.
-    pub fn current(&self, frame: &FrameFile) -> Option<Record> {
+    pub fn current<'r>(&self, records: &'r Records, frame: &FrameFile) -> Option<&'r Record> {
         let settled = self.settled.get()?.as_ref()?;
-        self.store.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
+        records.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
     }
 
     /// Settles what all frames have in common, while lanes may hold open frames.

@@ -8,8 +8,10 @@ use meniscus::error::Error;
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
+use meniscus::sequence::frozen::Stamp;
 use meniscus::sequence::inputs::{FrameFile, gaps};
-use meniscus::sequence::state::{Stamp, State, Store};
+use meniscus::sequence::records::Records;
+use meniscus::sequence::state::{State, Store};
 
 use crate::Verdict;
 use crate::method::Sampled;
@@ -32,11 +34,12 @@ impl Setup<'_> {
             Some(state) => state.frozen.clone(),
             None => self.freeze(frames, &self.resources, &self.notes)?,
         };
+        let records = Records::read(store.folder());
         let done = |frame: &&&FrameFile| {
             let output = self.naming.path(frame);
             let state = kept.as_ref().filter(|_| self.options.sequence.resume);
             state
-                .is_some_and(|s| store.current(frame.number, &frame.path, &output, s.fingerprint()).is_some())
+                .is_some_and(|s| records.current(frame.number, &frame.path, &output, s.fingerprint()).is_some())
         };
         let skipped = wanted.iter().filter(done).count();
         let mut text = format!(

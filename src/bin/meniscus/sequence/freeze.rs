@@ -9,9 +9,8 @@ use meniscus::io::mnf::open_frame;
 use meniscus::plateau::Plateau;
 use meniscus::rivals::Spacing;
 use meniscus::sequence::SequenceError;
-use meniscus::sequence::frozen::{Frozen, Measured, Origin, Trust, measure};
+use meniscus::sequence::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure};
 use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::state::Stamp;
 
 use crate::reconstruct::is_frame;
 use crate::run::{Notes, unpacking};

@@ -16,9 +16,9 @@ use meniscus::mesh::bounds::Bounded;
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::sequence::frozen::Frozen;
+use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::state::{Record, Stamp};
+use meniscus::sequence::records::Record;
 use meniscus::units::MemoryBudget;
 use serde_json::{Value, json};
 
@@ -178,7 +178,7 @@ impl Conversion<'_> {
         let Filled { file, unfinished, record, stats, seconds, warnings } = filled;
         file.keep()?;
         drop(unfinished);
-        interrupt::undisturbed(|| self.store.keep(&record))?;
+        interrupt::undisturbed(|| self.store.log.keep(&record))?;
         Ok(Done { mesh: record.mesh, stats, seconds, warnings })
     }
 

@@ -8,6 +8,7 @@ use bytesize::ByteSize;
 use meniscus::error::{Cause, Error};
 use meniscus::io::series::{Series, SeriesFrame};
 use meniscus::sequence::inputs::{FrameFile, gaps, missing_path};
+use meniscus::sequence::records::Records;
 use serde_json::json;
 
 use crate::Verdict;
@@ -56,11 +57,12 @@ impl<'a> Tally<'a> {
 
     /// Lists what else is done already.
     pub fn list(&mut self, frames: &[FrameFile]) {
+        let records = Records::read(self.conversion.store.folder());
         for frame in frames {
             if !self.lists(frame)
-                && let Some(record) = self.conversion.current(frame)
+                && let Some(record) = self.conversion.current(&records, frame)
             {
-                self.listed.insert(frame.number, record.mesh);
+                self.listed.insert(frame.number, record.mesh.clone());
             }
         }
     }
@@ -136,6 +138,7 @@ impl<'a> Tally<'a> {
         let alone = self.conversion.store.locked();
         self.list(&inputs.list()?);
         self.write_series()?;
+        interrupt::undisturbed(|| self.conversion.store.log.merge())?;
         drop(alone);
         let made = self.done - self.failed.len().min(self.done);
         let missing = gaps(frames);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use meniscus::sequence::inputs::{FrameFile, Selection};
-use meniscus::sequence::state::Stamp;
+use meniscus::sequence::frozen::Stamp;
 
 /// A file that has not changed for so long is taken to be complete.
 const SETTLED: Duration = Duration::from_secs(1);

@@ -1,0 +1,252 @@
+//! What is known of the frames that are done, a line of JSON each.
+//!
+//! Every process writes a log of its own, `frames.1.jsonl`, `frames.2.jsonl` and so on, and holds a lock on it while it
+//! lives. Whoever is done moves all logs that nobody writes any more into `frames.jsonl`, in the frames' order: at the
+//! end there is that file alone, and it is the same whoever did what.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+
+use crate::io::WriteError;
+use crate::io::series::SeriesFrame;
+use crate::io::whole::{Replace, WholeFile};
+
+use super::SequenceError;
+use super::frozen::Stamp;
+
+const MERGED: &str = "frames.jsonl";
+
+/// A frame that is done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record {
+    /// What it was made from.
+    pub input: Stamp,
+    /// The fingerprint of what it was made with.
+    pub fingerprint: u32,
+    /// What it was made into.
+    pub mesh: SeriesFrame,
+}
+
+/// The last record of each frame.
+#[derive(Debug, Default, PartialEq)]
+pub struct Records(BTreeMap<u64, Record>);
+
+impl Records {
+    /// Those that are in `folder` now. What cannot be read is none: the frame is made again.
+    #[must_use]
+    pub fn read(folder: &Path) -> Self {
+        // A log that is moved meanwhile is in the merged file, which is why that one is read last.
+        let logs: Vec<Vec<u8>> = logs(folder).into_values().filter_map(|path| fs::read(path).ok()).collect();
+        let mut records = Self::default();
+        records.add(&fs::read(folder.join(MERGED)).unwrap_or_default());
+        logs.iter().for_each(|log| records.add(log));
+        records
+    }
+
+    /// What was written later holds.
+    fn add(&mut self, lines: &[u8]) {
+        let records = lines.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok());
+        self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
+    }
+
+    /// The record of a frame whose output is whole and what it would be if it were made now.
+    #[must_use]
+    pub fn current(&self, frame: u64, input: &Path, output: &Path, fingerprint: u32) -> Option<&Record> {
+        let record = self.0.get(&frame)?;
+        let same = record.fingerprint == fingerprint
+            && Stamp::of(input).is_ok_and(|stamp| stamp == record.input)
+            && output.file_name().is_some_and(|name| *name == *record.mesh.file)
+            && output.metadata().is_ok_and(|found| found.is_file() && found.len() == record.mesh.bytes);
+        same.then_some(record)
+    }
+}
+
+/// Where one process keeps its records, created with the first of them.
+#[derive(Debug)]
+pub struct Log {
+    folder: PathBuf,
+    file: Mutex<Option<File>>,
+}
+
+impl Log {
+    /// In a folder that may not be there yet.
+    #[must_use]
+    pub fn new(folder: PathBuf) -> Self {
+        Self { folder, file: Mutex::new(None) }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Keeps the record of a frame.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`].
+    pub fn keep(&self, record: &Record) -> Result<(), SequenceError> {
+        let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
+        line.push(b'\n');
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let written = match &mut *file {
+            Some(file) => file.write_all(&line),
+            none => create(&self.folder).and_then(|created| none.insert(created).write_all(&line)),
+        };
+        written.map_err(|fault| SequenceError::Io { path: self.folder.clone(), fault })
+    }
+
+    /// Ends this log, and moves all that are not written any more into one file. Of several processes only one may do so
+    /// at a time.
+    ///
+    /// # Errors
+    /// Those of [`WholeFile`].
+    pub fn merge(&self) -> Result<(), WriteError> {
+        self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let ended = |path: PathBuf| {
+            let file = File::open(&path).ok()?;
+            file.try_lock().ok()?;
+            Some((path, file))
+        };
+        let ended: Vec<(PathBuf, File)> = logs(&self.folder).into_values().filter_map(ended).collect();
+        if ended.is_empty() {
+            return Ok(());
+        }
+        let merged = self.folder.join(MERGED);
+        let mut records = Records::default();
+        records.add(&fs::read(&merged).unwrap_or_default());
+        ended.iter().for_each(|(path, _)| records.add(&fs::read(path).unwrap_or_default()));
+        WholeFile::prepare(&merged, Replace::Allow)?.write(|out| {
+            for record in records.0.values() {
+                serde_json::to_writer(&mut *out, record)?;
+                out.write_all(b"\n")?;
+            }
+            Ok(())
+        })?;
+        // The locks are held until the names are gone: who just created a log will find that, and begin again.
+        ended.iter().for_each(|(path, _lock)| drop(fs::remove_file(path)));
+        Ok(())
+    }
+}
+
+/// The logs in `folder`, as they came.
+fn logs(folder: &Path) -> BTreeMap<u64, PathBuf> {
+    let number = |path: &Path| {
+        let name = path.file_name()?.to_str()?;
+        name.strip_prefix("frames.")?.strip_suffix(".jsonl")?.parse().ok()
+    };
+    let entries = fs::read_dir(folder).into_iter().flatten();
+    entries.filter_map(|entry| Some(entry.ok()?.path())).filter_map(|path| Some((number(&path)?, path))).collect()
+}
+
+/// A log after all that are there.
+fn create(folder: &Path) -> io::Result<File> {
+    let mut number = logs(folder).last_key_value().map_or(0, |(number, _)| *number);
+    loop {
+        number += 1;
+        let path = folder.join(format!("frames.{number}.jsonl"));
+        let file = match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Err(fault) if fault.kind() == ErrorKind::AlreadyExists => continue,
+            created => created?,
+        };
+        // A file system without locks has nobody who merges by them.
+        let _ = file.lock_shared();
+        if path.try_exists()? {
+            return Ok(file);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(frame: u64, fingerprint: u32) -> Record {
+        let mesh = SeriesFrame {
+            frame,
+            time: Some(0.1),
+            file: format!("out_{frame}.ply"),
+            bytes: 4,
+            particles: 1,
+            vertices: 0,
+            triangles: 0,
+            bounds: Some([[1e-17, -0.1, 1.0 / 3.0], [0.1 + 0.2, 0.0, 1e300]]),
+            normals: true,
+            attributes: Vec::new(),
+        };
+        Record { input: Stamp { bytes: 9, modified: 7 }, fingerprint, mesh }
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let name = |entry: fs::DirEntry| entry.file_name().into_string().unwrap();
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|entry| name(entry.unwrap())).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_record_holds_only_for_the_same_input_output_and_settings() {
+        let folder = tempfile::tempdir().unwrap();
+        let [input, output] = ["in_1.xyz", "out_1.ply"].map(|name| folder.path().join(name));
+        fs::write(&input, "particles").unwrap();
+        fs::write(&output, "mesh").unwrap();
+        let record = Record { input: Stamp::of(&input).unwrap(), ..record(1, 5) };
+        let log = Log::new(folder.path().join("records"));
+        fs::create_dir(log.folder()).unwrap();
+        log.keep(&record).unwrap();
+        let records = Records::read(log.folder());
+        let current = |fingerprint| records.current(1, &input, &output, fingerprint);
+        assert_eq!(current(5), Some(&record));
+        assert_eq!(current(6), None, "other settings");
+        assert_eq!(records.current(2, &input, &output, 5), None, "another frame");
+        assert_eq!(records.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");
+        fs::write(&output, "mes").unwrap();
+        assert_eq!(current(5), None, "a truncated output");
+        fs::write(&output, "mesh").unwrap();
+        fs::write(&input, "particles and more").unwrap();
+        assert_eq!(current(5), None, "another input");
+    }
+
+    #[test]
+    fn logs_end_in_one_file_in_the_frames_order_and_what_came_last_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let [first, second, alive] = [(); 3].map(|()| Log::new(folder.path().to_owned()));
+        let keep = |log: &Log, records: &[(u64, u32)]| {
+            records.iter().for_each(|&(frame, fingerprint)| log.keep(&record(frame, fingerprint)).unwrap());
+        };
+        let all = || Records::read(folder.path()).0.into_values().map(|r| (r.mesh.frame, r.fingerprint));
+        keep(&first, &[(12, 1), (3, 1)]);
+        keep(&second, &[(3, 2), (7, 2)]);
+        keep(&alive, &[(5, 3)]);
+        keep(&first, &[(7, 1)]);
+        assert_eq!(names(folder.path()), ["frames.1.jsonl", "frames.2.jsonl", "frames.3.jsonl"]);
+        let before: Vec<_> = all().collect();
+        assert_eq!(before, [(3, 2), (5, 3), (7, 2), (12, 1)]);
+
+        drop(first);
+        second.merge().unwrap();
+        assert_eq!(names(folder.path()), ["frames.3.jsonl", "frames.jsonl"], "what is written to stays");
+        assert!(all().eq(before));
+        keep(&alive, &[(12, 3)]);
+        alive.merge().unwrap();
+        assert_eq!(names(folder.path()), ["frames.jsonl"]);
+        assert!(all().eq([(3, 2), (5, 3), (7, 2), (12, 3)]));
+
+        let whole = fs::read(folder.path().join("frames.jsonl")).unwrap();
+        keep(&alive, &[(4, 4), (3, 4)]);
+        let log = folder.path().join("frames.1.jsonl");
+        let bytes = fs::read(&log).unwrap();
+        fs::write(&log, &bytes[..bytes.len() - 2]).unwrap();
+        assert!(all().eq([(3, 2), (4, 4), (5, 3), (7, 2), (12, 3)]), "a line that was cut off is none");
+        drop(alive);
+        fs::write(&log, "").unwrap();
+        second.merge().unwrap();
+        assert_eq!(fs::read(folder.path().join("frames.jsonl")).unwrap(), whole);
+    }
+}
