@@ -141,7 +141,10 @@ fn logs(folder: &Path) -> BTreeMap<u64, PathBuf> {
         name.strip_prefix("frames.")?.strip_suffix(".jsonl")?.parse().ok()
     };
     let entries = fs::read_dir(folder).into_iter().flatten();
-    entries.filter_map(|entry| Some(entry.ok()?.path())).filter_map(|path| Some((number(&path)?, path))).collect()
+    entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter_map(|path| Some((number(&path)?, path)))
+        .collect()
 }
 
 /// A log after all that are there.

@@ -45,6 +45,11 @@ impl Division {
             alone: part(budget.0 / 4 * 3),
         }
     }
+
+    /// Bytes that the particles of a frame that waits may take in memory.
+    pub fn unpacked(&self) -> u64 {
+        self.opening.0 / 2
+    }
 }
 
 /// Lets frames compute side by side, or one alone.

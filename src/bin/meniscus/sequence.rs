@@ -17,7 +17,7 @@ use meniscus::frame::{Resources, Sampling, Surfacing};
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::io::whole::sweep;
-use meniscus::io::{WriteError, WriteFault};
+use meniscus::io::{ParticleFile, WriteError, WriteFault};
 use meniscus::laps::Laps;
 use meniscus::plateau::recipe_at;
 use meniscus::sequence::SequenceError;
@@ -181,17 +181,18 @@ impl Setup<'_> {
         Conversion::new(self, format, store, wanted.len()).run(kept, frames, &series)
     }
 
-    /// Measures what all frames have in common, and keeps it.
+    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may still be open.
     fn state(
         &self,
         store: &Store,
         frames: &[FrameFile],
         resources: &Resources,
         notes: &Notes,
-    ) -> Result<State, Error> {
-        let state = State::new(self.options.settings(), self.freeze(frames, resources, notes)?);
+    ) -> Result<(State, Option<ParticleFile>), Error> {
+        let (frozen, file) = self.freeze(frames, resources, notes)?;
+        let state = State::new(self.options.settings(), frozen);
         interrupt::undisturbed(|| store.save(&state))?;
-        Ok(state)
+        Ok((state, file))
     }
 
     /// How a frame is sampled by what all have in common.

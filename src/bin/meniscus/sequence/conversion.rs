@@ -7,8 +7,10 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use meniscus::error::Error;
 use meniscus::frame::Resources;
+use meniscus::io::ParticleFile;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
+use meniscus::particles::Particles;
 use meniscus::sequence::frozen::Stamp;
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::records::{Record, Records};
@@ -51,6 +53,13 @@ impl Drop for AtLast<'_> {
     }
 }
 
+/// A frame to be made.
+pub struct Job {
+    pub frame: FrameFile,
+    /// Where they are open already.
+    pub particles: Option<ParticleFile>,
+}
+
 /// What became of a frame.
 struct Outcome<T> {
     frame: FrameFile,
@@ -74,16 +83,49 @@ impl<'a> Conversion<'a> {
         records.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
     }
 
-    /// Settles what all frames have in common, while lanes may hold open frames.
-    fn settle(&self, known: Option<State>, frames: &[FrameFile], notes: &Notes) -> Result<(), Error> {
+    /// Settles what all frames have in common, while lanes may hold open frames. The frame that was measured is given on,
+    /// if it may stay open.
+    fn settle(
+        &self,
+        known: Option<State>,
+        frames: &[FrameFile],
+        notes: &Notes,
+    ) -> Result<Option<(u64, ParticleFile)>, Error> {
         let Self { setup, store, division, .. } = self;
         let measured = || {
             let resources = Resources { budget: division.alone, ..setup.resources.clone() };
             setup.state(store, frames, &resources, notes)
         };
-        let state = known.map_or_else(measured, Ok)?;
-        let fingerprint = state.fingerprint();
+        let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
+        let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
         self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
+        let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());
+        Ok(open.map(|file| (number, file)))
+    }
+
+    /// Gives the lanes all frames; where it is not settled yet what these have in common, the lanes open some meanwhile.
+    fn give(
+        &self,
+        todo: &[&FrameFile],
+        frames: &[FrameFile],
+        to_lanes: Sender<Job>,
+        tally: &mut Tally,
+    ) -> Result<(), Error> {
+        // The lanes live as long as they are sent to.
+        let give = |job: Job| drop(to_lanes.send(job));
+        let mut jobs = todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None });
+        if self.settled.get().is_none() {
+            // The first is most likely the one that is measured: a lane waits for it.
+            let first = jobs.next();
+            jobs.by_ref().take(self.division.lanes - 1).for_each(give);
+            let measured = self.settle(None, frames, &tally.notes)?;
+            tally.list(frames);
+            if let Some(Job { frame, .. }) = first {
+                let measured = measured.filter(|(number, _)| *number == frame.number);
+                give(Job { frame, particles: measured.map(|(_, file)| file) });
+            }
+        }
+        jobs.for_each(give);
         Ok(())
     }
 
@@ -111,7 +153,7 @@ impl<'a> Conversion<'a> {
         let (progress, notes) = Progress::start(mode, bytes, self.division.lanes, self.setup.notes.clone());
         tally.notes = notes;
 
-        let (to_lanes, jobs) = mpsc::channel::<FrameFile>();
+        let (to_lanes, jobs) = mpsc::channel();
         let jobs = Mutex::new(jobs);
         // Bounded: what waits for the disk is an open file.
         let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
@@ -123,27 +165,25 @@ impl<'a> Conversion<'a> {
                 scope.spawn(move || self.lane(lane, jobs, &to_disk, progress));
             }
             drop(to_disk);
+            let _at_last = AtLast(&self.settled);
+            let followed = match watch {
+                Some(watch) => Some((watch, to_lanes)),
+                None => {
+                    tally.total = todo.len();
+                    self.give(&todo, frames, to_lanes, &mut tally)?;
+                    None
+                }
+            };
             for _ in 0..self.division.lanes {
                 let (filled, results) = (&filled, results.clone());
                 scope.spawn(move || self.keep(filled, &results));
             }
             drop(results);
-            let _at_last = AtLast(&self.settled);
-            match watch {
-                Some(watch) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
-                None => {
-                    tally.total = todo.len();
-                    // The lanes live as long as they are sent to.
-                    todo.into_iter().for_each(|frame| drop(to_lanes.send(frame.clone())));
-                    drop(to_lanes);
-                    if self.settled.get().is_none() {
-                        self.settle(None, frames, &tally.notes)?;
-                        tally.list(frames);
-                    }
-                    outcomes
-                        .iter()
-                        .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop))
-                }
+            match followed {
+                Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
+                None => outcomes
+                    .iter()
+                    .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop)),
             }
         })?;
         progress.finish();
@@ -154,7 +194,7 @@ impl<'a> Conversion<'a> {
     fn follow(
         &self,
         mut watch: Watch,
-        to_lanes: Sender<FrameFile>,
+        to_lanes: Sender<Job>,
         outcomes: &Receiver<Outcome<Done>>,
         tally: &mut Tally,
         progress: &Progress,
@@ -181,8 +221,7 @@ impl<'a> Conversion<'a> {
                             under_way += 1;
                             tally.total += 1;
                             progress.lengthen(size(&frame));
-                            // The lanes live as long as they are sent to.
-                            let _ = to_lanes.send(frame);
+                            let _ = to_lanes.send(Job { frame, particles: None });
                         }
                     }
                     if under_way == 0 && watch.is_over() {
@@ -210,19 +249,20 @@ impl<'a> Conversion<'a> {
     fn lane(
         &self,
         lane: usize,
-        jobs: &Mutex<Receiver<FrameFile>>,
+        jobs: &Mutex<Receiver<Job>>,
         to_disk: &SyncSender<Outcome<Filled>>,
         progress: &Progress,
     ) {
         // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
         let _pool = pool.build().expect("threads can be started");
-        while let Some(frame) = next(jobs) {
+        while let Some(job) = next(jobs) {
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
+            let frame = job.frame.clone();
             let stage = |stage: &str| progress.stage(lane, || format!("frame {}: {stage}", frame.number));
-            let opened = self.open(&frame, &stage);
+            let opened = self.open(job, &stage);
             let Some(settled) = self.settled.wait() else { return };
             let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
             progress.stage(lane, String::new);

@@ -32,14 +32,15 @@ impl Setup<'_> {
         let begun = Instant::now();
         let frozen = match &kept {
             Some(state) => state.frozen.clone(),
-            None => self.freeze(frames, &self.resources, &self.notes)?,
+            None => self.freeze(frames, &self.resources, &self.notes)?.0,
         };
         let records = Records::read(store.folder());
         let done = |frame: &&&FrameFile| {
             let output = self.naming.path(frame);
             let state = kept.as_ref().filter(|_| self.options.sequence.resume);
-            state
-                .is_some_and(|s| records.current(frame.number, &frame.path, &output, s.fingerprint()).is_some())
+            state.is_some_and(|s| {
+                records.current(frame.number, &frame.path, &output, s.fingerprint()).is_some()
+            })
         };
         let skipped = wanted.iter().filter(done).count();
         let mut text = format!(

@@ -3,9 +3,9 @@
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{Frame, FrameError, Resources};
 use meniscus::grid::Grid;
-use meniscus::io::ReadError;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
+use meniscus::io::{ParticleFile, ReadError};
 use meniscus::plateau::Plateau;
 use meniscus::rivals::Spacing;
 use meniscus::sequence::SequenceError;
@@ -22,13 +22,13 @@ use super::{POLL, Setup};
 const LOOKED_AT: usize = 64;
 
 impl Setup<'_> {
-    /// Measures what holds for all frames on the first that can tell.
+    /// Measures what holds for all frames on the first that can tell, whose particles may still be open.
     pub(super) fn freeze(
         &self,
         frames: &[FrameFile],
         resources: &Resources,
         notes: &Notes,
-    ) -> Result<Frozen, Error> {
+    ) -> Result<(Frozen, Option<ParticleFile>), Error> {
         let idle = self.options.sequence.watch;
         let mut watch = idle.map(|idle| Watch::new(idle, self.options.sequence.selection()));
         let mut best: Option<(Frozen, Trust)> = None;
@@ -47,12 +47,12 @@ impl Setup<'_> {
                 looked_at += 1;
                 let lattice = best.as_ref().filter(|(_, trust)| *trust == Trust::Lattice);
                 match self.measure_on(&frame, lattice, resources) {
-                    Ok((frozen, Trust::Sound)) => {
+                    Ok((frozen, Trust::Sound, file)) => {
                         let path = frame.path.display();
                         notes.say(format!("measured on {path}: {}", describe(&frozen)));
-                        return Ok(frozen);
+                        return Ok((frozen, file));
                     }
-                    Ok((frozen, trust)) => {
+                    Ok((frozen, trust, _)) => {
                         if best.as_ref().is_none_or(|(_, known)| *known < trust) {
                             best = Some((frozen, trust));
                         }
@@ -85,7 +85,7 @@ impl Setup<'_> {
                     frozen.frame,
                     describe(&frozen)
                 ));
-                Ok(frozen)
+                Ok((frozen, None))
             }
             (None, Some(error)) => Err(error),
             (None, None) => Err(SequenceError::NoFrames(self.inputs.describe()).into()),
@@ -98,7 +98,7 @@ impl Setup<'_> {
         frame: &FrameFile,
         lattice: Option<&(Frozen, Trust)>,
         resources: &Resources,
-    ) -> Result<(Frozen, Trust), Error> {
+    ) -> Result<(Frozen, Trust, Option<ParticleFile>), Error> {
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let in_file = |fault: FrameError| Error::Frame { path: path.clone(), fault };
@@ -114,14 +114,15 @@ impl Setup<'_> {
             };
             let mean = frame_of_file.mean_count();
             let measured = Measured { grid, mean, iso: recipe.iso, trust };
-            return Ok((frozen(frame.number, input, spacing, None, measured), trust));
+            return Ok((frozen(frame.number, input, spacing, None, measured), trust, None));
         }
         let file = open_particles(path, unpacking(resources))?;
         let cells = self.request.cells(path, &file)?;
         if let Some(spacing) = cells.spacing.filter(|_| self.request.rival().is_some()) {
             Spacing::new(spacing / cells.size).map_err(|e| in_file(e.into()))?;
             let grid = self.request.grid(cells.size)?;
-            return Ok((for_kernels(frame.number, input, cells.spacing, cells.source, grid), Trust::Sound));
+            let frozen = for_kernels(frame.number, input, cells.spacing, cells.source, grid);
+            return Ok((frozen, Trust::Sound, Some(file)));
         }
         let (grid, indicator) = match lattice {
             Some((frozen, _)) => (frozen.grid()?, frozen.indicator(self.request.indicator())?),
@@ -136,7 +137,7 @@ impl Setup<'_> {
         if let Some((first, _)) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((frozen, measured.trust))
+        Ok((frozen, measured.trust, Some(file)))
     }
 }
 

@@ -30,7 +30,7 @@ use crate::run::Notes;
 use crate::up::Orientation;
 
 use super::Setup;
-use super::conversion::{Conversion, Settled};
+use super::conversion::{Conversion, Job, Settled};
 
 /// A frame that was converted.
 pub struct Done {
@@ -77,15 +77,16 @@ struct Ready<'a> {
 type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
-    /// Makes sure that a frame's mesh can be written, and opens the frame.
-    pub fn open(&self, frame: &FrameFile, stage: &dyn Fn(&str)) -> Result<Opened, Error> {
+    /// Makes sure that a frame's mesh can be written, and opens the frame, unless its particles are open already.
+    pub fn open(&self, job: Job, stage: &dyn Fn(&str)) -> Result<Opened, Error> {
         let mut laps = Laps::default();
         let Setup { options, resources, .. } = self.setup;
+        let Job { frame, particles } = job;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let replace =
             if options.sequence.resume || options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-        let target = self.output(frame);
+        let target = self.output(&frame);
         let orientation = options.up.orientation(path, self.format);
         let layout = options.layout(orientation);
         let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
@@ -95,8 +96,8 @@ impl Conversion<'_> {
             options.validate_frame_input(path)?;
             None
         } else {
-            let in_memory = self.division.opening.0 / 2;
-            let file = open_particles(path, Unpacking { in_memory, scratch: &resources.scratch })?;
+            let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch: &resources.scratch };
+            let file = particles.map_or_else(|| open_particles(path, unpacking), Ok)?;
             laps.lap("open");
             Some(file)
         };

@@ -137,8 +137,10 @@ impl<'a> Tally<'a> {
         // Other jobs may have done frames meanwhile, and the last of them lists all.
         let alone = self.conversion.store.locked();
         self.list(&inputs.list()?);
-        self.write_series()?;
-        interrupt::undisturbed(|| self.conversion.store.log.merge())?;
+        let log = &self.conversion.store.log;
+        let (listed, merged) = rayon::join(|| self.write_series(), || interrupt::undisturbed(|| log.merge()));
+        listed?;
+        merged?;
         drop(alone);
         let made = self.done - self.failed.len().min(self.done);
         let missing = gaps(frames);
