@@ -34,13 +34,15 @@ pub struct Tally<'a> {
     pub done: usize,
     pub total: usize,
     begun: Instant,
-    series_written: Option<Instant>,
+    /// When the series was written last, or would have been.
+    series_written: Instant,
     /// For people.
     pub notes: Notes,
 }
 
 impl<'a> Tally<'a> {
     pub fn new(conversion: &'a Conversion<'a>, series: &'a Series) -> Self {
+        let begun = Instant::now();
         Self {
             conversion,
             series,
@@ -49,8 +51,8 @@ impl<'a> Tally<'a> {
             fatal: None,
             done: 0,
             total: 0,
-            begun: Instant::now(),
-            series_written: None,
+            begun,
+            series_written: begun,
             notes: conversion.setup.notes.clone(),
         }
     }
@@ -104,7 +106,7 @@ impl<'a> Tally<'a> {
                 }
                 self.listed.insert(frame.number, mesh);
                 stats.map_or(Ok(()), |stats| options.append_stats(&stats))?;
-                if self.series_written.is_none_or(|written| written.elapsed() > SERIES_PAUSE) {
+                if self.series_written.elapsed() > SERIES_PAUSE {
                     self.write_series()?;
                 }
             }
@@ -128,7 +130,7 @@ impl<'a> Tally<'a> {
     fn write_series(&mut self) -> Result<(), Error> {
         let listed: Vec<_> = self.listed.values().cloned().collect();
         interrupt::undisturbed(|| self.series.write(&listed))?;
-        self.series_written = Some(Instant::now());
+        self.series_written = Instant::now();
         Ok(())
     }
 
