@@ -4,12 +4,12 @@ use std::fs::read_to_string;
 
 use crate::units::MemoryBudget;
 
-/// Three quarters of what is available: the system's own estimate, and no more than a control group allows.
+/// Three quarters of what is available: the system's own estimate, and no more than a control group or `ulimit` allows.
 ///
 /// Where the system tells nothing, there is no limit.
 #[must_use]
 pub fn default_budget() -> MemoryBudget {
-    let available = [system_available(), group_available()].into_iter().flatten().min();
+    let available = [system_available(), group_available(), limit_available()].into_iter().flatten().min();
     MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
 }
 
@@ -33,6 +33,18 @@ fn group_available() -> Option<u64> {
         let v1 = "/sys/fs/cgroup/memory/memory";
         left(&format!("{v1}.limit_in_bytes"), &format!("{v1}.usage_in_bytes"))
     })
+}
+
+/// What this process's limits on data and on addresses leave of it.
+fn limit_available() -> Option<u64> {
+    let limits = read_to_string("/proc/self/limits").ok()?;
+    let left = |limit: &str, used: &str| {
+        let line = limits.lines().find_map(|line| line.strip_prefix(limit))?;
+        let limit: u64 = line.split_whitespace().next()?.parse().ok()?;
+        Some(limit.saturating_sub(kib_field(&read_to_string("/proc/self/status").ok()?, used)?))
+    };
+    let all = [left("Max data size", "VmData:"), left("Max address space", "VmSize:")];
+    all.into_iter().flatten().min()
 }
 
 /// The most memory that this process ever had resident, in bytes, mapped files included.

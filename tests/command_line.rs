@@ -261,6 +261,21 @@ fn a_full_disk_is_exit_4_and_leaves_nothing() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn no_more_memory_is_planned_for_than_ulimit_leaves() {
+    let folder = folder_with_ball();
+    let script = "ulimit -v 400000; exec \"$0\" reconstruct ball.xyz -o out.ply --dry-run";
+    let run = Command::new("bash")
+        .current_dir(folder.path())
+        .args(["-c", script, env!("CARGO_BIN_EXE_meniscus")])
+        .output()
+        .unwrap();
+    let plan = String::from_utf8_lossy(&run.stdout);
+    let budget: Option<f64> = plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
+    assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
+}
+
+#[test]
 fn bad_input_is_named_with_exit_3() {
     let folder = TempDir::new().unwrap();
     let put = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
