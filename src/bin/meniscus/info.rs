@@ -62,9 +62,10 @@ enum Info {
     Frame {
         file: PathBuf,
         particles: usize,
-        full_cells: u64,
+        /// Cells that are not 0; where the clouds of several bricks overlap, each brick's.
+        samples: u64,
         bricks: u64,
-        /// Of the full cells.
+        /// Of these cells.
         bounds: Option<[[f64; 3]; 2]>,
         cell_size: f64,
         origin: [f64; 3],
@@ -114,7 +115,7 @@ fn inspect_frame(path: &Path) -> Result<Info, Error> {
     Ok(Info::Frame {
         file: path.to_owned(),
         particles: facts.census.binned,
-        full_cells: dif.full_cells(),
+        samples: dif.full_cells(),
         bricks: dif.bricks(),
         bounds: full.map(|full| [world(full.lo), world(full.hi)]),
         cell_size: facts.grid.cell_size(),
@@ -223,7 +224,7 @@ fn describe(info: &Info) -> String {
         Info::Frame {
             file,
             particles,
-            full_cells,
+            samples,
             bricks,
             bounds,
             cell_size,
@@ -233,7 +234,7 @@ fn describe(info: &Info) -> String {
             mu0,
         } => {
             line("particles", particles.to_string());
-            line("full cells", full_cells.to_string());
+            line("samples", samples.to_string());
             line("bricks", bricks.to_string());
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             line("cell size", cell_size.to_string());
