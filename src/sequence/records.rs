@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -105,22 +105,28 @@ impl Log {
     /// at a time.
     ///
     /// # Errors
-    /// Those of [`WholeFile`].
+    /// Those of [`WholeFile`], and where the file that is there cannot be read.
     pub fn merge(&self) -> Result<(), WriteError> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
+        // What cannot be locked or read stays as it is.
         let ended = |path: PathBuf| {
-            let file = File::open(&path).ok()?;
+            let (mut file, mut lines) = (File::open(&path).ok()?, Vec::new());
             file.try_lock().ok()?;
-            Some((path, file))
+            file.read_to_end(&mut lines).ok()?;
+            Some((path, file, lines))
         };
-        let ended: Vec<(PathBuf, File)> = logs(&self.folder).into_values().filter_map(ended).collect();
+        let ended: Vec<_> = logs(&self.folder).into_values().filter_map(ended).collect();
         if ended.is_empty() {
             return Ok(());
         }
         let merged = self.folder.join(MERGED);
         let mut records = Records::default();
-        records.add(&fs::read(&merged).unwrap_or_default());
-        ended.iter().for_each(|(path, _)| records.add(&fs::read(path).unwrap_or_default()));
+        match fs::read(&merged) {
+            Ok(lines) => records.add(&lines),
+            Err(fault) if fault.kind() == ErrorKind::NotFound => {}
+            Err(fault) => return Err(WriteError::new(&merged, fault)),
+        }
+        ended.iter().for_each(|(_, _, lines)| records.add(lines));
         WholeFile::prepare(&merged, Replace::Allow)?.write(|out| {
             for record in records.0.values() {
                 serde_json::to_writer(&mut *out, record)?;
@@ -129,7 +135,7 @@ impl Log {
             Ok(())
         })?;
         // The locks are held until the names are gone: who just created a log will find that, and begin again.
-        ended.iter().for_each(|(path, _lock)| drop(fs::remove_file(path)));
+        ended.iter().for_each(|(path, ..)| drop(fs::remove_file(path)));
         Ok(())
     }
 }
