@@ -5,6 +5,7 @@
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
+use rayon::prelude::*;
 
 use crate::brick::{BinPlan, InvalidParticles};
 use crate::grid::{BIN, Grid};
@@ -16,12 +17,51 @@ const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 const ENOUGH_CELLS: usize = 8;
 /// Counting cells at the most: spray fills one each.
 const MOST_CELLS: usize = 1 << 24;
-/// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged.
+/// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged. Of more, an
+/// even share is looked at.
 const MANY: usize = 1 << 18;
 
 /// Estimates the spacing; `None` where there is no inside, as in a few particles or mere spray.
 #[must_use]
 pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+    if particles.len() <= MANY {
+        return estimate_of_all(particles);
+    }
+    let (share, part) = part_of(particles);
+    // A layer may be too thin to have an inside that so few can tell.
+    estimate_of_all(&part[..]).map(|spacing| spacing * share.cbrt()).or_else(|| estimate_of_all(particles))
+}
+
+/// About [`MANY`] of the particles, whatever their order, and how large a share of all they are.
+fn part_of(particles: &(impl Particles + ?Sized)) -> (f64, Vec<[f64; 3]>) {
+    const CHUNK: usize = 1 << 12;
+    let one_in = (particles.len() / MANY).next_power_of_two() as u64;
+    let of_chunk = |chunk: usize| {
+        let first = chunk * CHUNK;
+        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
+        particles.positions(first, &mut positions);
+        particles.release(first..first + positions.len());
+        positions.retain(|p| p.iter().all(|c| c.is_finite()));
+        let part: Vec<[f64; 3]> = positions.iter().copied().filter(|&p| scattered(p) % one_in == 0).collect();
+        (positions.len(), part)
+    };
+    let chunks: Vec<(usize, Vec<[f64; 3]>)> =
+        (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(of_chunk).collect();
+    let finite: usize = chunks.iter().map(|(finite, _)| finite).sum();
+    let part: Vec<[f64; 3]> = chunks.into_iter().flat_map(|(_, part)| part).collect();
+    (part.len() as f64 / finite as f64, part)
+}
+
+/// A number that is as good as random, and the same wherever a particle stands in its file.
+fn scattered(position: [f64; 3]) -> u64 {
+    position.iter().fold(0, |state, c| {
+        let mixed = (state ^ c.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        (mixed ^ (mixed >> 32)).wrapping_mul(0xd6e8_feb8_6659_fd93) >> 7
+    })
+}
+
+/// The same by all particles.
+fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;
     let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
@@ -82,4 +122,41 @@ fn cell_for(particles: &(impl Particles + ?Sized), target: f64, mut cell: f64, l
 
 fn surrounded(counts: &Counts, cell: IVec3) -> bool {
     (0..27).all(|i| counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A box of so many layers, a particle of each within a third of a spacing.
+    fn layers(counts: [usize; 3]) -> Vec<[f64; 3]> {
+        let jitter = |seed: f64| (scattered([seed; 3]) % 1024) as f64 / 1536.0;
+        let [x, y, z] = counts;
+        (0..x * y * z)
+            .map(|i| {
+                let place = [i % x, i / x % y, i / (x * y)];
+                [0, 1, 2].map(|axis| place[axis] as f64 + jitter((3 * i + axis) as f64 + 0.5))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn of_many_particles_a_part_tells_the_same_whatever_their_order() {
+        let mut particles = layers([120; 3]);
+        let all = estimate_of_all(&particles[..]).unwrap();
+        let part = estimate(&particles[..]).unwrap();
+        assert!((all - 1.0).abs() < 0.01 && (part - 1.0).abs() < 0.01, "{all} {part}");
+        assert_ne!(all, part, "all were looked at");
+        particles.reverse();
+        particles.push([f64::NAN; 3]);
+        assert_eq!(estimate(&particles[..]), Some(part));
+    }
+
+    #[test]
+    fn a_layer_that_is_too_thin_for_a_part_of_its_particles_is_told_by_all() {
+        let particles = layers([500, 500, 10]);
+        assert_eq!(estimate_of_all(&part_of(&particles[..]).1[..]), None);
+        let spacing = estimate(&particles[..]).unwrap();
+        assert!((spacing - 1.0).abs() < 0.05, "{spacing}");
+    }
 }
