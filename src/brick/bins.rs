@@ -89,7 +89,10 @@ impl BinContents<'_> {
 
     /// Each particle's cell in the bin (x fastest), and its offset in the cell.
     pub fn particles(&self) -> impl Iterator<Item = (usize, [u32; 3])> + '_ {
-        self.records.iter().map(|&record| unpack(record))
+        self.records.iter().map(|&record| {
+            let (cell, offset) = unpack(record);
+            (cell_index(cell), offset)
+        })
     }
 }
 
@@ -112,11 +115,13 @@ impl Bins {
     /// Where they are in a scratch file that cannot be read.
     pub fn full_cells(&self) -> io::Result<u64> {
         let full_cells = |bin| {
-            let mut full = [0_u64; (BIN * BIN * BIN) as usize / u64::BITS as usize];
+            // Bytes are set whatever they were: bits would wait for one another.
+            let mut full = [0_u8; (BIN * BIN * BIN) as usize];
             for (cell, _) in self.contents(bin)?.particles() {
-                full[cell / u64::BITS as usize % full.len()] |= 1 << (cell % u64::BITS as usize);
+                full[cell % full.len()] = 1;
             }
-            Ok(full.iter().map(|word| u64::from(word.count_ones())).sum::<u64>())
+            let (rows, _) = full.as_chunks::<{ BIN as usize }>();
+            Ok(rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum::<u64>())
         };
         (0..self.keys.len()).into_par_iter().map(full_cells).sum()
     }
@@ -210,15 +215,22 @@ pub(super) fn pack(steps: [i64; 3]) -> Record {
 /// A packed particle behind its cell in the bin: a number that sorts by cell.
 fn cell_first(record: Record) -> u64 {
     let (cell, _) = unpack(record);
-    (cell as u64) << RECORD_BITS | record
+    (cell_index(cell) as u64) << RECORD_BITS | record
 }
 
+/// A packed particle's cell in the bin, and its offset in the cell.
+#[must_use]
 #[inline(always)]
-fn unpack(record: Record) -> (usize, [u32; 3]) {
+pub fn unpack(record: u64) -> ([usize; 3], [u32; 3]) {
     let axis = [0, 1, 2].map(|a| (record >> (a * AXIS_BITS)) as u32 & ((1 << AXIS_BITS) - 1));
-    let [x, y, z] = axis.map(|bits| (bits >> FRACTION_BITS) as usize);
+    (axis.map(|bits| (bits >> FRACTION_BITS) as usize), axis.map(|bits| bits & ((1 << FRACTION_BITS) - 1)))
+}
+
+/// The number of a cell in its bin, x fastest.
+#[inline(always)]
+fn cell_index([x, y, z]: [usize; 3]) -> usize {
     let bin = BIN as usize;
-    (x + bin * (y + bin * z), axis.map(|bits| bits & ((1 << FRACTION_BITS) - 1)))
+    x + bin * (y + bin * z)
 }
 
 #[cfg(test)]
@@ -232,8 +244,7 @@ mod tests {
         for (cell, offset) in [(IVec3::ZERO, [0; 3]), (IVec3::new(-1, 31, -16), [8191, 1, 4096])] {
             let steps = std::array::from_fn(|a| i64::from(cell[a]) << FRACTION_BITS | offset[a]);
             let (local, offsets) = unpack(pack(steps));
-            let wrapped = cell & 15;
-            assert_eq!(local, (wrapped.x + 16 * wrapped.y + 256 * wrapped.z) as usize);
+            assert_eq!(local, (cell & 15).as_usizevec3().to_array());
             assert_eq!(offsets.map(i64::from), offset);
         }
     }

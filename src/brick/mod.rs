@@ -13,10 +13,10 @@ mod sums;
 pub mod vulkan;
 
 pub use bin::{BinError, BinPlan, Census, InvalidParticles};
-pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS};
+pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, unpack};
 pub use block::Block;
 pub use field::DifField;
-pub use page::{BrickSide, PageInfo, PageShape};
+pub use page::{BrickSide, PageInfo, PageShape, full_bits, fullness};
 pub use place::COORD_BITS;
 pub use spill::{SortedStore, SpilledBins};
 pub use store::{PageSource, Samples};

@@ -19,7 +19,7 @@ pub enum BrickSide {
 impl BrickSide {
     /// In cells.
     #[must_use]
-    pub fn cells(self) -> i32 {
+    pub const fn cells(self) -> i32 {
         match self {
             Self::Four => 4,
             Self::Eight => 8,
@@ -111,29 +111,39 @@ impl PageShape {
 
 impl PageInfo {
     /// Keeps the bricks of `dense` that have a full cell of their own. Without rims `dense` is a whole bin, x fastest; with
-    /// rims it is all bricks in Morton order, x fastest in each, as they lie in the page.
+    /// rims it is as [`from_bricks`](Self::from_bricks) takes it.
     #[must_use]
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, Box<[u16]>)> {
+        if shape.rim > 0 {
+            return Self::from_bricks(bin, dense.to_vec(), shape);
+        }
         let edge = shape.side.cells();
-        let mut full = FullCells::default();
-        let mut bricks = 0;
-        let mut samples = Vec::with_capacity(dense.len());
-        for index in 0..shape.side.bricks_a_bin() {
-            let (local, begin) = (local_from_morton(index), samples.len());
-            if shape.rim == 0 {
-                for first in rows(local * edge, edge) {
-                    let (fours, _) = dense[first..first + edge as usize].as_chunks::<4>();
-                    fours.iter().for_each(|four| samples.extend_from_slice(four));
-                }
-            } else {
-                samples.extend_from_slice(&dense[index * shape.brick_samples()..][..shape.brick_samples()]);
-            }
-            if full.add(local, &samples[begin..], shape) {
-                bricks |= 1 << index;
-            } else {
-                samples.truncate(begin);
+        let mut bricks = Vec::with_capacity(dense.len());
+        for local in (0..shape.side.bricks_a_bin()).map(local_from_morton) {
+            for first in rows(local * edge, edge) {
+                let (fours, _) = dense[first..first + edge as usize].as_chunks::<4>();
+                fours.iter().for_each(|four| bricks.extend_from_slice(four));
             }
         }
+        Self::from_bricks(bin, bricks, shape)
+    }
+
+    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full cell of their own.
+    #[must_use]
+    pub fn from_bricks(bin: IVec3, mut samples: Vec<u16>, shape: PageShape) -> Option<(Self, Box<[u16]>)> {
+        let mut full = FullCells::default();
+        let (mut bricks, mut kept) = (0, 0);
+        for index in 0..shape.side.bricks_a_bin() {
+            let brick = index * shape.brick_samples()..(index + 1) * shape.brick_samples();
+            if full.add(local_from_morton(index), &samples[brick.clone()], shape) {
+                bricks |= 1 << index;
+                if kept < brick.start {
+                    samples.copy_within(brick, kept);
+                }
+                kept += shape.brick_samples();
+            }
+        }
+        samples.truncate(kept);
         (bricks != 0).then(|| (full.page(MortonKey::of(bin), bricks), samples.into()))
     }
 
@@ -226,12 +236,13 @@ impl FullCells {
         let first = own.lo - rim;
         let inside = own.grown(rim, rim).intersection(&CellBox::cube(IVec3::ZERO, BIN));
         let of_brick = ((1_u32 << side.cells()) - 1) << own.lo.x;
+        let full = fullness(samples);
         let mut any = 0;
         for z in inside.lo.z..inside.hi.z {
             for y in inside.lo.y..inside.hi.y {
                 let at = IVec3::new(inside.lo.x, y, z) - first;
-                let row = &samples[(at.x + edge * (at.y + edge * at.z)) as usize..];
-                let bits = full_bits(&row[..inside.size().x as usize]) << inside.lo.x;
+                let row = &full[(at.x + edge * (at.y + edge * at.z)) as usize..];
+                let bits = (full_bits(&row[..inside.size().x as usize]) as u32) << inside.lo.x;
                 self.rows[(y + BIN * z) as usize] |= bits as u16;
                 if own.contains(IVec3::new(own.lo.x, y, z)) {
                     any |= bits & of_brick;
@@ -243,26 +254,36 @@ impl FullCells {
 
     /// A page of which these cells are full.
     fn page(&self, key: MortonKey, bricks: u64) -> PageInfo {
-        let (mut full, mut full_count) = (CellBox::EMPTY, 0);
-        for (row, &bits) in (0..).zip(&self.rows).filter(|(_, bits)| **bits != 0) {
-            let (left, right) = (bits.trailing_zeros() as i32, bits.ilog2() as i32);
-            let [lo, hi] = [left, right].map(|x| IVec3::new(x, row % BIN, row / BIN));
-            full = full.union(&CellBox { lo, hi: hi + 1 });
-            full_count += bits.count_ones();
+        // A bit for each layer across x, y and z that has a full cell.
+        let mut layers = [0_u16; 3];
+        for (row, &bits) in self.rows.iter().enumerate() {
+            let any = u16::from(bits != 0);
+            let [x, y, z] = &mut layers;
+            *x |= bits;
+            *y |= any << (row % BIN as usize);
+            *z |= any << (row / BIN as usize);
         }
+        let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
+        let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
+        let full_count = self.rows.iter().map(|bits| bits.count_ones()).sum();
         let corner = key.coord() * BIN;
-        PageInfo { key, bricks, full: CellBox { lo: full.lo + corner, hi: full.hi + corner }, full_count }
+        PageInfo { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
 }
 
-/// A bit for each sample of a row that is not 0; up to 32.
-#[inline(always)]
-fn full_bits(row: &[u16]) -> u32 {
-    let bits =
-        |samples: &[u16]| samples.iter().rev().fold(0, |bits, &sample| bits << 1 | u32::from(sample > 0));
+/// A byte for each sample: 1 where it is not 0.
+#[must_use]
+pub fn fullness(samples: &[u16]) -> Vec<u8> {
+    samples.iter().map(|&sample| u8::from(sample > 0)).collect()
+}
+
+/// A bit for each byte of a row of such, at most 128.
+#[must_use]
+#[inline]
+pub fn full_bits(row: &[u8]) -> u128 {
     let (eights, rest) = row.as_chunks::<8>();
-    eights.iter().rev().fold(bits(rest), |all, eight| {
-        // Most are empty.
-        if *eight == [0; 8] { all << 8 } else { all << 8 | bits(eight) }
-    })
+    let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
+    // The product brings byte i to bit 56 + i.
+    let bits = |&eight: &[u8; 8]| u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+    eights.iter().rev().fold(rest, |all, eight| all << 8 | u128::from(bits(eight)))
 }

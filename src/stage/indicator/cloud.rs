@@ -1,11 +1,9 @@
 //! The DIF of clouds: see the room's `mod.rs` for the formula.
 
-use std::hint::black_box;
-
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::brick::{BinContents, PageShape};
+use crate::brick::{BinContents, BrickSide, PageShape, unpack};
 use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 use crate::units::{FULL, MeanCount};
 
@@ -74,52 +72,79 @@ fn part_of(amount: u32, share: u32) -> u32 {
 pub(super) struct Clouds {
     amount: u16,
     walls: Option<CellBox>,
+    shape: PageShape,
     /// Where a cloud's lowest sample lies: [`PageShape::firsts`].
     firsts: [[usize; ROW]; 3],
-    edge: usize,
-    /// All bricks of a bin with their rims, and what an empty share may be added to beyond them.
-    samples: Vec<u16>,
 }
 
 impl Clouds {
     pub fn new(amount: u16, walls: Option<CellBox>, shape: PageShape) -> Self {
-        let (edge, firsts) = (shape.edge() as usize, shape.firsts());
-        Self { amount, walls, firsts, edge, samples: vec![0; shape.bin_samples() + 1] }
+        Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
-    /// The DIF that a bin's particles make, dense.
-    pub fn of(&mut self, bin: IVec3, particles: &BinContents<'_>) -> &[u16] {
-        self.samples.fill(0);
+    /// The DIF that a bin's particles make: all bricks of the bin with their rims.
+    pub fn of(&self, bin: IVec3, particles: &BinContents<'_>) -> Vec<u16> {
+        // One more, for the empty share beyond the last row.
+        let mut samples = vec![0; self.shape.bin_samples() + 1];
         let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
-        add_clouds(self, particles, walls);
-        &self.samples[..self.samples.len() - 1]
+        let add = match self.shape.side {
+            BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
+            BrickSide::Eight => add_clouds::<{ edge(BrickSide::Eight) }>,
+            BrickSide::Sixteen => add_clouds::<{ edge(BrickSide::Sixteen) }>,
+        };
+        add(self, &mut samples, particles.packed(), walls);
+        samples.pop();
+        samples
     }
 }
 
-/// Adds the clouds of particles, row by row of four samples, the last of which stays as it was.
+/// Edge of a brick with its rim, in samples.
+const fn edge(side: BrickSide) -> usize {
+    (side.cells() + 2 * RIM) as usize
+}
+
+/// Clouds that are made at once: vectors' work.
+const BATCH: usize = 32;
+
+/// Adds the clouds of particles to bricks of so many samples along an axis, row by row of four, the last of which stays
+/// as it was.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl+avx512dq", "x86_64+avx2+bmi1", "x86_64+sse4.1"))]
-fn add_clouds(to: &mut Clouds, particles: &BinContents<'_>, walls: Option<Walls>) {
-    let Clouds { amount, firsts, edge, samples, .. } = to;
-    let (row, slab) = (*edge, *edge * *edge);
-    // If the compiler knew, it would add to three samples one by one.
-    let nothing = black_box(0);
-    for (cell, [x, y, z]) in particles.particles() {
-        let cell = [cell % ROW, cell / ROW % ROW, cell / (ROW * ROW) % ROW];
-        let mut shares = [shares(x), shares(y), shares(z)];
-        if let Some(walls) = walls {
-            for (axis, shares) in shares.iter_mut().enumerate() {
-                *shares = walls.fold(axis, cell[axis], *shares);
+fn add_clouds<const EDGE: usize>(of: &Clouds, samples: &mut [u16], packed: &[u64], walls: Option<Walls>) {
+    let Clouds { amount, firsts, .. } = of;
+    let amount = u32::from(*amount);
+    let mut batch = [0; BATCH];
+    // Along each axis below, at and above the particle's own cell.
+    let mut all_shares = [[[0; BATCH]; 3]; 3];
+    // By z, then y.
+    let mut rows = [[[[0; 4]; BATCH]; 3]; 3];
+    for packed in packed.chunks(BATCH) {
+        batch[..packed.len()].copy_from_slice(packed);
+        for (axis, to) in all_shares.iter_mut().enumerate() {
+            for (i, &particle) in batch.iter().enumerate() {
+                let (cell, offset) = unpack(particle);
+                let shares = shares(offset[axis]);
+                let shares = walls.map_or(shares, |walls| walls.fold(axis, cell[axis], shares));
+                to.iter_mut().zip(shares).for_each(|(to, share)| to[i] = share);
             }
         }
-        let [[below, own, above], y_shares, z_shares] = shares;
-        let x_shares = [below, own, above, nothing];
-        let first = firsts[0][cell[0]] + firsts[1][cell[1]] + firsts[2][cell[2]];
-        for (z_share, to) in z_shares.into_iter().zip((first..).step_by(slab)) {
-            let in_slab = part_of((*amount).into(), z_share);
-            for (y_share, to) in y_shares.into_iter().zip((to..).step_by(row)) {
-                let in_row = part_of(in_slab, y_share);
-                for (sample, x_share) in samples[to..to + 4].iter_mut().zip(x_shares) {
-                    *sample = sample.saturating_add(part_of(in_row, x_share) as u16);
+        let [x, y, z] = &all_shares;
+        for (z, rows) in z.iter().zip(&mut rows) {
+            for (y, rows) in y.iter().zip(rows) {
+                for i in 0..BATCH {
+                    let in_row = part_of(part_of(amount, z[i]), y[i]);
+                    let part = |share| part_of(in_row, share) as u16;
+                    rows[i] = [part(x[0][i]), part(x[1][i]), part(x[2][i]), 0];
+                }
+            }
+        }
+        for (i, &particle) in packed.iter().enumerate() {
+            let ([x, y, z], _) = unpack(particle);
+            let first = firsts[0][x] + firsts[1][y] + firsts[2][z];
+            let around = &mut samples[first..][..2 * EDGE * (EDGE + 1) + 4];
+            for (z, rows) in rows.iter().enumerate() {
+                for (y, rows) in rows.iter().enumerate() {
+                    let to = &mut around[EDGE * (EDGE * z + y)..][..4];
+                    to.iter_mut().zip(rows[i]).for_each(|(to, part)| *to = to.saturating_add(part));
                 }
             }
         }

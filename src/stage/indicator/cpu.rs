@@ -3,7 +3,6 @@
 use std::io;
 use std::ops::Range;
 
-use glam::IVec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
@@ -82,23 +81,22 @@ pub fn indicate(
 ) -> io::Result<Vec<(PageInfo, Box<[u16]>)>> {
     let &PageRule { indicator, walls, .. } = rule;
     let shape = rule.shape();
-    let page =
-        |bin: IVec3, dense: &[u16]| PageInfo::from_dense(bin, dense, shape).expect("a bin holds particles");
     if let Indicator::Cloud { mean } = indicator {
-        let amount = amount(mean.expect("clouds are made once mu0 is known"));
-        let start = || Clouds::new(amount, walls, shape);
-        let clouds_page = |clouds: &mut Clouds, bin: usize| {
+        let clouds = Clouds::new(amount(mean.expect("clouds are made once mu0 is known")), walls, shape);
+        let clouds_page = |bin: usize| {
             let coord = bins.keys()[bin].coord();
-            Ok(page(coord, clouds.of(coord, &bins.contents(bin)?)))
+            let bricks = clouds.of(coord, &bins.contents(bin)?);
+            Ok(PageInfo::from_bricks(coord, bricks, shape).expect("a bin holds particles"))
         };
-        return range.into_par_iter().map_init(start, clouds_page).collect();
+        return range.into_par_iter().map(clouds_page).collect();
     }
     let values = if indicator.counts() { counts } else { symmetry_all };
     let start = || (CellSums::default(), vec![0; shape.bin_samples()]);
     let sums_page = |(sums, dense): &mut (CellSums, Vec<u16>), bin: usize| {
         sums.accumulate(bins.contents(bin)?.particles());
         values(sums, dense);
-        Ok(page(bins.keys()[bin].coord(), dense))
+        let coord = bins.keys()[bin].coord();
+        Ok(PageInfo::from_dense(coord, dense, shape).expect("a bin holds particles"))
     };
     range.into_par_iter().map_init(start, sums_page).collect()
 }
