@@ -18,7 +18,7 @@ use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::Particles;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots};
-use super::place::{BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
+use super::place::{Address, BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
 use super::spill::{SpilledBins, tuple_bytes};
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
@@ -204,26 +204,32 @@ impl<'a> BinPlan<'a> {
             }
         }
         ranges.into_par_iter().for_each(|RangePlan { range, mut table, placed, .. }| {
-            if placed.len() == range.len() {
-                for (first, placed) in range.clone().step_by(CHUNK).zip(placed.chunks(CHUNK)) {
+            let put = |table: &mut BinTable, first: usize, placed: &[Placed]| {
+                let to: Vec<Option<usize>> = placed.iter().map(|&(rank, _)| table.advance(rank)).collect();
+                for (slot, &(_, record)) in to.iter().zip(placed) {
+                    if let &Some(slot) = slot {
+                        slots.put(slot, record);
+                    }
+                }
+                if !carried.is_empty() {
                     let attributes = Tuples::read(particles, carried, &components, first, placed.len());
-                    for (i, &(rank, record)) in placed.iter().enumerate() {
-                        if rank != NOWHERE {
-                            slots.put(table.advance(rank), record, attributes.tuple(i));
+                    for (i, slot) in to.iter().enumerate() {
+                        if let &Some(slot) = slot {
+                            slots.put_attributes(slot, attributes.tuple(i));
                         }
                     }
+                }
+            };
+            if placed.len() == range.len() {
+                for (first, placed) in range.clone().step_by(CHUNK).zip(placed.chunks(CHUNK)) {
+                    put(&mut table, first, placed);
                 }
                 particles.release(range);
                 return;
             }
             let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
-                let attributes = Tuples::read(particles, carried, &components, first, addresses.len());
-                for (i, address) in addresses.iter().enumerate() {
-                    if address.is_somewhere() {
-                        let rank = table.rank(address.bin);
-                        slots.put(table.advance(rank), address.record, attributes.tuple(i));
-                    }
-                }
+                let placed: Vec<Placed> = addresses.iter().map(|&address| table.place(address)).collect();
+                put(&mut table, first, &placed);
                 Ok::<_, Infallible>(())
             });
         });
@@ -378,11 +384,18 @@ impl BinTable {
         rank
     }
 
-    /// Adds one to the number of the bin with a rank, and returns what it was.
-    fn advance(&mut self, rank: u32) -> usize {
-        let number = &mut self.numbers[rank as usize];
+    /// The rank of a particle's bin, and its place there.
+    #[inline(always)]
+    fn place(&mut self, address: Address) -> Placed {
+        if address.is_somewhere() { (self.rank(address.bin), address.record) } else { (NOWHERE, 0) }
+    }
+
+    /// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`].
+    #[inline(always)]
+    fn advance(&mut self, rank: u32) -> Option<usize> {
+        let number = self.numbers.get_mut(rank as usize)?;
         *number += 1;
-        *number - 1
+        Some(*number - 1)
     }
 }
 
@@ -412,17 +425,13 @@ impl Counter<'_> {
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {
-                if address.is_somewhere() {
-                    census.binned += 1;
-                    let rank = table.rank(address.bin);
-                    table.advance(rank);
-                    if kept {
-                        placed.push((rank, address.record));
-                    }
-                    continue;
-                }
+                let (rank, record) = table.place(*address);
+                table.advance(rank);
                 if kept {
-                    placed.push((NOWHERE, 0));
+                    placed.push((rank, record));
+                }
+                if rank != NOWHERE {
+                    continue;
                 }
                 if let Err(fault) = self.placer.place(positions[i]) {
                     match fault {
@@ -439,6 +448,7 @@ impl Counter<'_> {
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
+        census.binned = table.numbers.iter().sum();
         RangeCount { table, census, first_invalid, placed }
     }
 }

@@ -52,10 +52,15 @@ impl Slots {
         Self { records: zeroed_vec(particles), attributes }
     }
 
-    /// Puts a particle into its slot, with all components of all its attributes one after the other.
+    /// Puts a particle into its slot.
     #[inline(always)]
-    pub(super) fn put(&self, slot: usize, record: Record, mut values: impl Iterator<Item = f32>) {
+    pub(super) fn put(&self, slot: usize, record: Record) {
         self.records[slot].store(record, Ordering::Relaxed);
+    }
+
+    /// Puts all components of all attributes of a particle into its slot, one after the other.
+    #[inline(always)]
+    pub(super) fn put_attributes(&self, slot: usize, mut values: impl Iterator<Item = f32>) {
         for attribute in &self.attributes {
             let components = attribute.len() / self.records.len();
             let to = &attribute[slot * components..(slot + 1) * components];

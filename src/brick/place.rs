@@ -42,7 +42,7 @@ impl Address {
 
     /// Whether there is a bin.
     pub fn is_somewhere(self) -> bool {
-        self != Self::NOWHERE
+        self.bin != Self::NOWHERE.bin
     }
 }
 

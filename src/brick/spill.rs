@@ -114,7 +114,8 @@ impl SpilledBins {
                 let slot = next[(bin[0] >> RECORD_BITS) as usize].fetch_add(bin.len(), Ordering::Relaxed);
                 for (slot, record) in (slot..).zip(bin) {
                     let values = values.next().unwrap_or_default();
-                    slots.put(slot, record & RECORD_MASK, values.iter().copied());
+                    slots.put(slot, record & RECORD_MASK);
+                    slots.put_attributes(slot, values.iter().copied());
                 }
             }
             Ok::<_, io::Error>(())
