@@ -8,7 +8,7 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::brick::{Block, DifField};
+use crate::brick::{Block, DifField, full_bits, fullness};
 use crate::grid::{CellBox, Domain};
 use crate::recipe::{Details, Recipe, gather};
 use crate::stage::adaptive::Adaptive;
@@ -45,14 +45,18 @@ impl Plateau {
         let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
         let sampled: Vec<_> = blocks.iter().step_by(step).collect();
         let interior = |blocks: &[&CellBox]| {
-            let samples = Histogram::of(blocks, |&cells| interior_samples(dif, smoothing, domain, cells));
+            let samples =
+                Histogram::of(blocks, |seen, &cells| add_interior(seen, dif, smoothing, domain, cells));
             Some(Self::Interior { median: samples.quantile(0.5)?, lowest: samples.quantile(0.0)? })
         };
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
         let all: Vec<_> = blocks.iter().collect();
         interior(&sampled).or_else(|| interior(&all)).unwrap_or_else(|| {
-            let field =
-                Histogram::of(&all, |&cells| smooth(dif, smoothing, domain, cells).samples().to_vec());
+            let field = Histogram::of(&all, |seen, &cells| {
+                for (_, row) in smooth(dif, smoothing, domain, cells).rows(cells) {
+                    seen.add(row, u128::MAX);
+                }
+            });
             Self::Shallow { greatest: field.quantile(1.0).unwrap_or(0) }
         })
     }
@@ -93,34 +97,42 @@ pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isoval
 }
 
 /// How often each sample was seen, by its upper and its lower byte: samples lie close together.
-#[derive(Default)]
 struct Histogram {
-    pages: Vec<Option<Box<[u64; 256]>>>,
+    pages: [Option<Box<[u64; 256]>>; 256],
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { pages: [const { None }; 256] }
+    }
 }
 
 impl Histogram {
-    fn of<T: Sync>(parts: &[&T], samples: impl Fn(&T) -> Vec<u16> + Sync) -> Self {
+    fn of<T: Sync>(parts: &[&T], add: impl Fn(&mut Self, &T) + Sync) -> Self {
         let add = |mut histogram: Self, part: &&T| {
-            samples(part).into_iter().for_each(|sample| histogram.add(sample));
+            add(&mut histogram, part);
             histogram
         };
         parts.par_iter().fold(Self::default, add).reduce(Self::default, Self::join)
     }
 
-    fn page(&mut self, upper: usize) -> &mut [u64; 256] {
-        if self.pages.len() <= upper {
-            self.pages.resize_with(upper + 1, || None);
-        }
-        self.pages[upper].get_or_insert_with(|| Box::new([0; 256]))
+    fn page(&mut self, upper: u8) -> &mut [u64; 256] {
+        self.pages[usize::from(upper)].get_or_insert_with(|| Box::new([0; 256]))
     }
 
-    fn add(&mut self, sample: u16) {
-        let [upper, lower] = sample.to_be_bytes();
-        self.page(upper.into())[usize::from(lower)] += 1;
+    /// Adds those samples of a row whose bit is set.
+    fn add(&mut self, row: &[u16], mut chosen: u128) {
+        for sample in row {
+            if chosen & 1 != 0 {
+                let [upper, lower] = sample.to_be_bytes();
+                self.page(upper)[usize::from(lower)] += 1;
+            }
+            chosen >>= 1;
+        }
     }
 
     fn join(mut self, other: Self) -> Self {
-        for (upper, page) in other.pages.into_iter().enumerate() {
+        for (upper, page) in (0..=255).zip(other.pages) {
             let Some(page) = page else { continue };
             self.page(upper).iter_mut().zip(*page).for_each(|(a, b)| *a += b);
         }
@@ -156,49 +168,67 @@ fn smooth(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>, cells:
     smoothing.apply(&gather(dif, cells.grown(reach, reach), domain), domain.map(Domain::cells))
 }
 
-/// The smoothed DIF over the interior cells among `cells`.
-fn interior_samples(
+/// Adds the smoothed DIF over the interior cells among `cells`.
+fn add_interior(
+    histogram: &mut Histogram,
     dif: &DifField,
     smoothing: &Smoothing,
     domain: Option<&Domain>,
     cells: CellBox,
-) -> Vec<u16> {
+) {
     // Closing is a dilation and an erosion by one cell, which clouds dilate by themselves; then what decides a cell's
     // field is taken off.
     let dilation = 1 - dif.reach();
     let erosion = 1 + dif.reach() + smoothing.reach();
     let seen = dilation + erosion;
     let wide = gather(dif, cells.grown(seen, seen), domain);
-    let full: Vec<u8> = wide.samples().iter().map(|&sample| u8::from(sample > 0)).collect();
-    let covered = windows(full, wide.strides(), 2 * dilation + 1, |a, b| a | b);
-    let interior = windows(covered, wide.strides(), 2 * erosion + 1, |a, b| a & b);
+    let [_, width, slab] = wide.strides();
+    let mut rows: Vec<u128> = fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
+    windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
+    windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
     // Both windows of a cell begin as far below it as `wide` does below `cells`.
     let CellBox { lo, hi } = cells;
-    let row = |y, z| &interior[wide.index(IVec3::new(lo.x, y, z) - seen)..][..(hi.x - lo.x) as usize];
-    let rows: Vec<&[u8]> = (lo.z..hi.z).flat_map(|z| (lo.y..hi.y).map(move |y| row(y, z))).collect();
-    if !rows.iter().any(|row| row.contains(&1)) {
-        return Vec::new();
+    let among = (1 << (hi.x - lo.x)) - 1;
+    let row = |y, z| rows[wide.index(IVec3::new(lo.x, y, z) - seen) / width] & among;
+    let rows = (lo.z..hi.z).flat_map(|z| (lo.y..hi.y).map(move |y| (y, z, row(y, z))));
+    let interior: Vec<(i32, i32, u128)> = rows.filter(|&(.., bits)| bits != 0).collect();
+
+    let around = |&(y, z, bits): &(i32, i32, u128)| {
+        let [first, last] = [bits.trailing_zeros(), bits.ilog2()].map(|bit| lo.x + bit as i32);
+        CellBox { lo: IVec3::new(first, y, z), hi: IVec3::new(last, y, z) + 1 }
+    };
+    let near = interior.iter().map(around).fold(CellBox::EMPTY, |a, b| a.union(&b));
+    if near.is_empty() {
+        return;
     }
-    let field = smooth(dif, smoothing, domain, cells);
-    let mut samples = Vec::with_capacity(field.samples().len());
-    for ((_, field), interior) in field.rows(cells).zip(rows) {
-        let inside = field.iter().zip(interior).filter(|&(_, &inside)| inside != 0);
-        samples.extend(inside.map(|(&sample, _)| sample));
+    let reach = smoothing.reach();
+    let field = smoothing.apply(&part(&wide, near.grown(reach, reach)), domain.map(Domain::cells));
+    for (y, z, bits) in interior {
+        let first = field.index(IVec3::new(near.lo.x, y, z));
+        histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));
     }
-    samples
 }
 
-/// Combines every cell with those that follow in a cube of so many along each axis. `combine` may see a cell more
-/// than once. Cells nearer than that to the end of a row are combined with what stands there in memory.
-fn windows(mut cells: Vec<u8>, strides: [usize; 3], width: i32, combine: impl Fn(u8, u8) -> u8) -> Vec<u8> {
-    for stride in strides {
-        let mut seen = 1;
-        while seen < width {
-            let step = seen.min(width - seen);
-            let beyond = &cells[step as usize * stride..];
-            cells = cells.iter().zip(beyond).map(|(&a, &b)| combine(a, b)).collect();
-            seen += step;
+/// The samples of some cells of a block.
+fn part(block: &Block, cells: CellBox) -> Block {
+    let mut part = Block::zero(cells);
+    let rows = part.samples_mut().chunks_exact_mut(cells.size().x as usize);
+    rows.zip(block.rows(cells)).for_each(|(to, (_, from))| to.copy_from_slice(from));
+    part
+}
+
+/// Combines every cell, a bit of its row, with those that follow in a cube of so many along each axis. `combine` may see a
+/// cell more than once. Cells nearer than that to the end of a row are combined with whatever.
+fn windows(rows: &mut [u128], rows_a_slab: usize, width: i32, combine: impl Fn(u128, u128) -> u128) {
+    let mut seen = 1;
+    while seen < width {
+        let step = seen.min(width - seen);
+        rows.iter_mut().for_each(|row| *row = combine(*row, *row >> step));
+        for beyond in [step as usize, step as usize * rows_a_slab] {
+            for at in beyond..rows.len() {
+                rows[at - beyond] = combine(rows[at - beyond], rows[at]);
+            }
         }
+        seen += step;
     }
-    cells
 }
