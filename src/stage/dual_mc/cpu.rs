@@ -4,7 +4,7 @@ use glam::{DVec3, IVec3};
 
 use crate::brick::Block;
 use crate::grid::{BLOCK, CellBox, TILE, local_from_morton, local_morton};
-use crate::mesh::{BlockMesh, Tile, TileMask, bits};
+use crate::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
 use super::table::TABLE;
 use super::{Crossings, Level};
@@ -26,28 +26,24 @@ pub fn contour<L: Level>(
     let region = region.tiled();
     let block = region.lo.div_euclid(IVec3::splat(BLOCK));
     let signs = Signs::of(field, region, level, walls);
+    let (samples, strides) = (field.samples(), field.strides());
     let mut mesh = BlockMesh { block, ..BlockMesh::default() };
-    let mut local: Vec<usize> =
-        region.cubes(TILE).map(|tile| local_morton(tile - block * (BLOCK / TILE))).collect();
-    local.sort_unstable();
-    for index in local {
-        let corner = block * BLOCK + local_from_morton(index) * TILE;
+    for (index, corner) in signs.mixed_tiles() {
         let tile = Tile {
             index: index as u32,
             first_vertex: mesh.ends.len() as u32,
             corners: signs.corners(corner),
         };
-        let mixed = tile.mixed();
-        if mixed == 0 {
-            continue;
+        mesh.triangle_count += bits(tile.mixed()).map(|bit| TABLE[tile.case(bit)].len()).sum::<usize>();
+        let first = field.index(corner);
+        for (axis, step) in strides.into_iter().enumerate() {
+            mesh.ends.extend(bits(tile.crossed(axis)).map(|bit| {
+                // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
+                let cell = cell_of_bit(bit).as_usizevec3();
+                let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
+                level.ends(samples[lower], samples[lower + step])
+            }));
         }
-        mesh.triangle_count += bits(mixed).map(|bit| TABLE[tile.case(bit)].len()).sum::<usize>();
-        let strides = field.strides();
-        mesh.ends.extend(tile.edges().map(|(cell, axis)| {
-            // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
-            let lower = field.index(corner + cell);
-            level.ends(field.samples()[lower], field.samples()[lower + strides[axis]])
-        }));
         mesh.tiles.push(tile);
     }
     mesh
@@ -104,72 +100,92 @@ pub fn normal(
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
-/// A sign word for every tile of a region and for those beyond its upper faces, of which only the first
-/// layer of cells is known.
+/// Cells along each axis that a tile's dual cells join.
+const ROWS: usize = TILE as usize + 1;
+
+/// Tiles along a block's edge.
+const TILES: i32 = BLOCK / TILE;
+
+/// The signs of a region's cells and of those one beyond its upper faces: a word for each row along x, y fastest.
 struct Signs {
-    tiles: CellBox,
-    words: Vec<TileMask>,
+    region: CellBox,
+    rows: Vec<u64>,
 }
 
 impl Signs {
     fn of<L: Level>(field: &Block<L::Sample>, region: CellBox, level: L, walls: Option<CellBox>) -> Self {
-        let tile = IVec3::splat(TILE);
-        let tiles = CellBox { lo: region.lo / tile, hi: region.hi / tile + 1 };
-        let mut signs = Self { tiles, words: vec![0; tiles.volume()] };
-        let needed = region.grown(0, 1);
-        let inside_walls = walls.map_or(needed, |walls| needed.intersection(&walls));
-        if inside_walls.is_empty() {
-            return signs;
-        }
-        let shift = inside_walls.lo.x - region.lo.x;
-        for ([y, z], row) in field.rows(inside_walls) {
-            let mut left = row_signs(row, level) << shift;
-            let in_tile = 4 * (y & 3) + 16 * (z & 3);
-            let mut word = signs.index(IVec3::new(region.lo.x, y, z));
-            while left != 0 {
-                signs.words[word] |= (left & 0xf) << in_tile;
-                left >>= TILE;
-                word += 1;
-            }
+        let cells = region.grown(0, 1);
+        let size = cells.size().as_usizevec3();
+        let mut signs = Self { region, rows: vec![0; size.y * size.z] };
+        let inside_walls = walls.map_or(cells, |walls| cells.intersection(&walls));
+        if !inside_walls.is_empty() {
+            let shift = inside_walls.lo.x - cells.lo.x;
+            field.rows(inside_walls).for_each(|([y, z], row)| {
+                let index = signs.index(y, z);
+                signs.rows[index] = row_signs(row, level) << shift;
+            });
         }
         signs
     }
 
-    /// Where the word of the tile that holds `cell` is.
-    fn index(&self, cell: IVec3) -> usize {
-        let local = ((cell >> TILE.ilog2()) - self.tiles.lo).as_usizevec3();
-        let size = self.tiles.size().as_usizevec3();
-        local.x + size.x * (local.y + size.y * local.z)
+    /// Where the word of a row is.
+    fn index(&self, y: i32, z: i32) -> usize {
+        let CellBox { lo, hi } = self.region;
+        ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
+    }
+
+    /// The words of the rows that the dual cells of the tiles at (y, z) join: of each z those of all y.
+    fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
+        std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
+    }
+
+    /// The tiles with dual cells of mixed signs, in Morton order: the index in the block, and the lowest cell.
+    fn mixed_tiles(&self) -> impl Iterator<Item = (usize, IVec3)> {
+        let CellBox { lo, hi } = self.region;
+        let block = lo.div_euclid(IVec3::splat(BLOCK));
+        let tiles = 0x1111_1111 >> (BLOCK - (hi.x - lo.x));
+        let mut mixed = [0; TILES.pow(3) as usize / 64];
+        for z in (lo.z..hi.z).step_by(TILE as usize) {
+            for y in (lo.y..hi.y).step_by(TILE as usize) {
+                let rows = self.rows(y, z);
+                let (any, all) = rows.into_iter().flatten().fold((0, !0), |(a, b), row| (a | row, b & row));
+                let (any, all) = (1..ROWS).fold((any, all), |(a, b), x| (a | any >> x, b & all >> x));
+                for x in bits(any & !all & tiles) {
+                    let index = local_morton(IVec3::new(lo.x + x as i32, y, z) / TILE - block * TILES);
+                    mixed[index / 64] |= 1 << (index % 64);
+                }
+            }
+        }
+        (0..).step_by(64).zip(mixed).flat_map(move |(first, mixed)| {
+            bits(mixed).map(move |bit| {
+                let index = first + bit as usize;
+                (index, block * BLOCK + local_from_morton(index) * TILE)
+            })
+        })
     }
 
     /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along the axes
     /// in a corner's number.
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
-        let first = self.index(corner);
-        let size = self.tiles.size().as_usizevec3();
-        let tile = |k: usize| self.words[first + (k & 1) + size.x * ((k >> 1 & 1) + size.y * (k >> 2))];
-        let s: [TileMask; 8] = std::array::from_fn(tile);
-        let x = |k: usize| up_x(s[k], s[k | 1]);
-        let y = |k: usize| up_y(s[k], s[k | 2]);
-        let xy = |k: usize| up_y(x(k), x(k | 2));
-        [s[0], x(0), y(0), xy(0), up_z(s[0], s[4]), up_z(x(0), x(4)), up_z(y(0), y(4)), up_z(xy(0), xy(4))]
+        let rows = self.rows(corner.y, corner.z);
+        let x = corner.x - self.region.lo.x;
+        // The rows of a layer one after the other, four cells of each.
+        let layer = |up_x: i32, z: usize| {
+            (0..ROWS).fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))
+        };
+        let layers: [[u64; ROWS]; 2] = [0, 1].map(|up_x| std::array::from_fn(|z| layer(up_x, z)));
+        std::array::from_fn(|k| {
+            let [up_x, up_y, up_z] = [k & 1, k >> 1 & 1, k >> 2];
+            (0..4).fold(0, |word, z| word | (layers[up_x][z + up_z] >> (4 * up_y) & 0xffff) << (16 * z))
+        })
     }
 }
 
 /// Bit i is set where sample i is inside.
 fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
-    row.iter().rev().fold(0, |signs, &sample| signs << 1 | u64::from(level.is_inside(sample)))
-}
-
-/// For each cell of a tile the sign one cell further along x, given the next tile's word; and so on.
-fn up_x(tile: TileMask, next: TileMask) -> TileMask {
-    tile >> 1 & 0x7777_7777_7777_7777 | next << 3 & 0x8888_8888_8888_8888
-}
-
-fn up_y(tile: TileMask, next: TileMask) -> TileMask {
-    tile >> 4 & 0x0fff_0fff_0fff_0fff | next << 12 & 0xf000_f000_f000_f000
-}
-
-fn up_z(tile: TileMask, next: TileMask) -> TileMask {
-    tile >> 16 | next << 48
+    let signs = |samples: &[L::Sample]| {
+        (0..).zip(samples).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i)
+    };
+    let (eights, rest) = row.as_chunks::<8>();
+    eights.iter().rev().fold(signs(rest), |all, eight| all << 8 | signs(eight))
 }
