@@ -7,6 +7,7 @@
 
 pub mod vulkan;
 
+use std::borrow::Cow;
 use std::io;
 
 use glam::{DVec3, IVec3};
@@ -232,11 +233,19 @@ impl MeshSource for Stitched {
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
-        let block = self.spool.get(piece)?.into_owned();
-        Ok(Vertices {
-            positions: self.positions(&block).into(),
-            normals: block.normals.into(),
-            attributes: block.attributes.into_iter().map(Into::into).collect(),
+        let block = self.spool.get(piece)?;
+        let positions = self.positions(&block).into();
+        Ok(match block {
+            Cow::Borrowed(block) => Vertices {
+                positions,
+                normals: (&block.normals).into(),
+                attributes: block.attributes.iter().map(Into::into).collect(),
+            },
+            Cow::Owned(block) => Vertices {
+                positions,
+                normals: block.normals.into(),
+                attributes: block.attributes.into_iter().map(Into::into).collect(),
+            },
         })
     }
 

@@ -41,11 +41,10 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
         }
     })?;
     write_triangles(out, mesh, |triangles, out| {
-        out.reserve(triangles.len() * FACE);
-        for corners in triangles {
-            let mut face = [3; FACE];
+        let first = out.len();
+        out.resize(first + triangles.len() * FACE, 3);
+        for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
             face[1..].copy_from_slice(corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened());
-            out.extend_from_slice(&face);
         }
     })
 }
