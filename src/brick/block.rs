@@ -98,17 +98,14 @@ impl<T: Copy + Default> Block<T> {
         let first = self.index(part.lo);
         let local = (part.lo - from.lo).as_usizevec3();
         let samples = &samples[local.x + local.y * from_row + local.z * from_slab..];
-        let put = |to: &mut [T], from: &[T]| {
-            to.iter_mut().zip(from).for_each(|(to, &from)| *to = value(*to, from));
-        };
         for z in 0..size.z {
             for y in 0..size.y {
                 let to = &mut self.samples[first + y * row + z * slab..][..size.x];
                 let from = &samples[y * from_row + z * from_slab..][..size.x];
-                // The most of a row in pieces of which the compiler knows the length.
-                let ((to, to_rest), (from, from_rest)) = (to.as_chunks_mut::<8>(), from.as_chunks::<8>());
-                to.iter_mut().zip(from).for_each(|(to, from)| put(to, from));
-                put(to_rest, from_rest);
+                // The most of a row in pieces that are vectors to the compiler.
+                let (to, from) = put_chunks::<T, 8>(to, from, &value);
+                let (to, from) = put_chunks::<T, 4>(to, from, &value);
+                put_chunks::<T, 1>(to, from, &value);
             }
         }
     }
@@ -180,4 +177,19 @@ impl<T: Copy + Default> Block<T> {
             }
         }
     }
+}
+
+/// Puts what `value` makes of what is in a row and of `from`, as far as whole pieces of `N` reach; returns what is left.
+#[inline(always)]
+fn put_chunks<'a, T: Copy, const N: usize>(
+    to: &'a mut [T],
+    from: &'a [T],
+    value: &impl Fn(T, T) -> T,
+) -> (&'a mut [T], &'a [T]) {
+    let ((to, to_rest), (from, from_rest)) = (to.as_chunks_mut::<N>(), from.as_chunks::<N>());
+    for (to, from) in to.iter_mut().zip(from) {
+        let there = *to;
+        *to = std::array::from_fn(|i| value(there[i], from[i]));
+    }
+    (to_rest, from_rest)
 }
