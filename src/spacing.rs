@@ -42,7 +42,8 @@ fn part_of(particles: &(impl Particles + ?Sized)) -> (f64, Vec<[f64; 3]>) {
         particles.positions(first, &mut positions);
         particles.release(first..first + positions.len());
         positions.retain(|p| p.iter().all(|c| c.is_finite()));
-        let part: Vec<[f64; 3]> = positions.iter().copied().filter(|&p| scattered(p) % one_in == 0).collect();
+        let part: Vec<[f64; 3]> =
+            positions.iter().copied().filter(|&p| scattered(p).is_multiple_of(one_in)).collect();
         (positions.len(), part)
     };
     let chunks: Vec<(usize, Vec<[f64; 3]>)> =
