@@ -1,7 +1,7 @@
 //! Watertight surface meshes from particle fluids, by discrete indicator functions.
 //!
 //! ```text
-//! particles --bin--> cell sums --indicate--> DIF bricks                     brick, stage::indicator
+//! particles --bin--> binned particles --indicate--> DIF bricks              brick, stage::indicator
 //! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage
 //! block surfaces --stitch--> mesh --write--> file                           stitch, io
 //! ```

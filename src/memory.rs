@@ -35,7 +35,7 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// What this process's limits on data and on addresses leave of it.
+/// What this process's limits on data and on addresses leave of it: files that are mapped later take of the addresses too.
 fn limit_available() -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let left = |limit: &str, used: &str| {

@@ -15,6 +15,8 @@ use crate::particles::{Bounds, Particles, bounds};
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 /// Interior cells that make an estimate worth having.
 const ENOUGH_CELLS: usize = 8;
+/// Particles of a part in interior cells that make its estimate worth having.
+const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// Counting cells at the most: spray fills one each.
 const MOST_CELLS: usize = 1 << 24;
 /// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged. Of more, an
@@ -29,7 +31,9 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     }
     let (share, part) = part_of(particles);
     // A layer may be too thin to have an inside that so few can tell.
-    estimate_of_all(&part[..]).map(|spacing| spacing * share.cbrt()).or_else(|| estimate_of_all(particles))
+    estimate_where(&part[..], ENOUGH_SHARE)
+        .map(|spacing| spacing * share.cbrt())
+        .or_else(|| estimate_of_all(particles))
 }
 
 /// About [`MANY`] of the particles, whatever their order, and how large a share of all they are.
@@ -57,12 +61,18 @@ fn part_of(particles: &(impl Particles + ?Sized)) -> (f64, Vec<[f64; 3]>) {
 fn scattered(position: [f64; 3]) -> u64 {
     position.iter().fold(0, |state, c| {
         let mixed = (state ^ c.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        (mixed ^ (mixed >> 32)).wrapping_mul(0xd6e8_feb8_6659_fd93) >> 7
+        let mixed = (mixed ^ (mixed >> 32)).wrapping_mul(0xd6e8_feb8_6659_fd93);
+        mixed ^ (mixed >> 32)
     })
 }
 
 /// The same by all particles.
 fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+    estimate_where(particles, 0.0)
+}
+
+/// The same, where interior cells hold so large a share of the particles.
+fn estimate_where(particles: &(impl Particles + ?Sized), enough_share: f64) -> Option<f64> {
     let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;
     let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
@@ -88,7 +98,9 @@ fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<f64> {
                 }
             }
         }
-        (cells >= ENOUGH_CELLS * placements as usize).then(|| cell * (cells as f64 / total as f64).cbrt())
+        let enough = cells >= ENOUGH_CELLS * placements as usize
+            && total as f64 >= enough_share * f64::from(placements) * finite as f64;
+        enough.then(|| cell * (cells as f64 / total as f64).cbrt())
     })
 }
 
@@ -154,9 +166,20 @@ mod tests {
     }
 
     #[test]
+    fn a_part_of_a_lattice_is_as_good_as_random_whatever_its_spacing() {
+        for spacing in [1.0, 1.0 / 64.0, 0.02] {
+            let side = 110;
+            let of = |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
+            let particles: Vec<[f64; 3]> = (0..side * side * side).map(of).collect();
+            let estimated = estimate(&particles[..]).unwrap();
+            assert!((estimated / spacing - 1.0).abs() < 0.005, "{estimated} of {spacing}");
+        }
+    }
+
+    #[test]
     fn a_layer_that_is_too_thin_for_a_part_of_its_particles_is_told_by_all() {
         let particles = layers([500, 500, 10]);
-        assert_eq!(estimate_of_all(&part_of(&particles[..]).1[..]), None);
+        assert_eq!(estimate_where(&part_of(&particles[..]).1[..], ENOUGH_SHARE), None);
         let spacing = estimate(&particles[..]).unwrap();
         assert!((spacing - 1.0).abs() < 0.05, "{spacing}");
     }

@@ -19,6 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if archive.is_absolute() {
         // The linker takes the first that it finds, and looks here before it looks where the shared one is.
         let here = var("OUT_DIR")?;
+        println!("cargo:rerun-if-changed={}", archive.display());
         fs::copy(archive, Path::new(&here).join("libstdc++.a"))?;
         println!("cargo:rustc-link-search=native={here}");
     }

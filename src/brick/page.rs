@@ -277,10 +277,14 @@ pub fn fullness(samples: &[u16]) -> Vec<u8> {
     samples.iter().map(|&sample| u8::from(sample > 0)).collect()
 }
 
-/// A bit for each byte of a row of such, at most 128.
+/// A bit for each byte of a row of such.
+///
+/// # Panics
+/// If there are more than 128.
 #[must_use]
 #[inline]
 pub fn full_bits(row: &[u8]) -> u128 {
+    assert!(row.len() <= 128, "a row of {} cells", row.len());
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
     // The product brings byte i to bit 56 + i.

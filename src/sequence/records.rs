@@ -32,7 +32,7 @@ pub struct Record {
     pub mesh: SeriesFrame,
 }
 
-/// The last record of each frame.
+/// The record of each frame in the last log that has one.
 #[derive(Debug, Default, PartialEq)]
 pub struct Records(BTreeMap<u64, Record>);
 
@@ -48,7 +48,7 @@ impl Records {
         records
     }
 
-    /// What was written later holds.
+    /// What is added later holds.
     fn add(&mut self, lines: &[u8]) {
         let records = lines.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok());
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
@@ -94,10 +94,13 @@ impl Log {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        let written = match &mut *file {
-            Some(file) => file.write_all(&line),
-            none => create(&self.folder).and_then(|created| none.insert(created).write_all(&line)),
-        };
+        // Where locks do not reach from one machine to another, someone may have taken the log for an ended one.
+        let named = file.take().filter(has_name);
+        let written = named.map_or_else(|| create(&self.folder), Ok).and_then(|mut named| {
+            named.write_all(&line)?;
+            *file = Some(named);
+            Ok(())
+        });
         written.map_err(|fault| SequenceError::Io { path: self.folder.clone(), fault })
     }
 
@@ -105,12 +108,12 @@ impl Log {
     /// at a time.
     ///
     /// # Errors
-    /// Those of [`WholeFile`], and where the file that is there cannot be read.
+    /// Those of [`WholeFile`].
     pub fn merge(&self) -> Result<(), WriteError> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
         // What cannot be locked or read stays as it is.
         let ended = |path: PathBuf| {
-            let (mut file, mut lines) = (File::open(&path).ok()?, Vec::new());
+            let (mut file, mut lines) = (options().open(&path).ok()?, Vec::new());
             file.try_lock().ok()?;
             file.read_to_end(&mut lines).ok()?;
             Some((path, file, lines))
@@ -124,7 +127,7 @@ impl Log {
         match fs::read(&merged) {
             Ok(lines) => records.add(&lines),
             Err(fault) if fault.kind() == ErrorKind::NotFound => {}
-            Err(fault) => return Err(WriteError::new(&merged, fault)),
+            Err(_) => return Ok(()),
         }
         ended.iter().for_each(|(_, _, lines)| records.add(lines));
         WholeFile::prepare(&merged, Replace::Allow)?.write(|out| {
@@ -140,7 +143,7 @@ impl Log {
     }
 }
 
-/// The logs in `folder`, as they came.
+/// The logs in `folder`, by number.
 fn logs(folder: &Path) -> BTreeMap<u64, PathBuf> {
     let number = |path: &Path| {
         let name = path.file_name()?.to_str()?;
@@ -159,15 +162,37 @@ fn create(folder: &Path) -> io::Result<File> {
     loop {
         number += 1;
         let path = folder.join(format!("frames.{number}.jsonl"));
-        let file = match OpenOptions::new().write(true).create_new(true).open(&path) {
+        let file = match options().create_new(true).open(&path) {
             Err(fault) if fault.kind() == ErrorKind::AlreadyExists => continue,
             created => created?,
         };
         // A file system without locks has nobody who merges by them.
         let _ = file.lock_shared();
-        if path.try_exists()? {
+        if has_name(&file) {
             return Ok(file);
         }
+    }
+}
+
+/// Over a network some locks are for readers, and some for writers.
+fn options() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true);
+    options
+}
+
+/// Whether nobody has removed a file since it was opened.
+fn has_name(file: &File) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        file.metadata().is_ok_and(|metadata| metadata.nlink() > 0)
+    }
+    #[cfg(not(unix))]
+    {
+        // What is open cannot be removed.
+        let _ = file;
+        true
     }
 }
 
@@ -246,6 +271,12 @@ mod tests {
         alive.merge().unwrap();
         assert_eq!(names(folder.path()), ["frames.jsonl"]);
         assert!(all().eq([(3, 2), (5, 3), (7, 2), (12, 3)]));
+
+        keep(&alive, &[(9, 5)]);
+        fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
+        keep(&alive, &[(9, 6)]);
+        assert!(all().any(|record| record == (9, 6)), "what is written to a file without a name is lost");
+        fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
 
         let whole = fs::read(folder.path().join("frames.jsonl")).unwrap();
         keep(&alive, &[(4, 4), (3, 4)]);

@@ -62,8 +62,8 @@ enum Info {
     Frame {
         file: PathBuf,
         particles: usize,
-        /// Cells that are not 0; where the clouds of several bricks overlap, each brick's.
-        samples: u64,
+        /// That are not 0 by what their own bin's particles leave in them.
+        cells: u64,
         bricks: u64,
         /// Of these cells.
         bounds: Option<[[f64; 3]; 2]>,
@@ -115,7 +115,7 @@ fn inspect_frame(path: &Path) -> Result<Info, Error> {
     Ok(Info::Frame {
         file: path.to_owned(),
         particles: facts.census.binned,
-        samples: dif.full_cells(),
+        cells: dif.full_cells(),
         bricks: dif.bricks(),
         bounds: full.map(|full| [world(full.lo), world(full.hi)]),
         cell_size: facts.grid.cell_size(),
@@ -221,20 +221,9 @@ fn describe(info: &Info) -> String {
             }
             format!("{}: {format}", file.display())
         }
-        Info::Frame {
-            file,
-            particles,
-            samples,
-            bricks,
-            bounds,
-            cell_size,
-            origin,
-            domain,
-            indicator,
-            mu0,
-        } => {
+        Info::Frame { file, particles, cells, bricks, bounds, cell_size, origin, domain, indicator, mu0 } => {
             line("particles", particles.to_string());
-            line("samples", samples.to_string());
+            line("cells", cells.to_string());
             line("bricks", bricks.to_string());
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             line("cell size", cell_size.to_string());

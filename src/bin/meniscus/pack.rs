@@ -58,7 +58,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     drop(unfinished);
     laps.lap("write");
     notes.say(format!(
-        "{}: {} samples in {} bricks, {} in {:.2} s",
+        "{}: {} cells in {} bricks, {} in {:.2} s",
         options.output.display(),
         frame.dif().full_cells(),
         frame.dif().bricks(),

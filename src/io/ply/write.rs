@@ -42,6 +42,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     })?;
     write_triangles(out, mesh, |triangles, out| {
         let first = out.len();
+        // Each begins with the number of its corners, which is what the rest is filled with until it is known.
         out.resize(first + triangles.len() * FACE, 3);
         for (face, corners) in out[first..].as_chunks_mut::<FACE>().0.iter_mut().zip(triangles) {
             face[1..].copy_from_slice(corners.map(|corner| (corner as u32).to_le_bytes()).as_flattened());

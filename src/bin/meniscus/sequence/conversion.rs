@@ -135,7 +135,7 @@ impl<'a> Conversion<'a> {
         let mut tally = Tally::new(self, series);
         // Where all frames are to be made, the first are opened while one of them is measured.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
-        if !unknown || self.division.lanes == 1 {
+        if !unknown {
             self.settle(known, frames, &tally.notes)?;
         }
         tally.list(frames);

@@ -140,9 +140,12 @@ impl<'a> Tally<'a> {
         let alone = self.conversion.store.locked();
         self.list(&inputs.list()?);
         let log = &self.conversion.store.log;
-        let (listed, merged) = rayon::join(|| self.write_series(), || interrupt::undisturbed(|| log.merge()));
+        let (listed, merged) = std::thread::scope(|scope| {
+            let merging = scope.spawn(|| interrupt::undisturbed(|| log.merge()));
+            (self.write_series(), merging.join())
+        });
         listed?;
-        merged?;
+        merged.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         drop(alone);
         let made = self.done - self.failed.len().min(self.done);
         let missing = gaps(frames);
