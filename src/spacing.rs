@@ -139,6 +139,8 @@ fn surrounded(counts: &Counts, cell: IVec3) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use hashbrown::HashSet;
+
     use super::*;
 
     /// A box of so many layers, a particle of each within a third of a spacing.
@@ -171,6 +173,12 @@ mod tests {
             let side = 110;
             let of = |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
             let particles: Vec<[f64; 3]> = (0..side * side * side).map(of).collect();
+            let part = part_of(&particles[..]).1;
+            for axis in 0..3 {
+                let column = |p: &[f64; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]].map(f64::to_bits);
+                let columns: HashSet<[u64; 2]> = part.iter().map(column).collect();
+                assert!(100 * columns.len() > 99 * side * side, "{} columns along {axis}", columns.len());
+            }
             let estimated = estimate(&particles[..]).unwrap();
             assert!((estimated / spacing - 1.0).abs() < 0.005, "{estimated} of {spacing}");
         }
