@@ -116,22 +116,33 @@ pub struct Bounds {
 /// The box around all finite positions; `None` where there is no such.
 #[must_use]
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
-    const CHUNK: usize = 1 << 12;
     let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
-    let of_chunk = |chunk: usize| {
-        let first = chunk * CHUNK;
-        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
-        particles.positions(first, &mut positions);
-        particles.release(first..first + positions.len());
-        positions.into_iter().map(DVec3::from).filter(|p| p.is_finite()).fold(none(), |b, p| Bounds {
+    let of_chunk = |positions: Vec<[f64; 3]>| {
+        positions.into_iter().map(DVec3::from).fold(none(), |b, p| Bounds {
             lo: b.lo.min(p),
             hi: b.hi.max(p),
             finite: b.finite + 1,
         })
     };
-    let bounds = (0..particles.len().div_ceil(CHUNK))
-        .into_par_iter()
-        .map(of_chunk)
-        .reduce(none, |a, b| Bounds { lo: a.lo.min(b.lo), hi: a.hi.max(b.hi), finite: a.finite + b.finite });
+    let bounds = finite_chunks(particles).map(of_chunk).reduce(none, |a, b| Bounds {
+        lo: a.lo.min(b.lo),
+        hi: a.hi.max(b.hi),
+        finite: a.finite + b.finite,
+    });
     (bounds.finite > 0).then_some(bounds)
+}
+
+/// All finite positions, some thousands at once; what a mapped file holds of them is given back.
+pub fn finite_chunks(
+    particles: &(impl Particles + ?Sized),
+) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {
+    const CHUNK: usize = 1 << 12;
+    (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(move |chunk| {
+        let first = chunk * CHUNK;
+        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
+        particles.positions(first, &mut positions);
+        particles.release(first..first + positions.len());
+        positions.retain(|position| DVec3::from(*position).is_finite());
+        positions
+    })
 }

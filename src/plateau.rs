@@ -202,19 +202,11 @@ fn add_interior(
         return;
     }
     let reach = smoothing.reach();
-    let field = smoothing.apply(&part(&wide, near.grown(reach, reach)), domain.map(Domain::cells));
+    let field = smoothing.apply(&wide.part(near.grown(reach, reach)), domain.map(Domain::cells));
     for (y, z, bits) in interior {
         let first = field.index(IVec3::new(near.lo.x, y, z));
         histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));
     }
-}
-
-/// The samples of some cells of a block.
-fn part(block: &Block, cells: CellBox) -> Block {
-    let mut part = Block::zero(cells);
-    let rows = part.samples_mut().chunks_exact_mut(cells.size().x as usize);
-    rows.zip(block.rows(cells)).for_each(|(to, (_, from))| to.copy_from_slice(from));
-    part
 }
 
 /// Combines every cell, a bit of its row, with those that follow in a cube of so many along each axis. `combine` may see a

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::brick::{BinPlan, InvalidParticles};
 use crate::grid::{BIN, Grid};
-use crate::particles::{Bounds, Particles, bounds};
+use crate::particles::{Bounds, Particles, bounds, finite_chunks};
 
 /// Particles a counting cell should hold: first choice, and what thin layers are tried with.
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
@@ -38,20 +38,12 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 
 /// About [`MANY`] of the particles, whatever their order, and how large a share of all they are.
 fn part_of(particles: &(impl Particles + ?Sized)) -> (f64, Vec<[f64; 3]>) {
-    const CHUNK: usize = 1 << 12;
     let one_in = (particles.len() / MANY).next_power_of_two() as u64;
-    let of_chunk = |chunk: usize| {
-        let first = chunk * CHUNK;
-        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
-        particles.positions(first, &mut positions);
-        particles.release(first..first + positions.len());
-        positions.retain(|p| p.iter().all(|c| c.is_finite()));
-        let part: Vec<[f64; 3]> =
-            positions.iter().copied().filter(|&p| scattered(p).is_multiple_of(one_in)).collect();
-        (positions.len(), part)
+    let of_chunk = |positions: Vec<[f64; 3]>| -> (usize, Vec<[f64; 3]>) {
+        let part = positions.iter().copied().filter(|&p| scattered(p).is_multiple_of(one_in));
+        (positions.len(), part.collect())
     };
-    let chunks: Vec<(usize, Vec<[f64; 3]>)> =
-        (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(of_chunk).collect();
+    let chunks: Vec<_> = finite_chunks(particles).map(of_chunk).collect();
     let finite: usize = chunks.iter().map(|(finite, _)| finite).sum();
     let part: Vec<[f64; 3]> = chunks.into_iter().flat_map(|(_, part)| part).collect();
     (part.len() as f64 / finite as f64, part)

@@ -244,16 +244,21 @@ fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
     assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
 }
 
+/// Runs a command under limits that a shell sets.
+fn limited(folder: &Path, limits: &str, command: &str) -> Output {
+    let script = format!("{limits}; exec \"$0\" {command}");
+    Command::new("bash")
+        .current_dir(folder)
+        .args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")])
+        .output()
+        .unwrap()
+}
+
 #[test]
 fn a_full_disk_is_exit_4_and_leaves_nothing() {
     let folder = folder_with_ball();
     // A limit on file size stands in for a full disk; the signal it sends is ignored by the shell.
-    let script = "trap '' XFSZ; ulimit -f 8; exec \"$0\" reconstruct ball.xyz -o out.ply --quiet";
-    let run = Command::new("bash")
-        .current_dir(folder.path())
-        .args(["-c", script, env!("CARGO_BIN_EXE_meniscus")])
-        .output()
-        .unwrap();
+    let run = limited(folder.path(), "trap '' XFSZ; ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
     let errors = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(4), "{errors}");
     assert!(errors.contains("out.ply"), "{errors}");
@@ -264,12 +269,7 @@ fn a_full_disk_is_exit_4_and_leaves_nothing() {
 #[cfg(target_os = "linux")]
 fn no_more_memory_is_planned_for_than_ulimit_leaves() {
     let folder = folder_with_ball();
-    let script = "ulimit -v 400000; exec \"$0\" reconstruct ball.xyz -o out.ply --dry-run";
-    let run = Command::new("bash")
-        .current_dir(folder.path())
-        .args(["-c", script, env!("CARGO_BIN_EXE_meniscus")])
-        .output()
-        .unwrap();
+    let run = limited(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
     let plan = String::from_utf8_lossy(&run.stdout);
     let budget: Option<f64> = plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
     assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");

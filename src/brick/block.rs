@@ -110,6 +110,17 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
+    /// The samples of some of its cells.
+    ///
+    /// # Panics
+    /// Unless all of `cells` are in the block.
+    #[must_use]
+    pub fn part(&self, cells: CellBox) -> Self {
+        let mut part = Self::zero(cells);
+        part.put_part(cells, self.cells, &self.samples, |_, sample| sample);
+        part
+    }
+
     /// A separable operation along x, then y, then z; the result is smaller by `reach` on every side.
     ///
     /// `fill` makes a row of the result, zero so far: sample i of the taps i, i + step, ..., the first of them `reach`

@@ -54,10 +54,10 @@ impl Drop for AtLast<'_> {
 }
 
 /// A frame to be made.
-pub struct Job {
-    pub frame: FrameFile,
+struct Job {
+    frame: FrameFile,
     /// Where they are open already.
-    pub particles: Option<ParticleFile>,
+    particles: Option<ParticleFile>,
 }
 
 /// What became of a frame.
@@ -112,20 +112,20 @@ impl<'a> Conversion<'a> {
         tally: &mut Tally,
     ) -> Result<(), Error> {
         // The lanes live as long as they are sent to.
-        let give = |job: Job| drop(to_lanes.send(job));
+        let send = |job: Job| drop(to_lanes.send(job));
         let mut jobs = todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None });
         if self.settled.get().is_none() {
             // The first is most likely the one that is measured: a lane waits for it.
             let first = jobs.next();
-            jobs.by_ref().take(self.division.lanes - 1).for_each(give);
+            jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames, &tally.notes)?;
             tally.list(frames);
             if let Some(Job { frame, .. }) = first {
                 let measured = measured.filter(|(number, _)| *number == frame.number);
-                give(Job { frame, particles: measured.map(|(_, file)| file) });
+                send(Job { frame, particles: measured.map(|(_, file)| file) });
             }
         }
-        jobs.for_each(give);
+        jobs.for_each(send);
         Ok(())
     }
 
@@ -137,8 +137,8 @@ impl<'a> Conversion<'a> {
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames, &tally.notes)?;
+            tally.list(frames);
         }
-        tally.list(frames);
         let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
         let todo: Vec<&FrameFile> =
             wanted.iter().copied().filter(|frame| !(options.resume && tally.lists(frame))).collect();
@@ -256,13 +256,12 @@ impl<'a> Conversion<'a> {
         // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
         let _pool = pool.build().expect("threads can be started");
-        while let Some(job) = next(jobs) {
+        while let Some(Job { frame, particles }) = next(jobs) {
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
-            let frame = job.frame.clone();
             let stage = |stage: &str| progress.stage(lane, || format!("frame {}: {stage}", frame.number));
-            let opened = self.open(job, &stage);
+            let opened = self.open(&frame, particles, &stage);
             let Some(settled) = self.settled.wait() else { return };
             let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
             progress.stage(lane, String::new);

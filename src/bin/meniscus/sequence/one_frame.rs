@@ -30,7 +30,7 @@ use crate::run::Notes;
 use crate::up::Orientation;
 
 use super::Setup;
-use super::conversion::{Conversion, Job, Settled};
+use super::conversion::{Conversion, Settled};
 
 /// A frame that was converted.
 pub struct Done {
@@ -78,15 +78,19 @@ type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
     /// Makes sure that a frame's mesh can be written, and opens the frame, unless its particles are open already.
-    pub fn open(&self, job: Job, stage: &dyn Fn(&str)) -> Result<Opened, Error> {
+    pub fn open(
+        &self,
+        frame: &FrameFile,
+        particles: Option<ParticleFile>,
+        stage: &dyn Fn(&str),
+    ) -> Result<Opened, Error> {
         let mut laps = Laps::default();
         let Setup { options, resources, .. } = self.setup;
-        let Job { frame, particles } = job;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let replace =
             if options.sequence.resume || options.run.overwrite { Replace::Allow } else { Replace::Refuse };
-        let target = self.output(&frame);
+        let target = self.output(frame);
         let orientation = options.up.orientation(path, self.format);
         let layout = options.layout(orientation);
         let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
