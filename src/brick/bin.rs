@@ -155,10 +155,9 @@ impl<'a> BinPlan<'a> {
             .into_iter()
             .zip(counts)
             .map(|(range, RangeCount { table, placed, .. })| {
-                let mut ranks = vec![0; table.numbers.len()];
-                for (bin, &local) in &table.rank {
-                    ranks[local as usize] = rank[bin];
-                    first[rank[bin] as usize + 1] += table.numbers[local as usize];
+                let ranks: Vec<u32> = table.bins.iter().map(|(bin, _)| rank[bin]).collect();
+                for (&rank, (_, count)) in ranks.iter().zip(&table.bins) {
+                    first[rank as usize + 1] += count;
                 }
                 RangePlan { range, table, ranks, placed }
             })
@@ -197,7 +196,7 @@ impl<'a> BinPlan<'a> {
         let mut ranges = ranges;
         for RangePlan { table, ranks, .. } in &mut ranges {
             // From now on the table's numbers are the range's next free slots.
-            for (number, &rank) in table.numbers.iter_mut().zip(&*ranks) {
+            for ((_, number), &rank) in table.bins.iter_mut().zip(&*ranks) {
                 let slot = next[rank as usize];
                 next[rank as usize] += *number;
                 *number = slot;
@@ -227,8 +226,10 @@ impl<'a> BinPlan<'a> {
                 particles.release(range);
                 return;
             }
+            let mut latest = Latest::of(particles.len());
             let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
-                let placed: Vec<Placed> = addresses.iter().map(|&address| table.place(address)).collect();
+                let placed: Vec<Placed> =
+                    addresses.iter().map(|&address| table.place(address, &mut latest)).collect();
                 put(&mut table, first, &placed);
                 Ok::<_, Infallible>(())
             });
@@ -282,12 +283,13 @@ impl<'a> BinPlan<'a> {
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
         ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks, .. }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
+            let mut latest = Latest::of(particles.len());
             placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
                 let attributes =
                     Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
                 for (i, address) in addresses.iter().enumerate() {
                     if address.is_somewhere() {
-                        let bin = ranks[table.rank(address.bin) as usize] as usize;
+                        let bin = ranks[table.rank(address.bin, &mut latest) as usize] as usize;
                         buffers.push(run_of_bin[bin] as usize, bin, address.record, attributes.tuple(i))?;
                     }
                 }
@@ -347,53 +349,62 @@ struct RangeCount {
     placed: Vec<Placed>,
 }
 
-/// Bits per axis of a bin's coordinates by which it is found among the latest.
-const LATEST_BITS: u32 = 4;
-
-/// A number for each bin that a range of particles touches: first its count, then its next free record.
-struct BinTable {
-    rank: HashMap<BinCode, u32>,
-    numbers: Vec<usize>,
-    /// The bin that was last asked for among those that are so many apart, and its rank: cheaper than the map.
-    latest: Vec<(BinCode, u32)>,
+/// The bins that were last asked for, one of all that are so many apart along each axis: cheaper than a map.
+struct Latest {
+    /// Of a bin's coordinate along each axis.
+    bits: u32,
+    /// Of each the rank in a table.
+    ranks: Vec<u32>,
 }
 
-impl Default for BinTable {
-    fn default() -> Self {
-        let latest = vec![(BinCode::MAX, 0); 1 << (3 * LATEST_BITS)];
-        Self { rank: HashMap::new(), numbers: Vec::new(), latest }
+impl Latest {
+    /// For so many particles, which may lie in any order: a pool of them is about as many bins wide.
+    fn of(particles: usize) -> Self {
+        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
+        let bits = 4 + doublings.div_ceil(3).min(2);
+        Self { bits, ranks: vec![0; 1 << (3 * bits)] }
     }
+
+    #[inline(always)]
+    fn rank(&mut self, bin: BinCode) -> &mut u32 {
+        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << self.bits) - 1);
+        let at = axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits);
+        &mut self.ranks[at]
+    }
+}
+
+/// The bins that a range of particles touches.
+#[derive(Default)]
+struct BinTable {
+    rank: HashMap<BinCode, u32>,
+    /// By rank, each with a number: first its count, then its next free record.
+    bins: Vec<(BinCode, usize)>,
 }
 
 impl BinTable {
     /// The rank of a bin in this table; a new one is entered with the number 0.
     #[inline(always)]
-    fn rank(&mut self, bin: BinCode) -> u32 {
-        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << LATEST_BITS) - 1);
-        let at = axis(0) | axis(1) << LATEST_BITS | axis(2) << (2 * LATEST_BITS);
-        let (latest, rank) = self.latest[at];
-        if latest == bin {
-            return rank;
+    fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
+        let latest = latest.rank(bin);
+        if self.bins.get(*latest as usize).is_none_or(|&(found, _)| found != bin) {
+            *latest = *self.rank.entry(bin).or_insert_with(|| {
+                self.bins.push((bin, 0));
+                self.bins.len() as u32 - 1
+            });
         }
-        let next = self.numbers.len() as u32;
-        let rank = *self.rank.entry(bin).or_insert(next);
-        if rank == next {
-            self.numbers.push(0);
-        }
-        self.latest[at] = (bin, rank);
-        rank
+        *latest
     }
 
     /// The rank of a particle's bin, and its place there.
     #[inline(always)]
-    fn place(&mut self, address: Address) -> Placed {
-        if address.is_somewhere() { (self.rank(address.bin), address.record) } else { (NOWHERE, 0) }
+    fn place(&mut self, address: Address, latest: &mut Latest) -> Placed {
+        if address.is_somewhere() { (self.rank(address.bin, latest), address.record) } else { (NOWHERE, 0) }
     }
 
     /// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`].
     #[inline(always)]
     fn advance(&mut self, rank: u32) -> Option<usize> {
-        let number = self.numbers.get_mut(rank as usize)?;
+        let (_, number) = self.bins.get_mut(rank as usize)?;
         *number += 1;
         Some(*number - 1)
     }
@@ -401,8 +412,8 @@ impl BinTable {
 
 /// All bins of all ranges, in Morton order, each with its key.
 fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
-    let touched = counts.iter().flat_map(|c| c.table.rank.keys());
-    let mut bins: Vec<_> = touched.map(|&bin| (MortonKey::of(bin_coord(bin)), bin)).collect();
+    let touched = counts.iter().flat_map(|c| &c.table.bins);
+    let mut bins: Vec<_> = touched.map(|&(bin, _)| (MortonKey::of(bin_coord(bin)), bin)).collect();
     bins.par_sort_unstable();
     bins.dedup();
     bins
@@ -418,6 +429,7 @@ struct Counter<'a> {
 impl Counter<'_> {
     fn count(&self, particles: &(impl Particles + ?Sized), range: Range<usize>) -> RangeCount {
         let mut table = BinTable::default();
+        let mut latest = Latest::of(particles.len());
         let mut census = Census::default();
         let mut first_invalid = None;
         let kept = particles.len() <= KEPT;
@@ -425,7 +437,7 @@ impl Counter<'_> {
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {
-                let (rank, record) = table.place(*address);
+                let (rank, record) = table.place(*address, &mut latest);
                 table.advance(rank);
                 if kept {
                     placed.push((rank, record));
@@ -443,12 +455,12 @@ impl Counter<'_> {
                     census.outside += 1;
                 }
             }
-            if table.numbers.len() > self.limit {
+            if table.bins.len() > self.limit {
                 self.stop.store(true, Ordering::Relaxed);
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
-        census.binned = table.numbers.iter().sum();
+        census.binned = table.bins.iter().map(|(_, count)| count).sum();
         RangeCount { table, census, first_invalid, placed }
     }
 }

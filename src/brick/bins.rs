@@ -8,6 +8,7 @@ use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey};
+use crate::memory::in_large_pages;
 use crate::scratch::Scratch;
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
@@ -49,7 +50,9 @@ impl Slots {
     /// For so many particles with attributes of so many components each.
     pub(super) fn new(particles: usize, components: &[usize]) -> Self {
         let attributes = components.iter().map(|n| zeroed_vec(particles * n)).collect();
-        Self { records: zeroed_vec(particles), attributes }
+        let records = zeroed_vec(particles);
+        in_large_pages(&records);
+        Self { records, attributes }
     }
 
     /// Puts a particle into its slot.
