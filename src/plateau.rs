@@ -17,8 +17,12 @@ use crate::stage::detail::Detail;
 use crate::stage::indicator::Indicator;
 use crate::units::{Isovalue, Sigma};
 
-/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
-const SAMPLED_BLOCKS: usize = 64;
+/// Blocks that are looked at first, and where they have too few interior cells; in a larger frame they are taken at equal
+/// steps along the Morton curve.
+const SAMPLED_BLOCKS: [usize; 2] = [16, 64];
+
+/// Interior cells that the first of them have to have.
+const ENOUGH: u64 = 1 << 16;
 
 /// What the smoothed DIF is like where the fluid is deep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,16 +46,21 @@ impl Plateau {
     #[must_use]
     pub fn of(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>) -> Self {
         let blocks = dif.regions(0, 0);
-        let step = blocks.len().div_ceil(SAMPLED_BLOCKS).max(1);
-        let sampled: Vec<_> = blocks.iter().step_by(step).collect();
-        let interior = |blocks: &[&CellBox]| {
+        let interior = |sampled: usize, enough: u64| {
+            let step = blocks.len().div_ceil(sampled).max(1);
+            let blocks: Vec<_> = blocks.iter().step_by(step).collect();
             let samples =
-                Histogram::of(blocks, |seen, &cells| add_interior(seen, dif, smoothing, domain, cells));
+                Histogram::of(&blocks, |seen, &cells| add_interior(seen, dif, smoothing, domain, cells));
+            if step > 1 && samples.total() < enough {
+                return None;
+            }
             Some(Self::Interior { median: samples.quantile(0.5)?, lowest: samples.quantile(0.0)? })
         };
+        let [few, more] = SAMPLED_BLOCKS;
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
-        let all: Vec<_> = blocks.iter().collect();
-        interior(&sampled).or_else(|| interior(&all)).unwrap_or_else(|| {
+        let found = interior(few, ENOUGH).or_else(|| interior(more, 1)).or_else(|| interior(usize::MAX, 1));
+        found.unwrap_or_else(|| {
+            let all: Vec<_> = blocks.iter().collect();
             let field = Histogram::of(&all, |seen, &cells| {
                 for (_, row) in smooth(dif, smoothing, domain, cells).rows(cells) {
                     seen.add(row, u128::MAX);
@@ -150,10 +159,14 @@ impl Histogram {
         counts.filter(|&(_, count)| count > 0)
     }
 
+    /// How many samples were seen.
+    fn total(&self) -> u64 {
+        self.counts().map(|(_, count)| count).sum()
+    }
+
     /// The lowest value that at least a `share` of the samples does not exceed.
     fn quantile(&self, share: f64) -> Option<u16> {
-        let total: u64 = self.counts().map(|(_, count)| count).sum();
-        let wanted = ((total as f64 * share).ceil() as u64).max(1);
+        let wanted = ((self.total() as f64 * share).ceil() as u64).max(1);
         let mut below = 0;
         let reached = |&(_, count): &(u16, u64)| {
             below += count;

@@ -1,12 +1,11 @@
 //! The paper from the DIF to the field, once: smooth, and bring back or spare the details.
 
-use std::convert::Infallible;
 use std::rc::Rc;
 
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
 use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
-use crate::stage::blur::{Kernel, Smoothing, filter};
+use crate::stage::blur::{Kernel, Smoothing, filter_while};
 use crate::stage::detail::{lost, raise};
 use crate::units::Isovalue;
 
@@ -55,16 +54,15 @@ impl Recipe {
         self.smoothing.reach() + details
     }
 
-    /// Whether the surface can pass between cells whose field this part of the DIF decides.
-    #[must_use]
-    pub fn may_cut(&self, dif: &Block, away_from_walls: bool) -> bool {
+    /// Whether the surface can pass between cells whose field this decides: the DIF, or what smoothing has come to.
+    fn may_cut(&self, block: &Block, away_from_walls: bool) -> bool {
         // A weighted mean lies on the same side as all that it is made of. In an adaptive blur every full cell
         // can be inside. All inside is no surface only away from walls.
         let threshold = self.iso.threshold();
         let least = if matches!(self.details, Details::Spared(_)) { 0 } else { threshold };
-        let any_inside = dif.samples().iter().any(|&theta| theta > least);
-        let any_outside = dif.samples().iter().any(|&theta| theta <= threshold);
-        any_inside && (any_outside || !away_from_walls)
+        let mut pieces = block.samples().chunks(PIECE);
+        let any_inside = pieces.clone().any(|piece| greatest(piece) > least);
+        any_inside && (!away_from_walls || pieces.any(|piece| smallest(piece) <= threshold))
     }
 
     /// Cuts what the field of `cells` depends on out of the DIF.
@@ -102,11 +100,31 @@ impl Recipe {
     /// The field, from a DIF that is larger by [`halo`](Self::halo) on every side.
     #[must_use]
     pub fn field(&self, dif: Block, domain: Option<&Domain>) -> Block {
-        let mut blocks = Blocks { walls: domain.map(Domain::cells) };
-        match self.apply(&mut blocks, Rc::new(dif)) {
-            Ok(field) => Rc::unwrap_or_clone(field),
-            Err(never) => match never {},
+        self.field_while(dif, domain, &|_| true).expect("nothing stops it")
+    }
+
+    /// The same where the surface can pass between its cells, as far as can be told before there is a field.
+    #[must_use]
+    pub fn cut_field(&self, dif: Block, domain: Option<&Domain>, away_from_walls: bool) -> Option<Block> {
+        if !self.may_cut(&dif, away_from_walls) {
+            return None;
         }
+        match self.details {
+            Details::Smoothed => {
+                self.field_while(dif, domain, &|smooth| self.may_cut(smooth, away_from_walls))
+            }
+            _ => Some(self.field(dif, domain)),
+        }
+    }
+
+    fn field_while(
+        &self,
+        dif: Block,
+        domain: Option<&Domain>,
+        goes_on: &dyn Fn(&Block) -> bool,
+    ) -> Option<Block> {
+        let mut blocks = Blocks { walls: domain.map(Domain::cells), goes_on };
+        self.apply(&mut blocks, Rc::new(dif)).ok().map(Rc::unwrap_or_clone)
     }
 }
 
@@ -148,33 +166,49 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 }
 
-/// Fields in blocks.
-struct Blocks {
-    walls: Option<CellBox>,
+/// Samples that are looked at before it is asked whether that was enough.
+const PIECE: usize = 1 << 10;
+
+fn greatest(samples: &[u16]) -> u16 {
+    samples.iter().fold(0, |greatest, &sample| greatest.max(sample))
 }
 
-impl Fields for Blocks {
-    type Field = Rc<Block>;
-    type Error = Infallible;
+fn smallest(samples: &[u16]) -> u16 {
+    samples.iter().fold(u16::MAX, |smallest, &sample| smallest.min(sample))
+}
 
-    fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Infallible> {
-        Ok(Rc::new(filter(&field, kernel, self.walls)))
+/// Fields in blocks.
+struct Blocks<'a> {
+    walls: Option<CellBox>,
+    /// Asked after each axis of a blur.
+    goes_on: &'a dyn Fn(&Block) -> bool,
+}
+
+/// A blur did not go on.
+struct Stopped;
+
+impl Fields for Blocks<'_> {
+    type Field = Rc<Block>;
+    type Error = Stopped;
+
+    fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Stopped> {
+        filter_while(&field, kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
     }
 
-    fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Infallible> {
+    fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Stopped> {
         Ok(Rc::new(lost(&dif, smooth, iso)))
     }
 
-    fn greater(&mut self, mut field: Rc<Block>, other: Rc<Block>) -> Result<Rc<Block>, Infallible> {
+    fn greater(&mut self, mut field: Rc<Block>, other: Rc<Block>) -> Result<Rc<Block>, Stopped> {
         raise(Rc::make_mut(&mut field), &other);
         Ok(field)
     }
 
-    fn occupancy(&mut self, dif: Rc<Block>, least: u16) -> Result<Rc<Block>, Infallible> {
+    fn occupancy(&mut self, dif: Rc<Block>, least: u16) -> Result<Rc<Block>, Stopped> {
         Ok(Rc::new(occupancy(Rc::unwrap_or_clone(dif), least)))
     }
 
-    fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Infallible> {
+    fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Stopped> {
         let mut near = spread(field, reach);
         if let Some(walls) = self.walls {
             near.repeat_edges(walls);
@@ -188,7 +222,7 @@ impl Fields for Blocks {
         smooth: Rc<Block>,
         near: Rc<Block>,
         iso: Isovalue,
-    ) -> Result<Rc<Block>, Infallible> {
+    ) -> Result<Rc<Block>, Stopped> {
         Ok(Rc::new(blend(&fine, &smooth, Rc::unwrap_or_clone(near), iso)))
     }
 }

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BinError, Census, DifField, InvalidParticles};
+use crate::brick::{BinError, Census, DifField, InvalidParticles, Occupancy, PageInfo, telling_step};
 use crate::grid::{Domain, Grid};
 use crate::plateau::{self, Plateau};
 use crate::stage::detail::Detail;
@@ -146,17 +146,23 @@ impl Pipeline {
             let pages = frame.indicate(&bins, &PageRule { indicator, side, walls })?;
             Ok::<_, VulkanError>(DifField::in_memory(indicator.shape(side), pages))
         };
-        let measured = |indicator: Indicator, by: &DifField| {
-            indicator.measured(census.binned, by.full_cells()).map_err(ResidentError::MeanCount)
+        let measured = |indicator: Indicator, dif: &DifField, step: usize| {
+            let counts = bins.first.windows(2).map(|ends| (ends[1] - ends[0]) as u64);
+            let occupancy = |(info, particles): (&PageInfo, u64)| Occupancy {
+                particles,
+                full_cells: info.full_count.into(),
+            };
+            let telling: Occupancy = dif.infos().iter().zip(counts).step_by(step).map(occupancy).sum();
+            indicator.measured(telling).map_err(ResidentError::MeanCount)
         };
         let mut indicator = *indicator;
         if indicator.waits_for_mean() {
             let counts = stored(&self.vulkan.start_resident(), Indicator::Counting { mean: None })?;
-            indicator = measured(indicator, &counts)?;
+            indicator = measured(indicator, &counts, telling_step(bins.keys.len()))?;
         }
         let stored = stored(&frame, indicator)?;
+        let indicator = measured(indicator, &stored, 1)?;
         drop(bins);
-        let indicator = measured(indicator, &stored)?;
         let dif = indicator.decode(stored);
         let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };

@@ -35,7 +35,7 @@ fn sample(
     let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, usize::MAX).unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let indicator = indicator.measured(census.binned, bins.full_cells().unwrap()).unwrap();
+    let indicator = indicator.measured(bins.occupancy(0, 1).unwrap()).unwrap();
     let rule = PageRule { indicator, side, walls: domain.as_ref().map(Domain::cells) };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
     let field = DifField::in_memory(rule.shape(), pages);

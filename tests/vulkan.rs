@@ -132,7 +132,7 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
                 for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
                     let frame = vulkan.start(budget);
                     let all = 0..bins.keys().len();
-                    let indicator = indicator.measured(particles.len(), bins.full_cells().unwrap()).unwrap();
+                    let indicator = indicator.measured(bins.occupancy(0, 1).unwrap()).unwrap();
                     let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
                     let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
                     let expected = Cpu.start(budget).indicate(&bins, all, &rule).unwrap();

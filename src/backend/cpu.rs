@@ -55,10 +55,7 @@ fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
     let walls = surfaces.walls();
     let dif = recipe.gather(dif, surfaces.field(region), domain);
     let inside_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
-    if !recipe.may_cut(&dif, inside_walls) {
-        return None;
-    }
-    let field = recipe.field(dif, domain);
+    let field = recipe.cut_field(dif, domain, inside_walls)?;
     let mut mesh = contour(&field, region, recipe.iso, walls);
     if mesh.tiles.is_empty() {
         return None;

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::iter::Sum;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use bytemuck::allocation::zeroed_vec;
@@ -80,6 +81,34 @@ impl Slots {
     }
 }
 
+/// Bins that tell how many particles a full cell holds, where that has to be known before all of them are looked at: in a
+/// larger frame they are taken at equal steps along the Morton curve.
+const TELLING: usize = 256;
+
+/// How far apart those bins are among so many: an odd number, for the curve takes turns.
+#[must_use]
+pub fn telling_step(bins: usize) -> usize {
+    bins.div_ceil(TELLING) | 1
+}
+
+/// What cells hold.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Occupancy {
+    /// In them.
+    pub particles: u64,
+    /// Cells that hold any.
+    pub full_cells: u64,
+}
+
+impl Sum for Occupancy {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::default(), |a, b| Self {
+            particles: a.particles + b.particles,
+            full_cells: a.full_cells + b.full_cells,
+        })
+    }
+}
+
 /// The particles of one bin.
 #[derive(Debug)]
 pub struct BinContents<'a> {
@@ -117,21 +146,23 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// How many cells hold particles.
+    /// Of every so-manieth bin, from number `first` on.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read.
-    pub fn full_cells(&self) -> io::Result<u64> {
-        let full_cells = |bin| {
+    pub fn occupancy(&self, first: usize, step: usize) -> io::Result<Occupancy> {
+        let occupancy = |bin| {
             // Bytes are set whatever they were: bits would wait for one another.
             let mut full = [0_u8; (BIN * BIN * BIN) as usize];
             for (cell, _) in self.contents(bin)?.particles() {
                 full[cell % full.len()] = 1;
             }
             let (rows, _) = full.as_chunks::<{ BIN as usize }>();
-            Ok(rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum::<u64>())
+            let full_cells = rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum();
+            Ok(Occupancy { particles: self.count(bin) as u64, full_cells })
         };
-        (0..self.keys.len()).into_par_iter().map(full_cells).sum()
+        let bins = (first.min(self.keys.len())..self.keys.len()).into_par_iter().step_by(step);
+        bins.map(occupancy).sum()
     }
 
     /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever

@@ -121,10 +121,7 @@ impl<T: Copy + Default> Block<T> {
         part
     }
 
-    /// A separable operation along x, then y, then z; the result is smaller by `reach` on every side.
-    ///
-    /// `fill` makes a row of the result, zero so far: sample i of the taps i, i + step, ..., the first of them `reach`
-    /// cells below it and the last as far above.
+    /// A separable operation along x, then y, then z, as [`along`](Self::along) has it.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
@@ -133,7 +130,15 @@ impl<T: Copy + Default> Block<T> {
         self.along(0, reach, &fill).along(1, reach, &fill).along(2, reach, &fill)
     }
 
-    fn along(&self, axis: usize, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
+    /// An operation along one axis; the result is smaller by `reach` on both sides.
+    ///
+    /// `fill` makes a row of the result, zero so far: sample i of the taps i, i + step, ..., the first of them `reach`
+    /// cells below it and the last as far above.
+    ///
+    /// # Panics
+    /// If the block is too small for one cell to remain.
+    #[must_use]
+    pub fn along(&self, axis: usize, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
         let CellBox { mut lo, mut hi } = self.cells;
         lo[axis] += reach;
         hi[axis] -= reach;

@@ -15,12 +15,15 @@ pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use std::io::{self, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
-use crate::brick::{Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins};
+use crate::brick::{
+    Bins, Block, BrickSide, DifField, InvalidParticles, Occupancy, SortedStore, SpilledBins, telling_step,
+};
 use crate::estimate::{Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
@@ -162,12 +165,10 @@ impl Frame {
             }
         };
         laps.lap("bin");
-        let measured = |indicator: Indicator, full_cells: u64| {
-            indicator.measured(census.binned, full_cells).map_err(FrameError::MeanCount)
-        };
         let mut indicator = *indicator;
         if indicator.waits_for_mean() {
-            indicator = measured(indicator, binned.full_cells().map_err(&in_scratch)?)?;
+            let telling = binned.telling().map_err(&in_scratch)?;
+            indicator = indicator.measured(telling).map_err(FrameError::MeanCount)?;
         }
         let rule = PageRule { indicator, side: *side, walls: domain.as_ref().map(Domain::cells) };
         let take = |bins: &Bins| sink.take(&*stages, bins, &rule);
@@ -175,7 +176,8 @@ impl Frame {
             binned.visit(take, !carried.is_empty(), &resources.scratch).map_err(&in_scratch)?;
         let carried = carried_bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
-        let indicator = measured(indicator, sink.full_cells())?;
+        let all = Occupancy { particles: census.binned as u64, full_cells: sink.full_cells() };
+        let indicator = indicator.measured(all).map_err(FrameError::MeanCount)?;
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
         let dif = sink.finish(&facts, shape, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
@@ -354,12 +356,17 @@ enum Binned {
 }
 
 impl Binned {
-    /// How many cells hold particles.
-    fn full_cells(&self) -> io::Result<u64> {
+    /// Of the bins that tell how many particles a full cell holds.
+    fn telling(&self) -> io::Result<Occupancy> {
         match self {
-            Self::InMemory(bins) => bins.full_cells(),
+            Self::InMemory(bins) => bins.occupancy(0, telling_step(bins.keys().len())),
             Self::Spilled(spilled) => {
-                (0..spilled.runs().len()).map(|run| spilled.load(run)?.full_cells()).sum()
+                let step = telling_step(spilled.runs().last().map_or(0, |run| run.end));
+                let telling = |(run, bins): (usize, &Range<usize>)| {
+                    let first = bins.start.next_multiple_of(step);
+                    bins.contains(&first).then(|| spilled.load(run)?.occupancy(first - bins.start, step))
+                };
+                spilled.runs().iter().enumerate().filter_map(telling).sum()
             }
         }
     }

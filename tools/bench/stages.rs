@@ -62,8 +62,8 @@ fn main() {
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
     for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::default()] {
-        let full_cells = bins.full_cells().expect("bins in memory");
-        let indicator = indicator.measured(particles.len(), full_cells).expect("a mean count");
+        let occupancy = bins.occupancy(0, 1).expect("bins in memory");
+        let indicator = indicator.measured(occupancy).expect("a mean count");
         let rule = PageRule { indicator, side: BrickSide::Eight, walls: None };
         let (seconds, _) = best_seconds(3, || indicate(&bins, 0..bins.keys().len(), &rule));
         let name = indicator.name();

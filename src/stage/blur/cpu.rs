@@ -21,7 +21,23 @@ pub trait Sample: Copy + Default {
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
 pub fn blur<T: Sample>(block: &Block<T>, kernel: &Kernel) -> Block<T> {
-    block.along_each_axis(kernel.reach(), |to, taps, step| T::blur_row(to, taps, step, kernel))
+    blur_while(block, kernel, |_| true).expect("nothing stops it")
+}
+
+/// The same as long as what it comes to along each axis goes on.
+///
+/// # Panics
+/// As [`blur`].
+pub fn blur_while<T: Sample>(
+    block: &Block<T>,
+    kernel: &Kernel,
+    goes_on: impl Fn(&Block<T>) -> bool,
+) -> Option<Block<T>> {
+    let along = |block: &Block<T>, axis| {
+        let blurred = block.along(axis, kernel.reach(), |to, taps, step| T::blur_row(to, taps, step, kernel));
+        goes_on(&blurred).then_some(blurred)
+    };
+    along(&along(&along(block, 0)?, 1)?, 2)
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.

@@ -9,8 +9,8 @@ mod cpu;
 mod smoothing;
 pub mod vulkan;
 
-pub use cpu::{Sample, blur};
-pub use smoothing::{Smoothing, filter};
+pub use cpu::{Sample, blur, blur_while};
+pub use smoothing::{Smoothing, filter_while};
 
 use crate::units::Sigma;
 
