@@ -178,7 +178,7 @@ impl Histogram {
 
 fn smooth(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>, cells: CellBox) -> Block {
     let reach = smoothing.reach();
-    smoothing.apply(&gather(dif, cells.grown(reach, reach), domain), domain.map(Domain::cells))
+    smoothing.apply(gather(dif, cells.grown(reach, reach), domain), domain.map(Domain::cells))
 }
 
 /// Adds the smoothed DIF over the interior cells among `cells`.
@@ -215,7 +215,7 @@ fn add_interior(
         return;
     }
     let reach = smoothing.reach();
-    let field = smoothing.apply(&wide.part(near.grown(reach, reach)), domain.map(Domain::cells));
+    let field = smoothing.apply(wide.part(near.grown(reach, reach)), domain.map(Domain::cells));
     for (y, z, bits) in interior {
         let first = field.index(IVec3::new(near.lo.x, y, z));
         histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));

@@ -192,7 +192,7 @@ impl Fields for Blocks<'_> {
     type Error = Stopped;
 
     fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Stopped> {
-        filter_while(&field, kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
+        filter_while(Rc::unwrap_or_clone(field), kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
     }
 
     fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Stopped> {
@@ -209,7 +209,7 @@ impl Fields for Blocks<'_> {
     }
 
     fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Stopped> {
-        let mut near = spread(field, reach);
+        let mut near = spread(Block::clone(field), reach);
         if let Some(walls) = self.walls {
             near.repeat_edges(walls);
         }

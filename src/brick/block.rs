@@ -121,53 +121,67 @@ impl<T: Copy + Default> Block<T> {
         part
     }
 
-    /// A separable operation along x, then y, then z, as [`along`](Self::along) has it.
+    /// A separable operation along x, then y, then z, as long as what it comes to along each axis goes on; the result is
+    /// smaller by `reach` on every side.
+    ///
+    /// `fill` makes a row of the result, whatever was in it: sample i of the taps i, i + step, ..., the first of them
+    /// `reach` cells below it and the last as far above.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
-    #[must_use]
-    pub fn along_each_axis(&self, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
-        self.along(0, reach, &fill).along(1, reach, &fill).along(2, reach, &fill)
+    pub fn along_each_axis(
+        mut self,
+        reach: i32,
+        fill: impl Fn(&mut [T], &[T], usize),
+        goes_on: impl Fn(&Self) -> bool,
+    ) -> Option<Self> {
+        let mut spare = vec![T::default(); self.samples.len()];
+        for axis in 0..3 {
+            self.along(axis, reach, &mut spare, &fill);
+            if !goes_on(&self) {
+                return None;
+            }
+        }
+        Some(self)
     }
 
-    /// An operation along one axis; the result is smaller by `reach` on both sides.
-    ///
-    /// `fill` makes a row of the result, zero so far: sample i of the taps i, i + step, ..., the first of them `reach`
-    /// cells below it and the last as far above.
-    ///
-    /// # Panics
-    /// If the block is too small for one cell to remain.
-    #[must_use]
-    pub fn along(&self, axis: usize, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
-        let CellBox { mut lo, mut hi } = self.cells;
-        lo[axis] += reach;
-        hi[axis] -= reach;
-        let cells = CellBox { lo, hi };
-        assert!(!cells.is_empty(), "a reach of {reach} on {:?}", self.cells);
-
+    /// What is in `spare`, which is as long as the samples, is of no use before or after.
+    fn along(
+        &mut self,
+        axis: usize,
+        reach: i32,
+        spare: &mut Vec<T>,
+        fill: &impl Fn(&mut [T], &[T], usize),
+    ) {
         let step = self.strides()[axis];
         let margin = 2 * reach as usize * step;
+        self.cells.lo[axis] += reach;
+        self.cells.hi[axis] -= reach;
+        assert!(!self.cells.is_empty(), "a reach of {reach} leaves {:?}", self.cells);
         let fill_all = |to: &mut [T], taps: &[T]| {
             for (first, to) in (0..).step_by(ROW).zip(to.chunks_mut(ROW)) {
                 fill(to, &taps[first..first + to.len() + margin], step);
             }
         };
-        let mut out = Self::zero(cells);
+        let volume = self.cells.volume();
         if axis == 0 {
             // Rows are short: they are done as one, and what lies on both sides of an end is left out.
-            let mut all = vec![T::default(); self.samples.len() - margin];
-            fill_all(&mut all, &self.samples);
-            let width = cells.size().x as usize;
-            for (to, row) in out.samples.chunks_exact_mut(width).zip(all.chunks(width + margin)) {
+            let all = self.samples.len() - margin;
+            fill_all(&mut spare[..all], &self.samples);
+            let width = self.cells.size().x as usize;
+            for (to, row) in self.samples.chunks_exact_mut(width).zip(spare[..all].chunks(width + margin)) {
                 to.copy_from_slice(&row[..width]);
             }
         } else {
-            let run = step * cells.size()[axis] as usize;
-            for (to, taps) in out.samples.chunks_exact_mut(run).zip(self.samples.chunks_exact(run + margin)) {
+            let run = step * self.cells.size()[axis] as usize;
+            for (to, taps) in
+                spare[..volume].chunks_exact_mut(run).zip(self.samples.chunks_exact(run + margin))
+            {
                 fill_all(to, taps);
             }
+            std::mem::swap(&mut self.samples, spare);
         }
-        out
+        self.samples.truncate(volume);
     }
 
     /// Repeats the outermost cells of `domain` in all cells beyond its walls (METHOD section 4).

@@ -10,12 +10,15 @@ pub mod vulkan;
 use std::borrow::Cow;
 use std::io;
 
+use bytemuck::Zeroable;
+use bytemuck::allocation::zeroed_vec;
 use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{BLOCK, CellBox, Domain, Grid, TILE};
+use crate::memory::in_large_pages;
 use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::mesh::spool::Spool;
 use crate::mesh::{BlockMesh, Mesh, Tile, TileMask, VertexAttribute, bits, cell_of_bit};
@@ -79,30 +82,40 @@ impl Stitched {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
         }
-        let vertices: Vec<Vertices> =
-            (0..self.pieces()).into_par_iter().map(|i| self.vertices(i)).collect::<io::Result<_>>()?;
+        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
+        let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
+            let values =
+                self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
+            Ok(VertexAttribute { name: name.clone(), components: *components, values })
+        };
         let mut triangles = vec![[0; 3]; self.triangle_count() as usize];
+        in_large_pages(&triangles);
         split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
             .into_par_iter()
             .enumerate()
             .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
         Ok(Mesh {
-            positions: vertices.iter().flat_map(|v| v.positions.iter().copied()).collect(),
+            positions,
             triangles,
-            normals: self
-                .has_normals()
-                .then(|| vertices.iter().flat_map(|v| v.normals.iter().copied()).collect()),
-            attributes: self
-                .attributes
-                .iter()
-                .enumerate()
-                .map(|(i, AttributeInfo { name, components })| VertexAttribute {
-                    name: name.clone(),
-                    components: *components,
-                    values: vertices.iter().flat_map(|v| v.attributes[i].iter().copied()).collect(),
-                })
-                .collect(),
+            normals: self.has_normals().then(normals).transpose()?,
+            attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
         })
+    }
+
+    /// So many numbers of every vertex, put where they belong block by block.
+    fn of_vertices<T: Zeroable + Send>(
+        &self,
+        width: usize,
+        put: impl Fn(&BlockMesh, &mut [T]) + Sync,
+    ) -> io::Result<Vec<T>> {
+        let mut all: Vec<T> = zeroed_vec(width * self.vertex_count() as usize);
+        in_large_pages(&all);
+        split(&mut all, (0..self.pieces()).map(|i| width * self.spool.counts(i)[0]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| Ok::<_, io::Error>(put(&*self.spool.get(i)?, to)))?;
+        Ok(all)
     }
 
     /// The grid that the surface was made on.
@@ -169,7 +182,7 @@ impl Stitched {
     }
 
     /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
-    fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
+    fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
         let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
             let mut cells = cell.as_dvec3() + 0.5;
             cells[axis] += self.crossings.fraction(ends);
@@ -185,8 +198,16 @@ impl Stitched {
             }
             world.to_array()
         };
-        let mut positions = Vec::with_capacity(block.ends.len());
-        block.edges().for_each(|(cell, axis)| positions.push(place(cell, axis, block.ends[positions.len()])));
+        let mut places = positions.iter_mut().zip(&block.ends);
+        block.edges().for_each(|(cell, axis)| {
+            let (position, &ends) = places.next().expect("a place for every edge");
+            *position = place(cell, axis, ends);
+        });
+    }
+
+    fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
+        let mut positions = vec![[0.0; 3]; block.ends.len()];
+        self.place(block, &mut positions);
         positions
     }
 

@@ -53,13 +53,14 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.reach();
-    let mut sums = sums(bins, attribute, components, used.grown(reach, reach))?;
-    for sum in &mut sums {
+    let sums = sums(bins, attribute, components, used.grown(reach, reach))?;
+    let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {
             sum.repeat_edges(walls);
         }
-        *sum = smoothing.apply(sum, walls);
-    }
+        smoothing.apply(sum, walls)
+    };
+    let sums: Vec<_> = sums.into_iter().map(smooth).collect();
     let (weight, sums) = sums.split_last().expect("the weights come last");
 
     let mut values = Vec::with_capacity(edges.len() * components);

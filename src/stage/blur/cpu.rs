@@ -20,7 +20,7 @@ pub trait Sample: Copy + Default {
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
-pub fn blur<T: Sample>(block: &Block<T>, kernel: &Kernel) -> Block<T> {
+pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel) -> Block<T> {
     blur_while(block, kernel, |_| true).expect("nothing stops it")
 }
 
@@ -29,15 +29,12 @@ pub fn blur<T: Sample>(block: &Block<T>, kernel: &Kernel) -> Block<T> {
 /// # Panics
 /// As [`blur`].
 pub fn blur_while<T: Sample>(
-    block: &Block<T>,
+    block: Block<T>,
     kernel: &Kernel,
     goes_on: impl Fn(&Block<T>) -> bool,
 ) -> Option<Block<T>> {
-    let along = |block: &Block<T>, axis| {
-        let blurred = block.along(axis, kernel.reach(), |to, taps, step| T::blur_row(to, taps, step, kernel));
-        goes_on(&blurred).then_some(blurred)
-    };
-    along(&along(&along(block, 0)?, 1)?, 2)
+    let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel);
+    block.along_each_axis(kernel.reach(), fill, goes_on)
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.
@@ -96,6 +93,7 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32]) {
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_float(to: &mut [f64], taps: &[f64], step: usize, half: &[u32]) {
     let reach = half.len() - 1;
+    to.fill(0.0);
     for k in 0..=2 * reach {
         let weight = f64::from(half[k.abs_diff(reach)]) / f64::from(UNIT);
         for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {

@@ -39,19 +39,16 @@ impl Smoothing {
 
     /// Smooths a block; the result is smaller by [`reach`](Self::reach) on every side.
     #[must_use]
-    pub fn apply<T: Sample>(&self, dif: &Block<T>, walls: Option<CellBox>) -> Block<T> {
-        let filter = |block: &Block<T>, kernel| {
-            filter_while(block, kernel, walls, |_| true).expect("nothing stops it")
-        };
-        let (first, rest) = self.filters.split_first().expect("there is a Gaussian");
-        rest.iter().fold(filter(dif, first), |smooth, kernel| filter(&smooth, kernel))
+    pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
+        let filter = |block, kernel| filter_while(block, kernel, walls, |_| true).expect("nothing stops it");
+        self.filters.iter().fold(dif, filter)
     }
 }
 
 /// One filter, as long as what it comes to along each axis goes on; at a wall it sees the edge cells repeated, and so will
 /// the next.
 pub fn filter_while<T: Sample>(
-    block: &Block<T>,
+    block: Block<T>,
     kernel: &Kernel,
     walls: Option<CellBox>,
     goes_on: impl Fn(&Block<T>) -> bool,
