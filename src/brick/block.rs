@@ -92,20 +92,31 @@ impl<T: Copy + Default> Block<T> {
         value: impl Fn(T, T) -> T,
     ) {
         assert!(self.cells.covers(&part) && from.covers(&part), "{part:?} is not in {:?}", self.cells);
-        let [_, row, slab] = self.strides();
-        let [from_row, from_slab] = [from.size().x, from.size().x * from.size().y].map(|n| n as usize);
         let size = part.size().as_usizevec3();
+        let from_strides = [from.size().x, from.size().x * from.size().y].map(|n| n as usize);
+        let [_, row, slab] = self.strides();
         let first = self.index(part.lo);
         let local = (part.lo - from.lo).as_usizevec3();
-        let samples = &samples[local.x + local.y * from_row + local.z * from_slab..];
-        for z in 0..size.z {
-            for y in 0..size.y {
-                let to = &mut self.samples[first + y * row + z * slab..][..size.x];
-                let from = &samples[y * from_row + z * from_slab..][..size.x];
-                // The most of a row in pieces that are vectors to the compiler.
-                let (to, from) = put_chunks::<T, 8>(to, from, &value);
-                let (to, from) = put_chunks::<T, 4>(to, from, &value);
-                put_chunks::<T, 1>(to, from, &value);
+        let samples = &samples[local.x + local.y * from_strides[0] + local.z * from_strides[1]..];
+        let rows = (0..size.z).flat_map(|z| {
+            (0..size.y).map(move |y| (y * row + z * slab, y * from_strides[0] + z * from_strides[1]))
+        });
+        let to = &mut self.samples[first..];
+        match size.x {
+            2 => put_rows::<T, 2>(to, samples, rows, value),
+            3 => put_rows::<T, 3>(to, samples, rows, value),
+            4 => put_rows::<T, 4>(to, samples, rows, value),
+            5 => put_rows::<T, 5>(to, samples, rows, value),
+            8 => put_rows::<T, 8>(to, samples, rows, value),
+            10 => put_rows::<T, 10>(to, samples, rows, value),
+            16 => put_rows::<T, 16>(to, samples, rows, value),
+            18 => put_rows::<T, 18>(to, samples, rows, value),
+            width => {
+                for (at, from) in rows {
+                    for (to, &from) in to[at..][..width].iter_mut().zip(&samples[from..]) {
+                        *to = value(*to, from);
+                    }
+                }
             }
         }
     }
@@ -209,17 +220,21 @@ impl<T: Copy + Default> Block<T> {
     }
 }
 
-/// Puts what `value` makes of what is in a row and of `from`, as far as whole pieces of `N` reach; returns what is left.
+/// Puts what `value` makes of what is there and of `samples` in rows of `N` that begin at given places in both: rows as
+/// bricks have them or reach into a neighbour's halo, whose width the compiler knows.
 #[inline(always)]
-fn put_chunks<'a, T: Copy, const N: usize>(
-    to: &'a mut [T],
-    from: &'a [T],
-    value: &impl Fn(T, T) -> T,
-) -> (&'a mut [T], &'a [T]) {
-    let ((to, to_rest), (from, from_rest)) = (to.as_chunks_mut::<N>(), from.as_chunks::<N>());
-    for (to, from) in to.iter_mut().zip(from) {
+fn put_rows<T: Copy, const N: usize>(
+    to: &mut [T],
+    samples: &[T],
+    rows: impl Iterator<Item = (usize, usize)>,
+    value: impl Fn(T, T) -> T,
+) {
+    for (at, from) in rows {
+        let (Some(to), Some(from)) = (to[at..].first_chunk_mut::<N>(), samples[from..].first_chunk::<N>())
+        else {
+            unreachable!("both boxes cover the part")
+        };
         let there = *to;
         *to = std::array::from_fn(|i| value(there[i], from[i]));
     }
-    (to_rest, from_rest)
 }
