@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use glam::DVec3;
+use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -84,10 +85,14 @@ impl Particles for [[f32; 3]] {
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        for (to, from) in out.iter_mut().zip(&self[first..]) {
-            *to = from.map(f64::from);
-        }
+        let from = &self[first..first + out.len()];
+        widen(out.as_flattened_mut(), from.as_flattened());
     }
+}
+
+#[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
+fn widen(to: &mut [f64], from: &[f32]) {
+    to.iter_mut().zip(from).for_each(|(to, &from)| *to = from.into());
 }
 
 /// The names under which simulators store a particle's velocity.

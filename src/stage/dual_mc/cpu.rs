@@ -183,9 +183,10 @@ impl Signs {
 
 /// Bit i is set where sample i is inside.
 fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
-    let signs = |samples: &[L::Sample]| {
-        (0..).zip(samples).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i)
-    };
-    let (eights, rest) = row.as_chunks::<8>();
-    eights.iter().rev().fold(signs(rest), |all, eight| all << 8 | signs(eight))
+    let (words, rest) = row.as_chunks::<16>();
+    let rest = (0..).zip(rest).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i);
+    words.iter().rev().fold(rest, |all, word| {
+        let bit = |i: usize| if level.is_inside(word[i]) { 1_u16 << i } else { 0 };
+        all << 16 | u64::from(std::array::from_fn::<u16, 16, _>(bit).iter().fold(0, |a, b| a | b))
+    })
 }
