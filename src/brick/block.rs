@@ -157,13 +157,7 @@ impl<T: Copy + Default> Block<T> {
     }
 
     /// What is in `spare`, which is as long as the samples, is of no use before or after.
-    fn along(
-        &mut self,
-        axis: usize,
-        reach: i32,
-        spare: &mut Vec<T>,
-        fill: &impl Fn(&mut [T], &[T], usize),
-    ) {
+    fn along(&mut self, axis: usize, reach: i32, spare: &mut Vec<T>, fill: &impl Fn(&mut [T], &[T], usize)) {
         let step = self.strides()[axis];
         let margin = 2 * reach as usize * step;
         self.cells.lo[axis] += reach;

@@ -114,7 +114,7 @@ impl Stitched {
         split(&mut all, (0..self.pieces()).map(|i| width * self.spool.counts(i)[0]))
             .into_par_iter()
             .enumerate()
-            .try_for_each(|(i, to)| Ok::<_, io::Error>(put(&*self.spool.get(i)?, to)))?;
+            .try_for_each(|(i, to)| self.spool.get(i).map(|block| put(&block, to)))?;
         Ok(all)
     }
 

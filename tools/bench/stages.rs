@@ -76,7 +76,10 @@ fn main() {
         Block::<u16>::zero(CellBox::cube(glam::IVec3::ZERO, 33).grown(kernel.reach(), kernel.reach()));
     let blocks = 4096;
     let (seconds, _) = best_seconds(3, || {
-        (0..blocks).into_par_iter().map(|_| blur(black_box(block.clone()), &kernel).samples().len()).sum::<usize>()
+        (0..blocks)
+            .into_par_iter()
+            .map(|_| blur(black_box(block.clone()), &kernel).samples().len())
+            .sum::<usize>()
     });
     row("blur, reach 2, blocks of 32^3", f64::from(blocks) * 32f64.powi(3), "M cells/s", seconds);
     drop(bins);

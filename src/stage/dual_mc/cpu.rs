@@ -1,6 +1,7 @@
 //! See the room's `mod.rs` for the formulas.
 
 use glam::{DVec3, IVec3};
+use multiversion::multiversion;
 
 use crate::brick::Block;
 use crate::grid::{BLOCK, CellBox, TILE, local_from_morton, local_morton};
@@ -182,6 +183,7 @@ impl Signs {
 }
 
 /// Bit i is set where sample i is inside.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
     let (words, rest) = row.as_chunks::<16>();
     let rest = (0..).zip(rest).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i);
