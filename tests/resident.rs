@@ -5,6 +5,7 @@ mod common;
 #[path = "../tools/examples/resident.rs"]
 mod example;
 
+use common::scene::Random;
 use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
@@ -12,6 +13,7 @@ use meniscus::frame::{Sampling, Surfacing};
 use meniscus::mesh::Mesh;
 use meniscus::resident::{Pipeline, ResidentError, ResidentSurface, Settings};
 use meniscus::stage::detail::Detail;
+use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, VulkanError};
 
@@ -73,6 +75,27 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     assert_eq!(device.allocated(), 0, "buffers are left");
     drop(device);
     assert_eq!(log.messages(), [""; 0]);
+}
+
+#[test]
+fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
+    let Some((device, _)) = device::open(&DeviceOptions::default()) else { return };
+    // Drops of ever more particles, so that each bin would tell another mu0.
+    let mut random = Random::new(23);
+    let mut particles: Vec<[f64; 3]> = Vec::new();
+    for drop in 0..300 {
+        let centre = [(); 3].map(|()| 300.0 * random.unit());
+        let place = |random: &mut Random| centre.map(|c| c + 4.0 * random.unit());
+        particles.extend(std::iter::repeat_with(|| place(&mut random)).take(20 + drop));
+    }
+    let sampling = Sampling { indicator: Indicator::Cloud { mean: None }, ..sampling() };
+    let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
+    assert!(frame.dif().infos().len() > 256, "all bins tell mu0");
+    let surface = Pipeline::new(&device)
+        .unwrap()
+        .surface(&[positions(&device, &particles)], &settings(&sampling, &surfacing()))
+        .unwrap();
+    assert!(read(&device, &surface) == rounded(&expected.mesh));
 }
 
 #[test]

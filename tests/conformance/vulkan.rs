@@ -5,6 +5,8 @@ use meniscus::frame::Sampling;
 
 #[path = "oracle.rs"]
 mod oracle;
+#[path = "sampled.rs"]
+mod sampled;
 #[path = "surfaces.rs"]
 mod surfaces;
 

@@ -1,0 +1,61 @@
+//! What a part of a large frame tells of all of it.
+
+use crate::common::scene::splash;
+use crate::common::surfacing;
+use glam::{DVec3, IVec3};
+use meniscus::frame::{Frame, Sampling};
+use meniscus::grid::{BIN, CellBox, Grid};
+use meniscus::laps::Laps;
+use meniscus::plateau::Plateau;
+use meniscus::stage::indicator::Indicator;
+
+use super::sampling;
+
+/// Cells of a spacing.
+const CELLS: f64 = 1.6;
+
+/// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold little.
+fn frame(indicator: Indicator) -> (Frame, IVec3) {
+    let particles = splash(200_000, 8);
+    let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
+    let sampling = Sampling { indicator, grid, spacing: Some(1.0), ..sampling() };
+    let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+    let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
+    let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
+    (frame, pool.as_ivec3())
+}
+
+#[test]
+fn mu0_of_clouds_is_told_by_some_bins_and_near_that_of_all() {
+    let [some, all] =
+        [Indicator::Cloud { mean: None }, Indicator::Counting { mean: None }].map(|indicator| {
+            let (frame, _) = frame(indicator);
+            assert!(frame.dif().infos().len() > 256, "all bins tell mu0");
+            frame.mean_count().unwrap().particles()
+        });
+    assert_ne!(some, all);
+    assert!((some / all - 1.0).abs() < 0.005, "{some}, of all bins {all}");
+}
+
+#[test]
+fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool() {
+    for indicator in crate::common::INDICATORS {
+        let (frame, pool) = frame(indicator);
+        let blocks = frame.dif().regions(0, 0).len();
+        assert!(blocks > 16, "all of {blocks} blocks tell the plateau");
+        let (recipe, plateau) = frame.recipe(&surfacing());
+        let inside = CellBox { lo: IVec3::splat(BIN / 2), hi: pool - BIN / 2 };
+        let mut deep = Vec::new();
+        for cells in inside.cubes(BIN) {
+            let cells = CellBox::cube(cells, BIN).intersection(&inside);
+            deep.extend_from_slice(frame.field(&recipe, cells).samples());
+        }
+        let (_, median, _) = {
+            let middle = deep.len() / 2;
+            deep.select_nth_unstable(middle)
+        };
+        let Plateau::Interior { median: told, .. } = plateau else { panic!("{indicator:?}: {plateau:?}") };
+        let off = f64::from(told) / f64::from(*median) - 1.0;
+        assert!(off.abs() < 0.01, "{indicator:?}: {told} is off from {median} by {off}");
+    }
+}
