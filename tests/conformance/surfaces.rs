@@ -223,6 +223,23 @@ fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume() {
 }
 
 #[test]
+fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else() {
+    let walls = DVec3::splat(20.0);
+    for indicator in INDICATORS {
+        let sampling = sampling();
+        let domain = Domain::new(&sampling.grid, -walls, walls).unwrap();
+        let particles = fill(20.0, 1.5, 0.3, 9, |p| p.abs().cmplt(walls).all());
+        let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
+        let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
+        assert_watertight(&mesh, "a full tank");
+        let measures = measure(&mesh);
+        assert_eq!(measures.bounds, Some([(-walls).to_array(), walls.to_array()]));
+        let error = measures.volume.unwrap() / 40.0_f64.powi(3) - 1.0;
+        assert!(error.abs() < 0.01, "{indicator:?}: volume off by {error}");
+    }
+}
+
+#[test]
 fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape() {
     let drop = fill(10.0, 2.0, 0.3, 4, |p| p.length() < 6.0);
     let far = |shift: DVec3| drop.iter().map(move |&p| (DVec3::from(p) + shift).to_array());
