@@ -4,7 +4,7 @@
 use bytesize::ByteSize;
 use thiserror::Error;
 
-use crate::brick::PageShape;
+use crate::brick::{CountingRoom, PageShape};
 use crate::units::MemoryBudget;
 
 /// Bytes that the program takes before there is any data, and that each thread works in.
@@ -16,6 +16,9 @@ const BIN_BYTES: u64 = 320;
 const RECORD: u64 = 8;
 /// Bytes of a particle in a scratch file, at the least.
 const SPILLED: u64 = 6;
+/// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
+/// more bins than a place can name.
+const MOST_PLACES: u64 = 64 << 20;
 /// Bytes of a vertex before it is written: the samples of its edge, and its share of a tile.
 const VERTEX: u64 = 8;
 /// Vertices around a particle that is alone.
@@ -33,6 +36,8 @@ pub struct Estimate {
     pub program: u64,
     /// Tables of bins.
     pub index: u64,
+    /// What is kept of the first reading until particles are sorted.
+    pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
     /// The same particles in a scratch file, not yet sorted: what they take there at the least.
@@ -81,10 +86,12 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
-/// How many bins the tables may list, at the most, under a budget.
+/// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.
 #[must_use]
-pub fn bin_limit(budget: MemoryBudget) -> usize {
-    usize::try_from(budget.0 / 2 / BIN_BYTES).unwrap_or(usize::MAX)
+pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
+    let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
+    let places = (budget.0 / 8).min(MOST_PLACES) / CountingRoom::PLACE;
+    CountingRoom { bins: number(budget.0 / 2 / BIN_BYTES), places: number(places) }
 }
 
 impl Estimate {
@@ -126,7 +133,8 @@ impl Estimate {
     /// The peak with everything in memory.
     #[must_use]
     pub fn in_core(&self) -> u64 {
-        self.program + self.index + self.field + self.particles.max(self.surface + self.beside_the_surface())
+        let meshing = self.field + self.particles.max(self.surface + self.beside_the_surface());
+        self.program + self.index + meshing.max(self.places + self.particles)
     }
 
     /// Particles that carry attributes are needed until the surface is done.

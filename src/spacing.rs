@@ -7,7 +7,7 @@ use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::brick::{BinPlan, InvalidParticles};
+use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
 use crate::grid::{BIN, Grid};
 use crate::particles::{Bounds, Particles, bounds, finite_chunks};
 
@@ -101,7 +101,8 @@ type Counts = HashMap<IVec3, usize>;
 /// Counts particles in the cells of edge `cell` that begin at `origin`: the bins of a grid that much finer.
 fn counts(particles: &(impl Particles + ?Sized), origin: DVec3, cell: f64) -> Option<Counts> {
     let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
-    let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, MOST_CELLS).ok()?;
+    let room = CountingRoom { bins: MOST_CELLS, places: 0 };
+    let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
     Some(plan.keys().iter().map(|key| key.coord()).zip(plan.counts()).collect())
 }
 

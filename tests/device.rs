@@ -18,7 +18,7 @@ use glam::{DVec3, IVec3};
 use meniscus::brick::vulkan::{
     BinKernels, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
 };
-use meniscus::brick::{BinError, BinPlan, Block, Census, InvalidParticles};
+use meniscus::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
 use meniscus::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use meniscus::mesh::BlockMesh;
 use meniscus::mesh::spool::Spool;
@@ -225,7 +225,8 @@ fn on_host(
     invalid: InvalidParticles,
     limit: usize,
 ) -> Result<Sorted, BinError> {
-    let plan = BinPlan::count(particles, grid, domain, invalid, limit)?;
+    let room = CountingRoom { bins: limit, ..CountingRoom::BINS };
+    let plan = BinPlan::count(particles, grid, domain, invalid, room)?;
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
     let records = |bin| {

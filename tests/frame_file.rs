@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use common::{INDICATORS, sampling, splashes, tank};
 use glam::{DVec3, IVec3};
-use meniscus::brick::{BinPlan, BrickSide, DifField, InvalidParticles};
+use meniscus::brick::{BinPlan, BrickSide, CountingRoom, DifField, InvalidParticles};
 use meniscus::grid::{CellBox, Domain, Grid};
 use meniscus::io::ReadFault;
 use meniscus::io::bytes::Unpacking;
@@ -32,7 +32,8 @@ fn sample(
     indicator: Indicator,
     side: BrickSide,
 ) -> (FrameFacts, DifField) {
-    let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, usize::MAX).unwrap();
+    let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, CountingRoom::BINS)
+        .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
     let indicator = indicator.measured(bins.occupancy(0, 1).unwrap()).unwrap();

@@ -12,7 +12,7 @@ use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tan
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
-use meniscus::brick::{BinPlan, Block, BrickSide, DifField, InvalidParticles};
+use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::io::bytes::Unpacking;
@@ -123,7 +123,8 @@ fn crowds() -> Vec<[f64; 3]> {
 fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
-    let plan = BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, usize::MAX).unwrap();
+    let plan =
+        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS).unwrap();
     let bins = plan.fill(&particles[..], &[]);
     validated(|device| {
         let vulkan = Vulkan::new(device.clone()).unwrap();

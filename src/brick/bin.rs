@@ -1,7 +1,7 @@
 //! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
 //!
 //! Positions are read twice: once to count, once to drop each particle, packed into 51 bits, into its bin's place in
-//! memory, or into its run of bins in a scratch file. Of few particles the first reading keeps what the second would
+//! memory, or into its run of bins in a scratch file. Where there is room, the first reading keeps what the second would
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
+use crate::memory::in_large_pages;
 use crate::particles::Particles;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots};
@@ -24,8 +25,25 @@ use super::spill::{SpilledBins, tuple_bytes};
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
 
-/// Particles of which it is kept where they are: 4 MiB of them.
-const KEPT: usize = 1 << 18;
+/// Bins of a range whose particles' places are kept, at the most: as of a run, and the last stands for none.
+const KEPT_BINS: usize = RUN_BINS - 1;
+
+/// What counting may take of memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CountingRoom {
+    /// Bins that may be listed.
+    pub bins: usize,
+    /// Particles whose places may be kept, of [`Self::PLACE`] bytes each: those are not read again.
+    pub places: usize,
+}
+
+impl CountingRoom {
+    /// Bytes of a place that is kept.
+    pub const PLACE: u64 = size_of::<Record>() as u64;
+
+    /// For any number of bins, and no place.
+    pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
+}
 
 /// What to do with particles that are not finite, or beyond the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -101,7 +119,8 @@ struct RangePlan {
     table: BinTable,
     /// The rank among all bins of each bin in the table.
     ranks: Vec<u32>,
-    placed: Vec<Placed>,
+    /// Of each particle its bin's rank in the table and, below, its record; empty where they were not kept.
+    places: Vec<Record>,
 }
 
 /// A particle's bin, by its rank in the table of its range, and its place there.
@@ -110,8 +129,20 @@ type Placed = (u32, Record);
 /// The bin of a particle that is left out.
 const NOWHERE: u32 = u32::MAX;
 
+/// In one word, where its bin is none or one of the first [`KEPT_BINS`].
+#[inline(always)]
+fn pack_place((rank, record): Placed) -> Record {
+    u64::from(rank) << RECORD_BITS | record
+}
+
+#[inline(always)]
+fn unpack_place(place: Record) -> Placed {
+    let rank = (place >> RECORD_BITS) as u32;
+    (if rank as usize == KEPT_BINS { NOWHERE } else { rank }, place & ((1 << RECORD_BITS) - 1))
+}
+
 impl<'a> BinPlan<'a> {
-    /// Counts `particles` by bin, unless they touch more than `limit` bins.
+    /// Counts `particles` by bin, unless they touch more bins than there is room for.
     ///
     /// # Errors
     /// [`BinError`], naming the first invalid particle, unless they are skipped.
@@ -120,11 +151,12 @@ impl<'a> BinPlan<'a> {
         grid: &'a Grid,
         domain: Option<&'a Domain>,
         invalid: InvalidParticles,
-        limit: usize,
+        room: CountingRoom,
     ) -> Result<Self, BinError> {
+        let limit = room.bins;
         let placer = Placer { grid, domain };
         let ranges = ranges(particles.len());
-        let counter = Counter { placer, limit, stop: AtomicBool::new(false) };
+        let counter = Counter { placer, room, stop: AtomicBool::new(false) };
         let counts: Vec<RangeCount> =
             ranges.par_iter().map(|range| counter.count(particles, range.clone())).collect();
         if counter.stop.into_inner() {
@@ -154,12 +186,12 @@ impl<'a> BinPlan<'a> {
         let ranges = ranges
             .into_iter()
             .zip(counts)
-            .map(|(range, RangeCount { table, placed, .. })| {
+            .map(|(range, RangeCount { table, places, .. })| {
                 let ranks: Vec<u32> = table.bins.iter().map(|(bin, _)| rank[bin]).collect();
                 for (&rank, (_, count)) in ranks.iter().zip(&table.bins) {
                     first[rank as usize + 1] += count;
                 }
-                RangePlan { range, table, ranks, placed }
+                RangePlan { range, table, ranks, places }
             })
             .collect();
         for i in 0..bins.len() {
@@ -185,6 +217,12 @@ impl<'a> BinPlan<'a> {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 
+    /// Bytes of the places that were kept.
+    #[must_use]
+    pub fn places_bytes(&self) -> u64 {
+        self.ranges.iter().map(|range| CountingRoom::PLACE * range.places.len() as u64).sum()
+    }
+
     /// The second reading, into memory: sorts the same `particles` into their bins, and with them the
     /// attributes whose numbers are in `carried`.
     #[must_use]
@@ -202,7 +240,8 @@ impl<'a> BinPlan<'a> {
                 *number = slot;
             }
         }
-        ranges.into_par_iter().for_each(|RangePlan { range, mut table, placed, .. }| {
+        ranges.into_par_iter().for_each(|RangePlan { range, mut table, places, .. }| {
+            let mut placed = Vec::with_capacity(CHUNK);
             let put = |table: &mut BinTable, first: usize, placed: &[Placed]| {
                 let to: Vec<Option<usize>> = placed.iter().map(|&(rank, _)| table.advance(rank)).collect();
                 for (slot, &(_, record)) in to.iter().zip(placed) {
@@ -219,17 +258,19 @@ impl<'a> BinPlan<'a> {
                     }
                 }
             };
-            if placed.len() == range.len() {
-                for (first, placed) in range.clone().step_by(CHUNK).zip(placed.chunks(CHUNK)) {
-                    put(&mut table, first, placed);
+            if places.len() == range.len() {
+                for (first, places) in range.clone().step_by(CHUNK).zip(places.chunks(CHUNK)) {
+                    placed.clear();
+                    placed.extend(places.iter().map(|&place| unpack_place(place)));
+                    put(&mut table, first, &placed);
                 }
                 particles.release(range);
                 return;
             }
             let mut latest = Latest::of(particles.len());
             let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
-                let placed: Vec<Placed> =
-                    addresses.iter().map(|&address| table.place(address, &mut latest)).collect();
+                placed.clear();
+                placed.extend(addresses.iter().map(|&address| table.place(address, &mut latest)));
                 put(&mut table, first, &placed);
                 Ok::<_, Infallible>(())
             });
@@ -276,7 +317,7 @@ impl<'a> BinPlan<'a> {
         buffer_bytes: usize,
     ) -> io::Result<SpilledBins> {
         let Self { placer, keys, first, mut ranges, .. } = self;
-        ranges.iter_mut().for_each(|range| range.placed = Vec::new());
+        ranges.iter_mut().for_each(|range| range.places = Vec::new());
         let mut run_of_bin = vec![0_u32; keys.len()];
         runs.iter().zip(0..).for_each(|(run, i)| run_of_bin[run.clone()].fill(i));
         let spilled = SpilledBins::new(keys, first, components(particles, carried), runs, folder)?;
@@ -346,7 +387,7 @@ struct RangeCount {
     census: Census,
     first_invalid: Option<(usize, [f64; 3], Unplaced)>,
     /// Of each, or of none.
-    placed: Vec<Placed>,
+    places: Vec<Record>,
 }
 
 /// The bins that were last asked for, one of all that are so many apart along each axis: cheaper than a map.
@@ -422,7 +463,7 @@ fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
 /// Counts until there are too many bins.
 struct Counter<'a> {
     placer: Placer<'a>,
-    limit: usize,
+    room: CountingRoom,
     stop: AtomicBool,
 }
 
@@ -432,15 +473,16 @@ impl Counter<'_> {
         let mut latest = Latest::of(particles.len());
         let mut census = Census::default();
         let mut first_invalid = None;
-        let kept = particles.len() <= KEPT;
-        let mut placed = Vec::with_capacity(if kept { range.len() } else { 0 });
+        let mut kept = particles.len() <= self.room.places;
+        let mut places = Vec::with_capacity(if kept { range.len() } else { 0 });
+        in_large_pages(places.spare_capacity_mut());
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {
                 let (rank, record) = table.place(*address, &mut latest);
                 table.advance(rank);
                 if kept {
-                    placed.push((rank, record));
+                    places.push(pack_place((rank, record)));
                 }
                 if rank != NOWHERE {
                     continue;
@@ -455,12 +497,57 @@ impl Counter<'_> {
                     census.outside += 1;
                 }
             }
-            if table.bins.len() > self.limit {
+            if kept && table.bins.len() > KEPT_BINS {
+                (kept, places) = (false, Vec::new());
+            }
+            if table.bins.len() > self.room.bins {
                 self.stop.store(true, Ordering::Relaxed);
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
         census.binned = table.bins.iter().map(|(_, count)| count).sum();
-        RangeCount { table, census, first_invalid, placed }
+        RangeCount { table, census, first_invalid, places }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    /// Each bin with its particles' records, sorted.
+    fn binned(plan: BinPlan<'_>, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
+        let bins = plan.fill(particles, &[]);
+        let sorted = |bin: usize| {
+            let mut records = bins.contents(bin).unwrap().packed().to_vec();
+            records.sort_unstable();
+            (bins.keys()[bin], records)
+        };
+        (0..bins.keys().len()).map(sorted).collect()
+    }
+
+    #[test]
+    fn places_that_are_kept_or_given_up_on_the_way_are_those_that_a_second_reading_finds() {
+        let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
+        let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
+        let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
+        // Along each axis so many bins: in the second scene more than a place can name.
+        for bins in [5, 25] {
+            let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
+            let place = |i: usize| std::array::from_fn(|a| f64::from(16 * bins) * coordinate(i, a) - 5.0);
+            let mut particles: Vec<[f64; 3]> = (0..30_000).map(place).collect();
+            particles[12_345][1] = f64::NAN;
+            for domain in [None, Some(&walls)] {
+                let [with, without] = [kept, CountingRoom::BINS].map(|room| {
+                    BinPlan::count(&particles[..], &grid, domain, InvalidParticles::Skip, room).unwrap()
+                });
+                let all_kept = with.places_bytes() == CountingRoom::PLACE * particles.len() as u64;
+                assert_eq!(all_kept, bins == 5);
+                assert_eq!(without.places_bytes(), 0);
+                assert_eq!(with.census(), without.census());
+                assert!(binned(with, &particles) == binned(without, &particles), "{bins} bins an axis");
+            }
+        }
     }
 }

@@ -12,7 +12,7 @@ mod store;
 mod sums;
 pub mod vulkan;
 
-pub use bin::{BinError, BinPlan, Census, InvalidParticles};
+pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use bins::{AXIS_BITS, BinContents, Bins, Occupancy, RECORD_BITS, telling_step, unpack};
 pub use block::Block;
 pub use field::DifField;

@@ -1,7 +1,7 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
-use crate::brick::{BinError, BinPlan, Census, InvalidParticles};
-use crate::estimate::{Estimate, OverBudget, bin_limit};
+use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
+use crate::estimate::{Estimate, OverBudget, counting_room};
 use crate::grid::Grid;
 use crate::particles::Particles;
 use crate::rivals::Method;
@@ -25,13 +25,13 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         let Sampling { grid, domain, invalid, resources, .. } = sampling;
-        let limit = bin_limit(resources.budget);
-        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, limit) {
+        let room = counting_room(resources.budget);
+        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, room) {
             Err(BinError::TooManyBins { .. }) => {
                 return Err(FrameError::OverBudget(OverBudget {
                     cell_size: grid.cell_size(),
                     budget: resources.budget.0,
-                    fitting_cell_size: fitting_cell_size(particles, sampling, limit),
+                    fitting_cell_size: fitting_cell_size(particles, sampling, room),
                 }));
             }
             plan => plan?,
@@ -44,6 +44,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let in_memory = particles.resident_bytes() + resources.host_bytes();
         let estimate =
             Estimate::of(plan.counts(), sampling.indicator.shape(sampling.side), components, in_memory);
+        let estimate = Estimate { places: plan.places_bytes(), ..estimate };
         Ok(Self { particles, sampling, plan, estimate, kernels: None })
     }
 
@@ -71,13 +72,13 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
 }
 
 /// The smallest doubling of the cell size with which the tables of bins fit.
-fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, limit: usize) -> f64 {
+fn fitting_cell_size(particles: &(impl Particles + ?Sized), sampling: &Sampling, room: CountingRoom) -> f64 {
     let mut cell = sampling.grid.cell_size();
     loop {
         cell *= 2.0;
         let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
         // Walls keep particles out; without them there are only more bins.
-        if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, limit).is_ok() {
+        if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).is_ok() {
             return cell;
         }
     }

@@ -8,7 +8,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::brick::{BinPlan, Block, BrickSide, InvalidParticles};
+use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::laps::Laps;
@@ -55,7 +55,7 @@ fn main() {
 
     let grid = Grid::new(DVec3::ZERO, 1.0).expect("a valid grid");
     let bin = || {
-        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, usize::MAX)
+        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
             .expect("valid particles")
             .fill(&particles[..], &[])
     };
