@@ -2,6 +2,9 @@
 
 use std::fs::read_to_string;
 
+use bytemuck::Zeroable;
+use bytemuck::allocation::zeroed_vec;
+
 use crate::units::MemoryBudget;
 
 /// Three quarters of what is available: the system's own estimate, and no more than a control group or `ulimit` allows.
@@ -53,17 +56,31 @@ pub fn peak_resident() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 
-/// Asks for large pages under memory that nothing was written to yet, and that will be written in no order: with small
-/// ones each write would look up a page.
+/// A vector of zeros, in huge pages where the system has them: whoever writes all over it looks up fewer pages, and the
+/// system hands out fewer.
+pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
+    let zeros = zeroed_vec(len);
+    advise_huge_pages(&zeros);
+    zeros
+}
+
+/// The same with nothing in it yet.
+pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
+    let mut empty = Vec::with_capacity(capacity);
+    advise_huge_pages(empty.spare_capacity_mut());
+    empty
+}
+
+/// Before anything is written: what has its pages keeps them.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-pub(crate) fn in_large_pages<T>(memory: &[T]) {
-    /// What large pages begin at multiples of, on most machines; on others less of the memory lies in them.
-    const LARGE: usize = 2 << 20;
+fn advise_huge_pages<T>(memory: &[T]) {
+    /// What huge pages begin at multiples of, on most machines; on others less of the memory lies in them.
+    const HUGE: usize = 2 << 20;
     let bytes = memory.as_ptr().cast::<u8>();
-    let first = bytes.align_offset(LARGE).min(size_of_val(memory));
-    let whole = (size_of_val(memory) - first) / LARGE * LARGE;
+    let first = bytes.align_offset(HUGE).min(size_of_val(memory));
+    let whole = (size_of_val(memory) - first) / HUGE * HUGE;
     if whole > 0 {
-        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there are no large pages, it
+        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there are no huge pages, it
         // refuses, and all stays as it was.
         unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
     }
@@ -71,7 +88,7 @@ pub(crate) fn in_large_pages<T>(memory: &[T]) {
 
 /// Other systems decide for themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub(crate) fn in_large_pages<T>(_: &[T]) {}
+fn advise_huge_pages<T>(_: &[T]) {}
 
 fn kib_field(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;

@@ -8,7 +8,7 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::brick::{Block, DifField, full_bits, fullness};
+use crate::brick::{Block, DifField, equal_steps, full_bits, fullness};
 use crate::grid::{CellBox, Domain};
 use crate::recipe::{Details, Recipe, gather};
 use crate::stage::adaptive::Adaptive;
@@ -17,11 +17,10 @@ use crate::stage::detail::Detail;
 use crate::stage::indicator::Indicator;
 use crate::units::{Isovalue, Sigma};
 
-/// Blocks that are looked at first, and where they have too few interior cells; in a larger frame they are taken at equal
-/// steps along the Morton curve.
-const SAMPLED_BLOCKS: [usize; 2] = [16, 64];
+/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
+const SAMPLED_BLOCKS: usize = 64;
 
-/// Interior cells that the first of them have to have.
+/// Interior cells that the blocks' middles have to have; else they are looked at whole.
 const ENOUGH: u64 = 1 << 16;
 
 /// What the smoothed DIF is like where the fluid is deep.
@@ -31,7 +30,7 @@ pub enum Plateau {
     Interior {
         /// Of the field over the interior cells.
         median: u16,
-        /// The least value seen: from there on the interior fills with bubbles.
+        /// The least value seen in the parts of blocks that were looked at: from there on the interior fills with bubbles.
         lowest: u16,
     },
     /// The fluid is nowhere deeper than the filters reach; the greatest value stands in.
@@ -46,22 +45,19 @@ impl Plateau {
     #[must_use]
     pub fn of(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>) -> Self {
         let blocks = dif.regions(0, 0);
-        let interior = |sampled: usize, enough: u64| {
-            let step = blocks.len().div_ceil(sampled).max(1);
-            let blocks: Vec<_> = blocks.iter().step_by(step).collect();
-            let samples =
-                Histogram::of(&blocks, |seen, &cells| add_interior(seen, dif, smoothing, domain, cells));
-            if step > 1 && samples.total() < enough {
-                return None;
-            }
+        let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();
+        let middles = || sampled.iter().map(middle).collect::<Vec<_>>();
+        let interior = |parts: &[CellBox], enough: u64| {
+            let add = |seen: &mut _, &cells: &_| add_interior(seen, dif, smoothing, domain, cells);
+            let samples = Histogram::of(parts, add);
+            (samples.total() >= enough).then_some(())?;
             Some(Self::Interior { median: samples.quantile(0.5)?, lowest: samples.quantile(0.0)? })
         };
-        let [few, more] = SAMPLED_BLOCKS;
+        let of_middles = if sampled.len() < blocks.len() { interior(&middles(), ENOUGH) } else { None };
         // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
-        let found = interior(few, ENOUGH).or_else(|| interior(more, 1)).or_else(|| interior(usize::MAX, 1));
+        let found = of_middles.or_else(|| interior(&sampled, 1)).or_else(|| interior(&blocks, 1));
         found.unwrap_or_else(|| {
-            let all: Vec<_> = blocks.iter().collect();
-            let field = Histogram::of(&all, |seen, &cells| {
+            let field = Histogram::of(&blocks, |seen, &cells| {
                 for (_, row) in smooth(dif, smoothing, domain, cells).rows(cells) {
                     seen.add(row, u128::MAX);
                 }
@@ -117,8 +113,8 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    fn of<T: Sync>(parts: &[&T], add: impl Fn(&mut Self, &T) + Sync) -> Self {
-        let add = |mut histogram: Self, part: &&T| {
+    fn of<T: Sync>(parts: &[T], add: impl Fn(&mut Self, &T) + Sync) -> Self {
+        let add = |mut histogram: Self, part: &T| {
             add(&mut histogram, part);
             histogram
         };
@@ -174,6 +170,12 @@ impl Histogram {
         };
         self.counts().find(reached).map(|(sample, _)| sample)
     }
+}
+
+/// Half of a box along each axis.
+fn middle(cells: &CellBox) -> CellBox {
+    let size = cells.size();
+    CellBox { lo: cells.lo + size / 4, hi: cells.hi - size / 4 }
 }
 
 fn smooth(dif: &DifField, smoothing: &Smoothing, domain: Option<&Domain>, cells: CellBox) -> Block {

@@ -5,7 +5,7 @@ use std::rc::Rc;
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
 use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
-use crate::stage::blur::{Kernel, Smoothing, filter_while};
+use crate::stage::blur::{Kernel, Smoothing, blur_along};
 use crate::stage::detail::{lost, raise};
 use crate::units::Isovalue;
 
@@ -192,7 +192,18 @@ impl Fields for Blocks<'_> {
     type Error = Stopped;
 
     fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Stopped> {
-        filter_while(Rc::unwrap_or_clone(field), kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
+        let mut block = Rc::unwrap_or_clone(field);
+        let mut spare = Vec::new();
+        for axis in 0..3 {
+            blur_along(&mut block, axis, kernel, &mut spare);
+            if !(self.goes_on)(&block) {
+                return Err(Stopped);
+            }
+        }
+        if let Some(walls) = self.walls {
+            block.repeat_edges(walls);
+        }
+        Ok(Rc::new(block))
     }
 
     fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Stopped> {

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BinError, Census, DifField, InvalidParticles, Occupancy, PageInfo, telling_step};
+use crate::brick::{BinError, Census, DifField, InvalidParticles, sampled_bins};
 use crate::grid::{Domain, Grid};
 use crate::plateau::{self, Plateau};
 use crate::stage::detail::Detail;
@@ -146,23 +146,23 @@ impl Pipeline {
             let pages = frame.indicate(&bins, &PageRule { indicator, side, walls })?;
             Ok::<_, VulkanError>(DifField::in_memory(indicator.shape(side), pages))
         };
-        let measured = |indicator: Indicator, dif: &DifField, step: usize| {
-            let counts = bins.first.windows(2).map(|ends| (ends[1] - ends[0]) as u64);
-            let occupancy = |(info, particles): (&PageInfo, u64)| Occupancy {
-                particles,
-                full_cells: info.full_count.into(),
-            };
-            let telling: Occupancy = dif.infos().iter().zip(counts).step_by(step).map(occupancy).sum();
-            indicator.measured(telling).map_err(ResidentError::MeanCount)
+        let measured = |indicator: Indicator, full_cells: u64| {
+            indicator.measured(census.binned, full_cells).map_err(ResidentError::MeanCount)
         };
         let mut indicator = *indicator;
         if indicator.waits_for_mean() {
-            let counts = stored(&self.vulkan.start_resident(), Indicator::Counting { mean: None })?;
-            indicator = measured(indicator, &counts, telling_step(bins.keys.len()))?;
+            // All are counted, but those tell that tell on the host.
+            let counted = stored(&self.vulkan.start_resident(), Indicator::Counting { mean: None })?;
+            debug_assert_eq!(counted.infos().len(), bins.keys.len(), "every bin has a page");
+            let full_cells =
+                |(bin, weight): (usize, f64)| weight * f64::from(counted.infos()[bin].full_count);
+            let counts = bins.first.windows(2).map(|ends| ends[1] - ends[0]);
+            let full_cells: f64 = sampled_bins(counts).into_iter().map(full_cells).sum();
+            indicator = measured(indicator, full_cells.round() as u64)?;
         }
         let stored = stored(&frame, indicator)?;
-        let indicator = measured(indicator, &stored, 1)?;
         drop(bins);
+        let indicator = measured(indicator, stored.full_cells())?;
         let dif = indicator.decode(stored);
         let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };

@@ -7,7 +7,7 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use common::{INDICATORS, sampling, splashes, tank};
+use common::{INDICATORS, full_cells, sampling, splashes, tank};
 use glam::{DVec3, IVec3};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, DifField, InvalidParticles};
 use meniscus::grid::{CellBox, Domain, Grid};
@@ -36,7 +36,7 @@ fn sample(
         .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let indicator = indicator.measured(bins.occupancy(0, 1).unwrap()).unwrap();
+    let indicator = indicator.measured(census.binned, full_cells(&bins)).unwrap();
     let rule = PageRule { indicator, side, walls: domain.as_ref().map(Domain::cells) };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
     let field = DifField::in_memory(rule.shape(), pages);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use common::scene::Random;
-use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, device, full_cells, reconstruct, sampling, splashes, surfacing, tank};
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
@@ -133,7 +133,7 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
                 for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
                     let frame = vulkan.start(budget);
                     let all = 0..bins.keys().len();
-                    let indicator = indicator.measured(bins.occupancy(0, 1).unwrap()).unwrap();
+                    let indicator = indicator.measured(particles.len(), full_cells(&bins)).unwrap();
                     let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
                     let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
                     let expected = Cpu.start(budget).indicate(&bins, all, &rule).unwrap();

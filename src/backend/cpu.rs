@@ -54,8 +54,8 @@ fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
     let &Surfaces { dif, recipe, domain, .. } = surfaces;
     let walls = surfaces.walls();
     let dif = recipe.gather(dif, surfaces.field(region), domain);
-    let inside_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
-    let field = recipe.cut_field(dif, domain, inside_walls)?;
+    let away_from_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
+    let field = recipe.cut_field(dif, domain, away_from_walls)?;
     let mut mesh = contour(&field, region, recipe.iso, walls);
     if mesh.tiles.is_empty() {
         return None;

@@ -5,17 +5,19 @@
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
+use std::hash::BuildHasher;
 use std::io;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use hashbrown::HashMap;
+use hashbrown::hash_table::Entry;
+use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
 use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
-use crate::memory::in_large_pages;
+use crate::memory::empty_in_huge_pages;
 use crate::particles::Particles;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots};
@@ -390,16 +392,16 @@ struct RangeCount {
     places: Vec<Record>,
 }
 
-/// The bins that were last asked for, one of all that are so many apart along each axis: cheaper than a map.
+/// A direct-mapped cache of ranks in a table: of all bins that are so many apart along each axis, that which was last
+/// asked for. A rank is worth nothing until the table confirms it.
 struct Latest {
     /// Of a bin's coordinate along each axis.
     bits: u32,
-    /// Of each the rank in a table.
     ranks: Vec<u32>,
 }
 
 impl Latest {
-    /// For so many particles, which may lie in any order: a pool of them is about as many bins wide.
+    /// For so many particles, which may lie in any order: about as many bins along each axis as a pool of them has.
     fn of(particles: usize) -> Self {
         let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
         let bits = 4 + doublings.div_ceil(3).min(2);
@@ -417,7 +419,9 @@ impl Latest {
 /// The bins that a range of particles touches.
 #[derive(Default)]
 struct BinTable {
-    rank: HashMap<BinCode, u32>,
+    /// Of each bin, found by its code.
+    ranks: HashTable<u32>,
+    hasher: DefaultHashBuilder,
     /// By rank, each with a number: first its count, then its next free record.
     bins: Vec<(BinCode, usize)>,
 }
@@ -428,12 +432,24 @@ impl BinTable {
     fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
         let latest = latest.rank(bin);
         if self.bins.get(*latest as usize).is_none_or(|&(found, _)| found != bin) {
-            *latest = *self.rank.entry(bin).or_insert_with(|| {
-                self.bins.push((bin, 0));
-                self.bins.len() as u32 - 1
-            });
+            *latest = self.found_rank(bin);
         }
         *latest
+    }
+
+    fn found_rank(&mut self, bin: BinCode) -> u32 {
+        let Self { ranks, hasher, bins } = self;
+        let code = |&rank: &u32| bins[rank as usize].0;
+        match ranks.entry(hasher.hash_one(bin), |rank| code(rank) == bin, |rank| hasher.hash_one(code(rank)))
+        {
+            Entry::Occupied(found) => *found.get(),
+            Entry::Vacant(free) => {
+                let rank = bins.len() as u32;
+                free.insert(rank);
+                bins.push((bin, 0));
+                rank
+            }
+        }
     }
 
     /// The rank of a particle's bin, and its place there.
@@ -474,8 +490,7 @@ impl Counter<'_> {
         let mut census = Census::default();
         let mut first_invalid = None;
         let mut kept = particles.len() <= self.room.places;
-        let mut places = Vec::with_capacity(if kept { range.len() } else { 0 });
-        in_large_pages(places.spare_capacity_mut());
+        let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {

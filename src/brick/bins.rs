@@ -2,14 +2,12 @@
 
 use std::borrow::Cow;
 use std::io;
-use std::iter::Sum;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey};
-use crate::memory::in_large_pages;
+use crate::memory::zeroed_in_huge_pages;
 use crate::scratch::Scratch;
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
@@ -50,10 +48,8 @@ pub(super) struct Slots {
 impl Slots {
     /// For so many particles with attributes of so many components each.
     pub(super) fn new(particles: usize, components: &[usize]) -> Self {
-        let attributes = components.iter().map(|n| zeroed_vec(particles * n)).collect();
-        let records = zeroed_vec(particles);
-        in_large_pages(&records);
-        Self { records, attributes }
+        let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
+        Self { records: zeroed_in_huge_pages(particles), attributes }
     }
 
     /// Puts a particle into its slot.
@@ -81,32 +77,32 @@ impl Slots {
     }
 }
 
-/// Bins that tell how many particles a full cell holds, where that has to be known before all of them are looked at: in a
-/// larger frame they are taken at equal steps along the Morton curve.
-const TELLING: usize = 256;
+/// Bins of a class that are sampled.
+const SAMPLED_OF_A_CLASS: usize = 32;
 
-/// How far apart those bins are among so many: an odd number, for the curve takes turns.
+/// Bins that tell of all how many cells are full, in order, each with how many it stands for; `counts` are the particles
+/// of all bins. Bins that hold about as many particles, within a factor of two, are a class, of which so many are taken at
+/// equal steps along the Morton curve: pools and spray each tell of their own. They stand for as many bins as it takes to
+/// have the particles of their class.
 #[must_use]
-pub fn telling_step(bins: usize) -> usize {
-    bins.div_ceil(TELLING) | 1
+pub fn sampled_bins(counts: impl Iterator<Item = usize>) -> Vec<(usize, f64)> {
+    let mut classes: [Vec<(usize, usize)>; usize::BITS as usize] = std::array::from_fn(|_| Vec::new());
+    counts.enumerate().for_each(|(bin, count)| classes[count.max(1).ilog2() as usize].push((bin, count)));
+    let of_class = |class: &Vec<(usize, usize)>| {
+        let sampled = || equal_steps(class.len(), SAMPLED_OF_A_CLASS).map(|i| class[i]);
+        let particles: usize = class.iter().map(|(_, count)| count).sum();
+        let weight = particles as f64 / sampled().map(|(_, count)| count).sum::<usize>() as f64;
+        sampled().map(move |(bin, _)| (bin, weight)).collect::<Vec<_>>()
+    };
+    let mut sampled: Vec<_> = classes.iter().flat_map(of_class).collect();
+    sampled.sort_unstable_by_key(|&(bin, _)| bin);
+    sampled
 }
 
-/// What cells hold.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Occupancy {
-    /// In them.
-    pub particles: u64,
-    /// Cells that hold any.
-    pub full_cells: u64,
-}
-
-impl Sum for Occupancy {
-    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
-        all.fold(Self::default(), |a, b| Self {
-            particles: a.particles + b.particles,
-            full_cells: a.full_cells + b.full_cells,
-        })
-    }
+/// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the curve takes turns in
+/// even ones.
+pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
+    (0..len).step_by(len.div_ceil(most) | 1)
 }
 
 /// The particles of one bin.
@@ -146,23 +142,18 @@ impl Bins {
         self.first[bin + 1] - self.first[bin]
     }
 
-    /// Of every so-manieth bin, from number `first` on.
+    /// How many cells of bin number `bin` hold particles.
     ///
     /// # Errors
     /// Where they are in a scratch file that cannot be read.
-    pub fn occupancy(&self, first: usize, step: usize) -> io::Result<Occupancy> {
-        let occupancy = |bin| {
-            // Bytes are set whatever they were: bits would wait for one another.
-            let mut full = [0_u8; (BIN * BIN * BIN) as usize];
-            for (cell, _) in self.contents(bin)?.particles() {
-                full[cell % full.len()] = 1;
-            }
-            let (rows, _) = full.as_chunks::<{ BIN as usize }>();
-            let full_cells = rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum();
-            Ok(Occupancy { particles: self.count(bin) as u64, full_cells })
-        };
-        let bins = (first.min(self.keys.len())..self.keys.len()).into_par_iter().step_by(step);
-        bins.map(occupancy).sum()
+    pub fn full_cells(&self, bin: usize) -> io::Result<u64> {
+        // Bytes are set whatever they were: bits would wait for one another.
+        let mut full = [0_u8; (BIN * BIN * BIN) as usize];
+        for (cell, _) in self.contents(bin)?.particles() {
+            full[cell % full.len()] = 1;
+        }
+        let (rows, _) = full.as_chunks::<{ BIN as usize }>();
+        Ok(rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum())
     }
 
     /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever

@@ -107,6 +107,7 @@ impl<T: Copy + Default> Block<T> {
             3 => put_rows::<T, 3>(to, samples, rows, value),
             4 => put_rows::<T, 4>(to, samples, rows, value),
             5 => put_rows::<T, 5>(to, samples, rows, value),
+            6 => put_rows::<T, 6>(to, samples, rows, value),
             8 => put_rows::<T, 8>(to, samples, rows, value),
             10 => put_rows::<T, 10>(to, samples, rows, value),
             16 => put_rows::<T, 16>(to, samples, rows, value),
@@ -132,32 +133,35 @@ impl<T: Copy + Default> Block<T> {
         part
     }
 
-    /// A separable operation along x, then y, then z, as long as what it comes to along each axis goes on; the result is
-    /// smaller by `reach` on every side.
+    /// A separable operation along x, then y, then z, as [`along`](Self::along) has it.
+    ///
+    /// # Panics
+    /// If the block is too small for one cell to remain.
+    #[must_use]
+    pub fn along_each_axis(mut self, reach: i32, fill: impl Fn(&mut [T], &[T], usize)) -> Self {
+        let mut spare = Vec::new();
+        (0..3).for_each(|axis| self.along(axis, reach, &mut spare, &fill));
+        self
+    }
+
+    /// An operation along one axis; the result is smaller by `reach` on both sides. What is in `spare` is of no use before
+    /// or after.
     ///
     /// `fill` makes a row of the result, whatever was in it: sample i of the taps i, i + step, ..., the first of them
     /// `reach` cells below it and the last as far above.
     ///
     /// # Panics
     /// If the block is too small for one cell to remain.
-    pub fn along_each_axis(
-        mut self,
+    pub fn along(
+        &mut self,
+        axis: usize,
         reach: i32,
-        fill: impl Fn(&mut [T], &[T], usize),
-        goes_on: impl Fn(&Self) -> bool,
-    ) -> Option<Self> {
-        let mut spare = vec![T::default(); self.samples.len()];
-        for axis in 0..3 {
-            self.along(axis, reach, &mut spare, &fill);
-            if !goes_on(&self) {
-                return None;
-            }
+        spare: &mut Vec<T>,
+        fill: &impl Fn(&mut [T], &[T], usize),
+    ) {
+        if spare.len() < self.samples.len() {
+            *spare = vec![T::default(); self.samples.len()];
         }
-        Some(self)
-    }
-
-    /// What is in `spare`, which is as long as the samples, is of no use before or after.
-    fn along(&mut self, axis: usize, reach: i32, spare: &mut Vec<T>, fill: &impl Fn(&mut [T], &[T], usize)) {
         let step = self.strides()[axis];
         let margin = 2 * reach as usize * step;
         self.cells.lo[axis] += reach;

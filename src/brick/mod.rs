@@ -13,7 +13,7 @@ mod sums;
 pub mod vulkan;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
-pub use bins::{AXIS_BITS, BinContents, Bins, Occupancy, RECORD_BITS, telling_step, unpack};
+pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, sampled_bins, unpack};
 pub use block::Block;
 pub use field::DifField;
 pub use page::{BrickSide, PageInfo, PageShape, full_bits, fullness};

@@ -65,6 +65,11 @@ impl SpilledBins {
         &self.runs
     }
 
+    /// How many particles each bin holds.
+    pub fn counts(&self) -> impl Iterator<Item = usize> + '_ {
+        self.first.windows(2).map(|ends| ends[1] - ends[0])
+    }
+
     /// Numbers of a particle's attributes.
     fn width(&self) -> usize {
         self.components.iter().sum()

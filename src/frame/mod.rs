@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
 use crate::brick::{
-    Bins, Block, BrickSide, DifField, InvalidParticles, Occupancy, SortedStore, SpilledBins, telling_step,
+    Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins, sampled_bins,
 };
 use crate::estimate::{Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
@@ -165,10 +165,12 @@ impl Frame {
             }
         };
         laps.lap("bin");
+        let measured = |indicator: Indicator, full_cells: u64| {
+            indicator.measured(census.binned, full_cells).map_err(FrameError::MeanCount)
+        };
         let mut indicator = *indicator;
         if indicator.waits_for_mean() {
-            let telling = binned.telling().map_err(&in_scratch)?;
-            indicator = indicator.measured(telling).map_err(FrameError::MeanCount)?;
+            indicator = measured(indicator, binned.full_cells().map_err(&in_scratch)?)?;
         }
         let rule = PageRule { indicator, side: *side, walls: domain.as_ref().map(Domain::cells) };
         let take = |bins: &Bins| sink.take(&*stages, bins, &rule);
@@ -176,8 +178,7 @@ impl Frame {
             binned.visit(take, !carried.is_empty(), &resources.scratch).map_err(&in_scratch)?;
         let carried = carried_bins.map(|bins| (bins, carried_infos(particles.attributes(), carried)));
 
-        let all = Occupancy { particles: census.binned as u64, full_cells: sink.full_cells() };
-        let indicator = indicator.measured(all).map_err(FrameError::MeanCount)?;
+        let indicator = measured(indicator, sink.full_cells())?;
         let facts = FrameFacts { grid: *grid, domain: *domain, indicator, census, spacing: sampling.spacing };
         let dif = sink.finish(&facts, shape, plan).map_err(&in_scratch)?;
         laps.lap("indicate");
@@ -356,19 +357,35 @@ enum Binned {
 }
 
 impl Binned {
-    /// Of the bins that tell how many particles a full cell holds.
-    fn telling(&self) -> io::Result<Occupancy> {
-        match self {
-            Self::InMemory(bins) => bins.occupancy(0, telling_step(bins.keys().len())),
-            Self::Spilled(spilled) => {
-                let step = telling_step(spilled.runs().last().map_or(0, |run| run.end));
-                let telling = |(run, bins): (usize, &Range<usize>)| {
-                    let first = bins.start.next_multiple_of(step);
-                    bins.contains(&first).then(|| spilled.load(run)?.occupancy(first - bins.start, step))
-                };
-                spilled.runs().iter().enumerate().filter_map(telling).sum()
+    /// About how many cells hold particles, as some bins tell.
+    fn full_cells(&self) -> io::Result<u64> {
+        let of_bins = |bins: &Bins, sampled: &[(usize, f64)], first: usize| {
+            let full_cells = |&(bin, weight): &(usize, f64)| {
+                Ok::<_, io::Error>(weight * bins.full_cells(bin - first)? as f64)
+            };
+            sampled.par_iter().map(full_cells).collect::<io::Result<Vec<f64>>>()
+        };
+        let full_cells: Vec<f64> = match self {
+            Self::InMemory(bins) => {
+                of_bins(bins, &sampled_bins((0..bins.keys().len()).map(|bin| bins.count(bin))), 0)?
             }
-        }
+            Self::Spilled(spilled) => {
+                let sampled = sampled_bins(spilled.counts());
+                let of_run = |(run, bins): (usize, &Range<usize>)| {
+                    let [begin, end] =
+                        [bins.start, bins.end].map(|end| sampled.partition_point(|&(bin, _)| bin < end));
+                    let of_run = &sampled[begin..end];
+                    if of_run.is_empty() {
+                        Ok(vec![])
+                    } else {
+                        of_bins(&spilled.load(run)?, of_run, bins.start)
+                    }
+                };
+                let runs = spilled.runs().iter().enumerate();
+                runs.map(of_run).collect::<io::Result<Vec<_>>>()?.concat()
+            }
+        };
+        Ok(full_cells.iter().sum::<f64>().round() as u64)
     }
 
     /// Shows all bins to `take`, and returns them if they are to be kept: what was in a scratch file, in one of its own.

@@ -7,7 +7,7 @@ pub mod device;
 pub mod scene;
 
 use glam::{DVec3, IVec3};
-use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::brick::{Bins, BrickSide, InvalidParticles};
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, Grid};
 use meniscus::laps::Laps;
@@ -54,6 +54,11 @@ pub fn reconstruct(
     let surface = frame.surface(surfacing, &mut laps).unwrap();
     let mesh = surface.mesh.to_mesh().unwrap();
     (frame, Reconstructed { mesh, iso: surface.iso })
+}
+
+/// Cells that hold particles.
+pub fn full_cells(bins: &Bins) -> u64 {
+    (0..bins.keys().len()).map(|bin| bins.full_cells(bin).unwrap()).sum()
 }
 
 /// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a cell.

@@ -20,15 +20,14 @@ pub fn occupancy(mut dif: Block, least: u16) -> Block {
 /// If the block is too small for one cell to remain.
 #[must_use]
 pub fn spread(block: Block, reach: i32) -> Block {
-    let fill = |to: &mut [u16], taps: &[u16], step| greatest(to, taps, step, 2 * reach as usize + 1);
-    block.along_each_axis(reach, fill, |_| true).expect("nothing stops it")
+    block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
 }
 
 /// Fills `to[i]` with the greatest of so many taps, `step` apart.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
-    to.fill(0);
-    for k in 0..count {
+    to.copy_from_slice(&taps[..to.len()]);
+    for k in 1..count {
         for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
             *to = (*to).max(sample);
         }

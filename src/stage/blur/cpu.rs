@@ -20,21 +20,19 @@ pub trait Sample: Copy + Default {
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
-pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel) -> Block<T> {
-    blur_while(block, kernel, |_| true).expect("nothing stops it")
+pub fn blur<T: Sample>(mut block: Block<T>, kernel: &Kernel) -> Block<T> {
+    let mut spare = Vec::new();
+    (0..3).for_each(|axis| blur_along(&mut block, axis, kernel, &mut spare));
+    block
 }
 
-/// The same as long as what it comes to along each axis goes on.
+/// The same along one axis, in a spare buffer whose contents do not matter.
 ///
 /// # Panics
 /// As [`blur`].
-pub fn blur_while<T: Sample>(
-    block: Block<T>,
-    kernel: &Kernel,
-    goes_on: impl Fn(&Block<T>) -> bool,
-) -> Option<Block<T>> {
+pub fn blur_along<T: Sample>(block: &mut Block<T>, axis: usize, kernel: &Kernel, spare: &mut Vec<T>) {
     let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel);
-    block.along_each_axis(kernel.reach(), fill, goes_on)
+    block.along(axis, kernel.reach(), spare, &fill);
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.

@@ -9,8 +9,8 @@ mod cpu;
 mod smoothing;
 pub mod vulkan;
 
-pub use cpu::{Sample, blur, blur_while};
-pub use smoothing::{Smoothing, filter_while};
+pub use cpu::{Sample, blur, blur_along};
+pub use smoothing::Smoothing;
 
 use crate::units::Sigma;
 

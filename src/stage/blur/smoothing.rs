@@ -5,7 +5,7 @@ use crate::grid::CellBox;
 use crate::stage::indicator::Indicator;
 use crate::units::Sigma;
 
-use super::{Kernel, Sample, blur_while};
+use super::{Kernel, Sample, blur};
 
 /// The smoothing of section 4.2: a Gaussian, and for counting a box after it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,22 +40,14 @@ impl Smoothing {
     /// Smooths a block; the result is smaller by [`reach`](Self::reach) on every side.
     #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
-        let filter = |block, kernel| filter_while(block, kernel, walls, |_| true).expect("nothing stops it");
+        let filter = |block, kernel| {
+            let mut smooth = blur(block, kernel);
+            // The next filter sees the edge cells repeated too.
+            if let Some(walls) = walls {
+                smooth.repeat_edges(walls);
+            }
+            smooth
+        };
         self.filters.iter().fold(dif, filter)
     }
-}
-
-/// One filter, as long as what it comes to along each axis goes on; at a wall it sees the edge cells repeated, and so will
-/// the next.
-pub fn filter_while<T: Sample>(
-    block: Block<T>,
-    kernel: &Kernel,
-    walls: Option<CellBox>,
-    goes_on: impl Fn(&Block<T>) -> bool,
-) -> Option<Block<T>> {
-    let mut out = blur_while(block, kernel, goes_on)?;
-    if let Some(walls) = walls {
-        out.repeat_edges(walls);
-    }
-    Some(out)
 }

@@ -23,7 +23,7 @@ pub mod vulkan;
 pub use cloud::{RIM, SHARE_BITS, SQUARE_BITS, amount};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
 
-use crate::brick::{BrickSide, DifField, Occupancy, PageShape};
+use crate::brick::{BrickSide, DifField, PageShape};
 use crate::grid::CellBox;
 use crate::units::{MeanCount, UnitError};
 
@@ -58,7 +58,7 @@ pub enum Indicator {
     },
     /// By how much of their clouds lies in a cell.
     Cloud {
-        /// As for counting, but known before there is any DIF.
+        /// As for counting, but known before there is any DIF: some bins tell it of a large frame.
         mean: Option<MeanCount>,
     },
 }
@@ -109,11 +109,11 @@ impl Indicator {
     ///
     /// # Errors
     /// Those of [`MeanCount::measured`].
-    pub fn measured(self, on: Occupancy) -> Result<Self, UnitError> {
+    pub fn measured(self, particles: usize, full_cells: u64) -> Result<Self, UnitError> {
         if self == Self::Symmetry || self.mean().is_some() {
             return Ok(self);
         }
-        Ok(self.with_mean(Some(MeanCount::measured(on.particles, on.full_cells)?)))
+        Ok(self.with_mean(Some(MeanCount::measured(particles as u64, full_cells)?)))
     }
 
     /// How wide a Gaussian suits it, in spacings. Clouds have a width of their own.
