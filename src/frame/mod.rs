@@ -15,7 +15,6 @@ pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use std::io::{self, Write};
-use std::ops::Range;
 use std::path::Path;
 
 use rayon::prelude::*;
@@ -371,18 +370,15 @@ impl Binned {
             }
             Self::Spilled(spilled) => {
                 let sampled = sampled_bins(spilled.counts());
-                let of_run = |(run, bins): (usize, &Range<usize>)| {
-                    let [begin, end] =
-                        [bins.start, bins.end].map(|end| sampled.partition_point(|&(bin, _)| bin < end));
-                    let of_run = &sampled[begin..end];
-                    if of_run.is_empty() {
-                        Ok(vec![])
-                    } else {
-                        of_bins(&spilled.load(run)?, of_run, bins.start)
+                let (mut full_cells, mut rest) = (Vec::new(), &sampled[..]);
+                for (run, bins) in spilled.runs().iter().enumerate() {
+                    let (of_run, later) = rest.split_at(rest.partition_point(|&(bin, _)| bin < bins.end));
+                    rest = later;
+                    if !of_run.is_empty() {
+                        full_cells.extend(of_bins(&spilled.load(run)?, of_run, bins.start)?);
                     }
-                };
-                let runs = spilled.runs().iter().enumerate();
-                runs.map(of_run).collect::<io::Result<Vec<_>>>()?.concat()
+                }
+                full_cells
             }
         };
         Ok(full_cells.iter().sum::<f64>().round() as u64)

@@ -10,6 +10,7 @@ pub mod vulkan;
 use std::borrow::Cow;
 use std::io;
 
+use bytemuck::Zeroable;
 use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 use rayon::prelude::*;
@@ -80,45 +81,38 @@ impl Stitched {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
         }
-        let vertices = || (0..self.pieces()).map(|i| self.spool.counts(i)[0]);
-        let mut positions = zeroed_in_huge_pages(self.vertex_count() as usize);
-        let mut normals =
-            zeroed_in_huge_pages(if self.has_normals() { self.vertex_count() as usize } else { 0 });
-        let empty = |AttributeInfo { name, components }: &AttributeInfo| VertexAttribute {
-            name: name.clone(),
-            components: *components,
-            values: zeroed_in_huge_pages(components * self.vertex_count() as usize),
+        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
+        let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
+            let values =
+                self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
+            Ok(VertexAttribute { name: name.clone(), components: *components, values })
         };
-        let mut attributes: Vec<VertexAttribute> = self.attributes.iter().map(empty).collect();
-        let mut of_attributes: Vec<_> = attributes
-            .iter_mut()
-            .map(|attribute| {
-                let lengths = vertices().map(|n| n * attribute.components);
-                split(&mut attribute.values, lengths).into_iter()
-            })
-            .collect();
-        let has_normals = usize::from(self.has_normals());
-        let pieces: Vec<_> = split(&mut positions, vertices())
-            .into_iter()
-            .zip(split(&mut normals, vertices().map(|n| n * has_normals)))
-            .map(|(positions, normals)| {
-                let attributes: Vec<_> = of_attributes.iter_mut().filter_map(Iterator::next).collect();
-                (positions, normals, attributes)
-            })
-            .collect();
-        pieces.into_par_iter().enumerate().try_for_each(|(i, (positions, normals, attributes))| {
-            let block = self.spool.get(i)?;
-            self.place(&block, positions);
-            normals.copy_from_slice(&block.normals);
-            attributes.into_iter().zip(&block.attributes).for_each(|(to, from)| to.copy_from_slice(from));
-            Ok::<_, io::Error>(())
-        })?;
         let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
         split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
             .into_par_iter()
             .enumerate()
             .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
-        Ok(Mesh { positions, triangles, normals: self.has_normals().then_some(normals), attributes })
+        Ok(Mesh {
+            positions,
+            triangles,
+            normals: self.has_normals().then(normals).transpose()?,
+            attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
+        })
+    }
+
+    /// So many numbers of every vertex, put where they belong block by block.
+    fn of_vertices<T: Zeroable + Send>(
+        &self,
+        width: usize,
+        put: impl Fn(&BlockMesh, &mut [T]) + Sync,
+    ) -> io::Result<Vec<T>> {
+        let mut all = zeroed_in_huge_pages(width * self.vertex_count() as usize);
+        split(&mut all, (0..self.pieces()).map(|i| width * self.spool.counts(i)[0]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| self.spool.get(i).map(|block| put(&block, to)))?;
+        Ok(all)
     }
 
     /// The grid that the surface was made on.
