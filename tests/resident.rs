@@ -90,7 +90,7 @@ fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
     }
     let sampling = Sampling { indicator: Indicator::Cloud { mean: None }, ..sampling() };
     let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-    assert!(frame.dif().infos().len() > 256, "all bins tell mu0");
+    assert!(frame.dif().infos().len() > 300, "all of so few bins tell mu0");
     let surface = Pipeline::new(&device)
         .unwrap()
         .surface(&[positions(&device, &particles)], &settings(&sampling, &surfacing()))

@@ -43,11 +43,11 @@ fn mu0_of_clouds_is_told_by_some_bins_and_near_that_of_all() {
 
 #[test]
 fn spray_in_most_bins_does_not_tell_mu0_of_a_pool() {
-    // A pool of 8 particles a cell in some 27 bins, and 5000 particles alone in about as many.
+    // A pool of 8 particles a cell in 27 bins, and 20 000 particles alone in as many of 64 000.
     let mut random = Random::new(77);
     let mut place = |edge: f64| [(); 3].map(|()| (edge * random.unit()) as f32);
     let mut particles: Vec<[f32; 3]> = (0..8 * 40_i32.pow(3)).map(|_| place(40.0)).collect();
-    particles.extend((0..5000).map(|_| place(320.0)));
+    particles.extend((0..20_000).map(|_| place(640.0)));
     let [some, all] = means(&particles, 1.0);
     assert!((some / all - 1.0).abs() < 0.01, "{some}, of all bins {all}");
 }
