@@ -189,8 +189,8 @@ impl<'a> BinPlan<'a> {
             .into_iter()
             .zip(counts)
             .map(|(range, RangeCount { table, places, .. })| {
-                let ranks: Vec<u32> = table.bins.iter().map(|(bin, _)| rank[bin]).collect();
-                for (&rank, (_, count)) in ranks.iter().zip(&table.bins) {
+                let ranks: Vec<u32> = table.bins.iter().map(|bin| rank[bin]).collect();
+                for (&rank, count) in ranks.iter().zip(&table.numbers) {
                     first[rank as usize + 1] += count;
                 }
                 RangePlan { range, table, ranks, places }
@@ -236,7 +236,7 @@ impl<'a> BinPlan<'a> {
         let mut ranges = ranges;
         for RangePlan { table, ranks, .. } in &mut ranges {
             // From now on the table's numbers are the range's next free slots.
-            for ((_, number), &rank) in table.bins.iter_mut().zip(&*ranks) {
+            for (number, &rank) in table.numbers.iter_mut().zip(&*ranks) {
                 let slot = next[rank as usize];
                 next[rank as usize] += *number;
                 *number = slot;
@@ -422,8 +422,10 @@ struct BinTable {
     /// Of each bin, found by its code.
     ranks: HashTable<u32>,
     hasher: DefaultHashBuilder,
-    /// By rank, each with a number: first its count, then its next free record.
-    bins: Vec<(BinCode, usize)>,
+    /// By rank.
+    bins: Vec<BinCode>,
+    /// Of each bin: first its count, then its next free record.
+    numbers: Vec<usize>,
 }
 
 impl BinTable {
@@ -431,22 +433,23 @@ impl BinTable {
     #[inline(always)]
     fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
         let latest = latest.rank(bin);
-        if self.bins.get(*latest as usize).is_none_or(|&(found, _)| found != bin) {
+        if self.bins.get(*latest as usize) != Some(&bin) {
             *latest = self.found_rank(bin);
         }
         *latest
     }
 
     fn found_rank(&mut self, bin: BinCode) -> u32 {
-        let Self { ranks, hasher, bins } = self;
-        let code = |&rank: &u32| bins[rank as usize].0;
+        let Self { ranks, hasher, bins, numbers } = self;
+        let code = |&rank: &u32| bins[rank as usize];
         match ranks.entry(hasher.hash_one(bin), |rank| code(rank) == bin, |rank| hasher.hash_one(code(rank)))
         {
             Entry::Occupied(found) => *found.get(),
             Entry::Vacant(free) => {
                 let rank = bins.len() as u32;
                 free.insert(rank);
-                bins.push((bin, 0));
+                bins.push(bin);
+                numbers.push(0);
                 rank
             }
         }
@@ -461,7 +464,7 @@ impl BinTable {
     /// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`].
     #[inline(always)]
     fn advance(&mut self, rank: u32) -> Option<usize> {
-        let (_, number) = self.bins.get_mut(rank as usize)?;
+        let number = self.numbers.get_mut(rank as usize)?;
         *number += 1;
         Some(*number - 1)
     }
@@ -470,7 +473,7 @@ impl BinTable {
 /// All bins of all ranges, in Morton order, each with its key.
 fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
     let touched = counts.iter().flat_map(|c| &c.table.bins);
-    let mut bins: Vec<_> = touched.map(|&(bin, _)| (MortonKey::of(bin_coord(bin)), bin)).collect();
+    let mut bins: Vec<_> = touched.map(|&bin| (MortonKey::of(bin_coord(bin)), bin)).collect();
     bins.par_sort_unstable();
     bins.dedup();
     bins
@@ -520,7 +523,7 @@ impl Counter<'_> {
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
-        census.binned = table.bins.iter().map(|(_, count)| count).sum();
+        census.binned = table.numbers.iter().sum();
         RangeCount { table, census, first_invalid, places }
     }
 }
