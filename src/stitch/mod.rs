@@ -1,31 +1,31 @@
 //! One mesh from the surfaces of all blocks, by the identity of dual edges.
 //!
-//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed edges:
-//! a prefix sum and a population count. Nothing is searched for by position and nothing depends on
-//! distance. Order is that of tiles along the Morton curve. Positions and triangles are made when they are
-//! asked for, block by block, and never kept.
+//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed edges: it follows
+//! from their order. Nothing is searched for by position and nothing depends on distance. Order is that of tiles along the
+//! Morton curve. Positions and triangles are made when they are asked for, block by block, and never kept.
 
+mod numbers;
 pub mod vulkan;
 
 use std::borrow::Cow;
+use std::cell::Cell;
 use std::io;
 
 use bytemuck::Zeroable;
 use glam::{DVec3, IVec3};
-use multiversion::multiversion;
 use rayon::prelude::*;
 use thiserror::Error;
 
-use crate::grid::{BLOCK, CellBox, Domain, Grid, TILE};
+use crate::grid::{BLOCK, CellBox, Domain, Grid};
 use crate::memory::zeroed_in_huge_pages;
 use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::mesh::spool::Spool;
-use crate::mesh::{BlockMesh, Mesh, Tile, TileMask, VertexAttribute, bits, cell_of_bit};
+use crate::mesh::{BlockMesh, Mesh, VertexAttribute};
 use crate::particles::AttributeInfo;
-use crate::stage::dual_mc::{Crossings, table::TABLE};
+use crate::stage::dual_mc::Crossings;
 
-/// Tiles along a block's edge.
-const TILES: i32 = BLOCK / TILE;
+pub use numbers::NUMBERS_BYTES;
+use numbers::Numbers;
 
 /// Why a surface cannot be brought into memory as one indexed mesh.
 #[derive(Debug, Error)]
@@ -211,31 +211,25 @@ impl Stitched {
     /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
     /// the block's own vertices and to those of its neighbours further up along the axes.
     fn emit(&self, i: usize, mut put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
+        thread_local! {
+            static NUMBERS: Cell<Option<Numbers>> = const { Cell::new(None) };
+        }
+        let mut numbers = NUMBERS.take().unwrap_or_else(Numbers::new);
         let block = self.spool.block(i);
-        let numberings = self.numberings(block)?;
-        emit_all(block, &self.spool.tiles(i)?, &numberings, &mut put);
-        Ok(())
-    }
-
-    /// The numberings of a block's tiles, and of one layer of the blocks above.
-    fn numberings(&self, block: IVec3) -> io::Result<Vec<Numbering>> {
-        let mut numberings = vec![Numbering::default(); NUMBERED.pow(3) as usize];
         for neighbour in 0..8 {
             let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
             let Some(found) = self.spool.find(coord) else { continue };
+            let first = self.spool.first_vertex(found);
             for tile in self.spool.tiles(found)?.iter() {
-                let local = (tile.corner(coord) - block * BLOCK) / TILE;
-                if local.max_element() > TILES {
-                    continue;
+                let corner = tile.corner(coord) - block * BLOCK;
+                if corner.max_element() <= BLOCK {
+                    numbers.enter(tile, corner, first + u64::from(tile.first_vertex));
                 }
-                let crossed = [0, 1, 2].map(|axis| tile.crossed(axis));
-                let x = self.spool.first_vertex(found) + u64::from(tile.first_vertex);
-                let y = x + u64::from(crossed[0].count_ones());
-                let z = y + u64::from(crossed[1].count_ones());
-                numberings[numbering_index(local)] = Numbering { crossed, first: [x, y, z] };
             }
         }
-        Ok(numberings)
+        numbers.triangles(block, &self.spool.tiles(i)?, &mut put);
+        NUMBERS.set(Some(numbers));
+        Ok(())
     }
 }
 
@@ -283,71 +277,4 @@ fn split<T>(mut rest: &mut [T], lengths: impl Iterator<Item = usize>) -> Vec<&mu
             piece
         })
         .collect()
-}
-
-/// What is needed of a tile to number the vertices on its edges.
-#[derive(Clone, Copy, Default)]
-struct Numbering {
-    crossed: [TileMask; 3],
-    /// The number of the first vertex along each axis.
-    first: [u64; 3],
-}
-
-impl Numbering {
-    fn vertex(&self, axis: usize, bit: u32) -> u64 {
-        self.first[axis] + u64::from((self.crossed[axis] & ((1 << bit) - 1)).count_ones())
-    }
-}
-
-/// Calls `put` with the rank, the dual cell and the vertices of each triangle of a block.
-#[multiversion(targets("x86_64+avx2+bmi1+bmi2+popcnt", "x86_64+sse4.2+popcnt"))]
-fn emit_all<F: FnMut(usize, IVec3, [u64; 3])>(
-    block: IVec3,
-    tiles: &[Tile],
-    numberings: &[Numbering],
-    put: &mut F,
-) {
-    let (table, mut rank) = (&*TABLE, 0);
-    for tile in tiles {
-        let corner = tile.corner(block);
-        let numbering = numbering_index((corner - block * BLOCK) / TILE);
-        for bit in bits(tile.mixed()) {
-            let corners = &CORNERS[bit as usize];
-            for triangle in &table[tile.case(bit)] {
-                let vertices = triangle.map(|edge| {
-                    let (step, bit) = corners[usize::from(edge.corner)];
-                    numberings[numbering + usize::from(step)].vertex(edge.axis.into(), bit.into())
-                });
-                put(rank, corner + cell_of_bit(bit), vertices);
-                rank += 1;
-            }
-        }
-    }
-}
-
-/// Tiles of a block, and one layer of the blocks above.
-const NUMBERED: i32 = TILES + 1;
-
-/// For each dual cell of a tile and each of its corners: how far on the corner's tile is numbered, and the corner's bit there.
-static CORNERS: [[(u16, u8); 8]; 64] = {
-    let mut corners = [[(0, 0); 8]; 64];
-    let (tile, numbered) = (TILE as usize, NUMBERED as usize);
-    let mut i = 0;
-    while i < 8 * 64 {
-        let (bit, corner) = (i / 8, i % 8);
-        let [x, y, z] = [
-            bit % tile + (corner & 1),
-            bit / tile % tile + (corner >> 1 & 1),
-            bit / (tile * tile) + (corner >> 2),
-        ];
-        let step = x / tile + numbered * (y / tile + numbered * (z / tile));
-        let in_tile = x % tile + tile * (y % tile + tile * (z % tile));
-        corners[bit][corner] = (step as u16, in_tile as u8);
-        i += 1;
-    }
-    corners
-};
-
-fn numbering_index(tile: IVec3) -> usize {
-    (tile.x + NUMBERED * (tile.y + NUMBERED * tile.z)) as usize
 }
