@@ -5,7 +5,7 @@ use std::rc::Rc;
 use crate::brick::{Block, DifField};
 use crate::grid::{CellBox, Domain};
 use crate::stage::adaptive::{Adaptive, blend, occupancy, spread};
-use crate::stage::blur::{Kernel, Smoothing, blur_along};
+use crate::stage::blur::{Kernel, Smoothing, blur_while};
 use crate::stage::detail::{lost, raise};
 use crate::units::Isovalue;
 
@@ -61,8 +61,8 @@ impl Recipe {
         let threshold = self.iso.threshold();
         let least = if matches!(self.details, Details::Spared(_)) { 0 } else { threshold };
         let mut pieces = block.samples().chunks(PIECE);
-        let any_inside = pieces.clone().any(|piece| greatest(piece) > least);
-        any_inside && (!away_from_walls || pieces.any(|piece| smallest(piece) <= threshold))
+        let any_inside = pieces.clone().any(|piece| maximum(piece) > least);
+        any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
     /// Cuts what the field of `cells` depends on out of the DIF.
@@ -169,12 +169,12 @@ pub trait Fields {
 /// Samples that are looked at before it is asked whether that was enough.
 const PIECE: usize = 1 << 10;
 
-fn greatest(samples: &[u16]) -> u16 {
-    samples.iter().fold(0, |greatest, &sample| greatest.max(sample))
+fn maximum(samples: &[u16]) -> u16 {
+    samples.iter().fold(0, |maximum, &sample| maximum.max(sample))
 }
 
-fn smallest(samples: &[u16]) -> u16 {
-    samples.iter().fold(u16::MAX, |smallest, &sample| smallest.min(sample))
+fn minimum(samples: &[u16]) -> u16 {
+    samples.iter().fold(u16::MAX, |minimum, &sample| minimum.min(sample))
 }
 
 /// Fields in blocks.
@@ -192,18 +192,7 @@ impl Fields for Blocks<'_> {
     type Error = Stopped;
 
     fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Stopped> {
-        let mut block = Rc::unwrap_or_clone(field);
-        let mut spare = Vec::new();
-        for axis in 0..3 {
-            blur_along(&mut block, axis, kernel, &mut spare);
-            if !(self.goes_on)(&block) {
-                return Err(Stopped);
-            }
-        }
-        if let Some(walls) = self.walls {
-            block.repeat_edges(walls);
-        }
-        Ok(Rc::new(block))
+        blur_while(Rc::unwrap_or_clone(field), kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
     }
 
     fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Stopped> {

@@ -60,7 +60,7 @@ fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
                 if let Some(walls) = walls {
                     dif.repeat_edges(walls);
                 }
-                let expected = blur::blur(dif.clone(), &kernel);
+                let expected = blur::blur(dif.clone(), &kernel, None);
                 let (block, samples) = blurred_on(device, &program, &dif, &kernel, walls);
                 let inside = walls.map_or(inner, |walls| inner.intersection(&walls));
                 for ([y, z], row) in expected.rows(inside) {

@@ -80,7 +80,7 @@ fn main() {
     let (seconds, _) = best_seconds(3, || {
         (0..blocks)
             .into_par_iter()
-            .map(|_| blur(black_box(block.clone()), &kernel).samples().len())
+            .map(|_| blur(black_box(block.clone()), &kernel, None).samples().len())
             .sum::<usize>()
     });
     row("blur, reach 2, blocks of 32^3", f64::from(blocks) * 32f64.powi(3), "M cells/s", seconds);

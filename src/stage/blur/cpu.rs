@@ -3,6 +3,7 @@
 use multiversion::multiversion;
 
 use crate::brick::Block;
+use crate::grid::CellBox;
 
 use super::{Kernel, UNIT};
 
@@ -12,7 +13,8 @@ pub trait Sample: Copy + Default {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel);
 }
 
-/// Blurs `block` with `kernel` along x, then y, then z.
+/// Blurs `block` with `kernel` along x, then y, then z. The edge cells before `walls` are repeated beyond them in what is
+/// given, and so they are in the result, for the next filter.
 ///
 /// The result is smaller by the kernel's reach on every side: exactly the cells whose whole
 /// neighbourhood was given.
@@ -20,19 +22,34 @@ pub trait Sample: Copy + Default {
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
-pub fn blur<T: Sample>(mut block: Block<T>, kernel: &Kernel) -> Block<T> {
-    let mut spare = Vec::new();
-    (0..3).for_each(|axis| blur_along(&mut block, axis, kernel, &mut spare));
-    block
+pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
+    blur_while(block, kernel, walls, |_| true).expect("nothing stops it")
 }
 
-/// The same along one axis, in a spare buffer whose contents do not matter.
+/// The same as long as `goes_on` says so of what it has come to after each axis, with nothing repeated yet; `None` once it
+/// does not.
 ///
 /// # Panics
 /// As [`blur`].
-pub fn blur_along<T: Sample>(block: &mut Block<T>, axis: usize, kernel: &Kernel, spare: &mut Vec<T>) {
+#[must_use]
+pub fn blur_while<T: Sample>(
+    mut block: Block<T>,
+    kernel: &Kernel,
+    walls: Option<CellBox>,
+    goes_on: impl Fn(&Block<T>) -> bool,
+) -> Option<Block<T>> {
     let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel);
-    block.along(axis, kernel.reach(), spare, &fill);
+    let mut spare = Vec::new();
+    for axis in 0..3 {
+        block.along(axis, kernel.reach(), &mut spare, &fill);
+        if !goes_on(&block) {
+            return None;
+        }
+    }
+    if let Some(walls) = walls {
+        block.repeat_edges(walls);
+    }
+    Some(block)
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.

@@ -9,7 +9,7 @@ mod cpu;
 mod smoothing;
 pub mod vulkan;
 
-pub use cpu::{Sample, blur, blur_along};
+pub use cpu::{Sample, blur, blur_while};
 pub use smoothing::Smoothing;
 
 use crate::units::Sigma;

@@ -40,14 +40,6 @@ impl Smoothing {
     /// Smooths a block; the result is smaller by [`reach`](Self::reach) on every side.
     #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
-        let filter = |block, kernel| {
-            let mut smooth = blur(block, kernel);
-            // The next filter sees the edge cells repeated too.
-            if let Some(walls) = walls {
-                smooth.repeat_edges(walls);
-            }
-            smooth
-        };
-        self.filters.iter().fold(dif, filter)
+        self.filters.iter().fold(dif, |block, kernel| blur(block, kernel, walls))
     }
 }
