@@ -4,7 +4,7 @@ use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 
 use crate::brick::Block;
-use crate::grid::{BLOCK, CellBox, TILE, local_from_morton, local_morton};
+use crate::grid::{BLOCK, CellBox, TILE, local_morton};
 use crate::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
 use super::table::TABLE;
@@ -28,26 +28,31 @@ pub fn contour<L: Level>(
     let block = region.lo.div_euclid(IVec3::splat(BLOCK));
     let signs = Signs::of(field, region, level, walls);
     let (samples, strides) = (field.samples(), field.strides());
-    let mut mesh = BlockMesh { block, ..BlockMesh::default() };
-    for (index, corner) in signs.mixed_tiles() {
-        let tile = Tile {
-            index: index as u32,
-            first_vertex: mesh.ends.len() as u32,
-            corners: signs.corners(corner),
-        };
-        mesh.triangle_count += bits(tile.mixed()).map(|bit| TABLE[tile.case(bit)].len()).sum::<usize>();
-        let first = field.index(corner);
+    let mixed = signs.mixed_tiles();
+    let mut tiles = Vec::with_capacity(mixed.iter().map(|tiles| tiles.count_ones() as usize).sum());
+    let (mut vertices, mut triangle_count) = (0, 0);
+    for index in
+        (0..).step_by(64).zip(mixed).flat_map(|(first, mixed)| bits(mixed).map(move |bit| first + bit))
+    {
+        let mut tile = Tile { index, first_vertex: vertices, corners: [0; 8] };
+        tile.corners = signs.corners(tile.corner(block));
+        vertices += (0..3).map(|axis| tile.crossed(axis).count_ones()).sum::<u32>();
+        triangle_count += bits(tile.mixed()).map(|bit| TABLE[tile.case(bit)].len()).sum::<usize>();
+        tiles.push(tile);
+    }
+    let mut ends = Vec::with_capacity(vertices as usize);
+    for tile in &tiles {
+        let first = field.index(tile.corner(block));
         for (axis, step) in strides.into_iter().enumerate() {
-            mesh.ends.extend(bits(tile.crossed(axis)).map(|bit| {
+            ends.extend(bits(tile.crossed(axis)).map(|bit| {
                 // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
                 let cell = cell_of_bit(bit).as_usizevec3();
                 let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
                 level.ends(samples[lower], samples[lower + step])
             }));
         }
-        mesh.tiles.push(tile);
     }
-    mesh
+    BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
 /// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
@@ -140,8 +145,8 @@ impl Signs {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
 
-    /// The tiles with dual cells of mixed signs, in Morton order: the index in the block, and the lowest cell.
-    fn mixed_tiles(&self) -> impl Iterator<Item = (usize, IVec3)> {
+    /// A bit for each tile of the block, in Morton order, that has dual cells of mixed signs.
+    fn mixed_tiles(&self) -> [u64; TILES.pow(3) as usize / 64] {
         let CellBox { lo, hi } = self.region;
         let block = lo.div_euclid(IVec3::splat(BLOCK));
         let tiles = 0x1111_1111 >> (BLOCK - (hi.x - lo.x));
@@ -157,12 +162,7 @@ impl Signs {
                 }
             }
         }
-        (0..).step_by(64).zip(mixed).flat_map(move |(first, mixed)| {
-            bits(mixed).map(move |bit| {
-                let index = first + bit as usize;
-                (index, block * BLOCK + local_from_morton(index) * TILE)
-            })
-        })
+        mixed
     }
 
     /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along the axes
