@@ -4,12 +4,13 @@
 use bytesize::ByteSize;
 use thiserror::Error;
 
-use crate::brick::{CountingRoom, PageShape};
+use crate::brick::{CountingRoom, PageInfo, PageSamples, PageShape};
+use crate::stitch::NUMBERS_BYTES;
 use crate::units::MemoryBudget;
 
-/// Bytes that the program takes before there is any data, and that each thread works in.
+/// Bytes that the program takes before there is any data, and that each thread works in, with its numbers of vertices.
 const PROGRAM: u64 = 6 << 20;
-const THREAD: u64 = 2 << 20;
+const THREAD: u64 = (2 << 20) + NUMBERS_BYTES;
 /// Bytes a bin takes in tables, however little it holds.
 const BIN_BYTES: u64 = 320;
 /// Bytes of a binned particle, without attributes.
@@ -104,30 +105,38 @@ impl Estimate {
         carried_components: usize,
         in_memory: u64,
     ) -> Self {
-        let brick_bytes = (size_of::<u16>() * shape.brick_samples()) as u64;
-        let bricks_a_bin = shape.side.bricks_a_bin() as u64;
-        let components = 4 * carried_components as u64;
-        let mut estimate = Self {
-            program: PROGRAM + THREAD * rayon::current_num_threads() as u64 + in_memory,
-            carried: carried_components > 0,
-            ..Self::default()
-        };
+        let mut estimate = Self { carried: carried_components > 0, ..Self::of_program(in_memory) };
         for count in counts {
-            let count = count as u64;
-            estimate.index += BIN_BYTES;
-            estimate.particles += count * (RECORD + components);
-            estimate.spilled += count * (SPILLED + components);
-            estimate.field += count.min(bricks_a_bin) * brick_bytes;
-            estimate.surface += (VERTEX + components) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+            let nonzero = count.saturating_mul(shape.cells_a_particle());
+            let bricks = count.min(shape.side.bricks_a_bin());
+            let field = PageSamples::most_bytes(nonzero, bricks, shape);
+            estimate.add_bin(count as u64, 4 * carried_components as u64, field as u64);
         }
         estimate
     }
 
-    /// For pages with so many full cells each, of which the DIF is in a file, and `in_memory` bytes that are taken all
-    /// the time.
+    /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
     #[must_use]
-    pub fn of_surface(full_cells: impl Iterator<Item = usize>, shape: PageShape, in_memory: u64) -> Self {
-        Self { particles: 0, spilled: 0, ..Self::of(full_cells, shape, 0, in_memory) }
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, in_memory: u64) -> Self {
+        let mut estimate = Self::of_program(in_memory);
+        for page in pages {
+            estimate.add_bin(page.full_count.into(), 0, page.most_bytes(shape) as u64);
+        }
+        Self { particles: 0, spilled: 0, ..estimate }
+    }
+
+    fn of_program(in_memory: u64) -> Self {
+        let threads = THREAD * rayon::current_num_threads() as u64;
+        Self { program: PROGRAM + threads + in_memory, ..Self::default() }
+    }
+
+    /// Adds a bin of so many particles, each with so many bytes of attributes, and so many bytes of the DIF.
+    fn add_bin(&mut self, count: u64, attributes: u64, field: u64) {
+        self.index += BIN_BYTES;
+        self.particles += count * (RECORD + attributes);
+        self.spilled += count * (SPILLED + attributes);
+        self.field += field;
+        self.surface += (VERTEX + attributes) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
     }
 
     /// The peak with everything in memory.

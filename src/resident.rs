@@ -156,8 +156,7 @@ impl Pipeline {
             debug_assert_eq!(counted.infos().len(), bins.keys.len(), "every bin has a page");
             let full_cells =
                 |(bin, weight): (usize, f64)| weight * f64::from(counted.infos()[bin].full_count);
-            let counts = bins.first.windows(2).map(|ends| ends[1] - ends[0]);
-            let full_cells: f64 = sampled_bins(counts).into_iter().map(full_cells).sum();
+            let full_cells: f64 = sampled_bins(&bins.first).into_iter().map(full_cells).sum();
             indicator = measured(indicator, full_cells.round() as u64)?;
         }
         let stored = stored(&frame, indicator)?;

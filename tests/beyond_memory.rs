@@ -10,11 +10,14 @@ use std::process::{Command, Output};
 
 use common::scene::{Random, splash};
 use common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
+use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
+use meniscus::estimate::Estimate;
 use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::units::MemoryBudget;
+use meniscus::stage::indicator::{PageRule, indicate};
+use meniscus::units::{MeanCount, MemoryBudget};
 use tempfile::TempDir;
 
 /// Particles that move and have a temperature.
@@ -55,7 +58,7 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
     let scratch = TempDir::new().unwrap();
     for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
-            let mut sampling = Sampling { indicator, carried, ..sampling() };
+            let mut sampling = Sampling { indicator, side: indicator.brick_side(), carried, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
@@ -75,6 +78,41 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
         }
     }
     assert_eq!(fs::read_dir(scratch.path()).unwrap().count(), 0, "scratch files are left");
+}
+
+#[test]
+fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
+    let (mut random, grid) = (Random::new(5), sampling().grid);
+    let spray: Vec<[f64; 3]> = (0..500).map(|_| [(); 3].map(|()| 160.0 * random.unit())).collect();
+    for (particles, all_sparse) in [(splashes(6), false), (spray, true)] {
+        for (indicator, side) in
+            INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
+        {
+            let indicator = indicator.with_mean(Some(MeanCount::new(2.0).unwrap()));
+            let rule = PageRule { indicator, side, walls: None };
+            let plan =
+                BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
+            let plan = plan.unwrap();
+            let estimate = Estimate::of(plan.counts(), rule.shape(), 0, 0);
+            let bins = plan.fill(&particles[..], &[]);
+            let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
+            let (mut taken, mut sparse) = (0, 0);
+            for (info, samples) in &pages {
+                let all = samples.dense(rule.shape());
+                let nonzero = all.iter().filter(|&&sample| sample > 0).count();
+                let few = side == BrickSide::Sixteen && nonzero <= all.len() / 8;
+                assert_eq!(samples.bytes(), if few { 4 * nonzero } else { 2 * all.len() }, "{rule:?}");
+                assert!(samples.bytes() <= info.most_bytes(rule.shape()), "{rule:?}, {info:?}");
+                taken += samples.bytes() as u64;
+                sparse += usize::from(few);
+            }
+            assert!(taken <= estimate.field, "{rule:?}: {taken} bytes, {} estimated", estimate.field);
+            if side == BrickSide::Sixteen {
+                assert_eq!(sparse == pages.len(), all_sparse, "{rule:?}: {sparse} of {}", pages.len());
+                assert_ne!(sparse, 0, "{rule:?}");
+            }
+        }
+    }
 }
 
 fn meniscus(folder: &Path, limits: &str, arguments: &str) -> Output {

@@ -137,6 +137,12 @@ fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
                     let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
                     let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
                     let expected = Cpu.start(budget).indicate(&bins, all, &rule).unwrap();
+                    let [pages, expected] = [&pages, &expected].map(|pages| {
+                        let all = pages
+                            .iter()
+                            .map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
+                        all.collect::<Vec<_>>()
+                    });
                     assert!(pages == expected, "{rule:?} under {budget:?}");
                     assert_eq!(frame.warnings(), [""; 0]);
                 }

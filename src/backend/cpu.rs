@@ -5,14 +5,14 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::brick::Bins;
+use crate::brick::{Bins, Pages};
 use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
 use crate::stage::dual_mc::{Normals, contour, normals};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
-use super::{Backend, Pages, Stages, Surfaces};
+use super::{Backend, Stages, Surfaces};
 
 /// All threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]

@@ -10,16 +10,13 @@ use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
 
-use crate::brick::{Bins, DifField, PageInfo};
+use crate::brick::{Bins, DifField, Pages};
 use crate::grid::{CellBox, Domain};
 use crate::mesh::BlockMesh;
 use crate::recipe::Recipe;
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::PageRule;
 use crate::units::MemoryBudget;
-
-/// Pages of the DIF, each with what there is to know of it.
-pub type Pages = Vec<(PageInfo, Box<[u16]>)>;
 
 /// Something that stages run on.
 pub trait Backend: Debug + Send + Sync {

@@ -80,12 +80,13 @@ impl Slots {
 /// Bins of a class that are sampled.
 const SAMPLED_OF_A_CLASS: usize = 32;
 
-/// Bins that tell of all how many cells are full, in order, each with how many it stands for; `counts` are the particles
-/// of all bins. Bins that hold about as many particles, within a factor of two, are a class, of which so many are taken at
-/// equal steps along the Morton curve: pools and spray each tell of their own. They stand for as many bins as it takes to
-/// have the particles of their class.
+/// Bins that tell of all how many cells are full, in order, each with how many it stands for; `first` is where the particles
+/// of each bin begin, and where the last one's end. Bins that hold about as many particles, within a factor of two, are a
+/// class, of which so many are taken at equal steps along the Morton curve: pools and spray each tell of their own. They
+/// stand for as many bins as it takes to have the particles of their class.
 #[must_use]
-pub fn sampled_bins(counts: impl Iterator<Item = usize>) -> Vec<(usize, f64)> {
+pub fn sampled_bins(first: &[usize]) -> Vec<(usize, f64)> {
+    let counts = first.windows(2).map(|ends| ends[1] - ends[0]);
     let mut classes: [Vec<(usize, usize)>; usize::BITS as usize] = std::array::from_fn(|_| Vec::new());
     counts.enumerate().for_each(|(bin, count)| classes[count.max(1).ilog2() as usize].push((bin, count)));
     let of_class = |class: &Vec<(usize, usize)>| {
@@ -140,6 +141,12 @@ impl Bins {
     #[must_use]
     pub fn count(&self, bin: usize) -> usize {
         self.first[bin + 1] - self.first[bin]
+    }
+
+    /// Bins that tell of all how many cells are full: see [`sampled_bins`].
+    #[must_use]
+    pub fn sampled(&self) -> Vec<(usize, f64)> {
+        sampled_bins(&self.first)
     }
 
     /// How many cells of bin number `bin` hold particles.

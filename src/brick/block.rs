@@ -4,6 +4,8 @@ use glam::IVec3;
 
 use crate::grid::CellBox;
 
+use super::samples::SamplePlace;
+
 /// Samples that are worked on at once: small enough to stay in the first-level cache.
 const ROW: usize = 1 << 11;
 
@@ -118,6 +120,28 @@ impl<T: Copy + Default> Block<T> {
                         *to = value(*to, from);
                     }
                 }
+            }
+        }
+    }
+
+    /// The same of single samples, whose places are counted from the cell `corner`; those that are not in `part` are passed
+    /// over.
+    ///
+    /// # Panics
+    /// Unless `part` is in the block.
+    pub(super) fn put_cells(
+        &mut self,
+        part: CellBox,
+        corner: IVec3,
+        samples: &[(SamplePlace, T)],
+        value: impl Fn(T, T) -> T,
+    ) {
+        assert!(self.cells.covers(&part), "{part:?} is not in {:?}", self.cells);
+        for &(place, sample) in samples {
+            let cell = corner + place.local();
+            if part.contains(cell) {
+                let index = self.index(cell);
+                self.samples[index] = value(self.samples[index], sample);
             }
         }
     }

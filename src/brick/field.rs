@@ -1,5 +1,7 @@
 //! The DIF of a frame in sparse bricks, paged by bins: nothing exists where no particle is.
 
+use std::borrow::Cow;
+
 use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -8,7 +10,7 @@ use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use crate::units::FULL;
 
 use super::store::Store;
-use super::{Block, BrickSide, PageInfo, PageShape, PageSource, Samples};
+use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
 ///
@@ -34,7 +36,7 @@ enum Stored {
 impl DifField {
     /// Of pages in memory, in the order of their keys.
     #[must_use]
-    pub fn in_memory(shape: PageShape, pages: Vec<(PageInfo, Box<[u16]>)>) -> Self {
+    pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
         Self::new(shape, infos, Store::Memory(samples))
     }
@@ -48,7 +50,8 @@ impl DifField {
         source: Box<dyn PageSource>,
         cache_bytes: u64,
     ) -> Self {
-        let mean_bytes = sample_bytes(&infos, shape) / infos.len().max(1) as u64;
+        let bytes: usize = infos.iter().map(|info| info.most_bytes(shape)).sum();
+        let mean_bytes = (bytes / infos.len().max(1)) as u64;
         Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
     }
 
@@ -104,15 +107,25 @@ impl DifField {
         self.infos.iter().map(|info| u64::from(info.bricks.count_ones())).sum()
     }
 
-    /// Bytes of samples, wherever they are, not compressed.
+    /// Bytes of all samples of its bricks, however they are kept.
     #[must_use]
     pub fn sample_bytes(&self) -> u64 {
-        sample_bytes(&self.infos, self.shape)
+        let bytes = |info: &PageInfo| (info.samples(self.shape) * size_of::<u16>()) as u64;
+        self.infos.iter().map(bytes).sum()
     }
 
     /// Cuts the DIF of `cells` out of the bricks.
     #[must_use]
     pub fn gather(&self, cells: CellBox) -> Block {
+        match &self.stored {
+            Stored::Theta if self.shape.rim > 0 => self.gather_by(cells, u16::saturating_add),
+            Stored::Theta => self.gather_by(cells, |_, theta| theta),
+            Stored::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
+        }
+    }
+
+    /// The same by what `value` makes of what is there already and of what another brick has stored.
+    fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
         let PageShape { side, rim } = self.shape;
         let edge = side.cells();
         let mut block = Block::zero(cells);
@@ -123,20 +136,20 @@ impl DifField {
             if inside.is_empty() {
                 continue;
             }
-            let samples = self.store.cached(rank);
+            let samples = self.store.cached(rank, self.shape);
+            let samples = match &*samples {
+                PageSamples::Dense(samples) => samples,
+                PageSamples::Sparse(samples) => {
+                    block.put_cells(inside, bin * BIN - rim, samples, value);
+                    continue;
+                }
+            };
             let own = CellBox::cube(bin, BIN).intersection(&inside.grown(rim, rim));
             for brick in own.cubes(edge) {
-                let Some(samples) = info.brick(&samples, brick - bin * (BIN / edge), self.shape) else {
-                    continue;
-                };
-                let from = self.shape.cells_of(brick);
-                let part = inside.intersection(&from);
-                match &self.stored {
-                    Stored::Theta if rim > 0 => block.put_part(part, from, samples, u16::saturating_add),
-                    Stored::Theta => block.put_part(part, from, samples, |_, theta| theta),
-                    Stored::Counts(table) => {
-                        block.put_part(part, from, samples, |_, count| table.theta(count));
-                    }
+                let local = brick - bin * (BIN / edge);
+                if let Some(samples) = info.brick(samples, local, self.shape) {
+                    let from = self.shape.cells_of(brick);
+                    block.put_part(inside.intersection(&from), from, samples, value);
                 }
             }
         }
@@ -149,8 +162,8 @@ impl DifField {
     /// If no page is there, or `dense` is not as long as a bin.
     pub fn write_stored(&self, bin: IVec3, dense: &mut [u16]) {
         let rank = self.rank[&bin];
-        let samples = self.store.cached(rank);
-        self.infos[rank as usize].write_dense(&samples, dense, self.shape);
+        let samples = self.store.cached(rank, self.shape);
+        self.infos[rank as usize].write_dense(&samples.dense(self.shape), dense, self.shape);
     }
 
     /// Whether a bin has a page.
@@ -186,15 +199,11 @@ impl DifField {
         &self.infos
     }
 
-    /// The samples of page number `page` as they are stored.
+    /// All samples of page number `page`'s bricks, not decoded.
     #[must_use]
-    pub fn stored(&self, page: usize) -> Samples<'_> {
-        self.store.once(page)
+    pub fn stored(&self, page: usize) -> Cow<'_, [u16]> {
+        self.store.once(page, self.shape)
     }
-}
-
-fn sample_bytes(infos: &[PageInfo], shape: PageShape) -> u64 {
-    infos.iter().map(|info| (info.samples(shape) * size_of::<u16>()) as u64).sum()
 }
 
 impl Stored {

@@ -1,8 +1,14 @@
 //! A page: the bricks of one bin.
 
+use std::borrow::Cow;
+
 use glam::IVec3;
+use multiversion::multiversion;
 
 use crate::grid::{BIN, CellBox, MortonKey, local_from_morton, local_morton};
+
+use super::PageSamples;
+use super::samples::take_sparse;
 
 /// Edge of a brick in cells. It decides how tightly the DIF is stored, and nothing else.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -53,6 +59,9 @@ pub struct PageInfo {
     pub full_count: u32,
 }
 
+/// Pages with their samples.
+pub type Pages = Vec<(PageInfo, PageSamples)>;
+
 /// How the samples of a page lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageShape {
@@ -80,6 +89,12 @@ impl PageShape {
     /// The cells of a brick with its rim, given its place in bricks.
     pub(super) fn cells_of(self, brick: IVec3) -> CellBox {
         CellBox::cube(brick, self.side.cells()).grown(self.rim, self.rim)
+    }
+
+    /// Cells in which a particle can leave something.
+    #[must_use]
+    pub fn cells_a_particle(self) -> usize {
+        (1 + 2 * self.rim as usize).pow(3)
     }
 
     /// Samples of a brick.
@@ -113,9 +128,9 @@ impl PageInfo {
     /// Keeps the bricks of `dense` that have a full cell of their own. Without rims `dense` is a whole bin, x fastest; with
     /// rims it is as [`from_bricks`](Self::from_bricks) takes it.
     #[must_use]
-    pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, Box<[u16]>)> {
+    pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         if shape.rim > 0 {
-            return Self::from_bricks(bin, dense.to_vec(), shape);
+            return Self::from_bricks(bin, &mut dense.to_vec(), shape);
         }
         let edge = shape.side.cells();
         let mut bricks = Vec::with_capacity(dense.len());
@@ -125,12 +140,13 @@ impl PageInfo {
                 fours.iter().for_each(|four| bricks.extend_from_slice(four));
             }
         }
-        Self::from_bricks(bin, bricks, shape)
+        Self::from_bricks(bin, &mut bricks, shape)
     }
 
-    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full cell of their own.
+    /// Keeps those of all bricks of a bin, in Morton order and x fastest in each, that have a full cell of their own; what is
+    /// in `samples` is of no use afterwards.
     #[must_use]
-    pub fn from_bricks(bin: IVec3, mut samples: Vec<u16>, shape: PageShape) -> Option<(Self, Box<[u16]>)> {
+    pub fn from_bricks(bin: IVec3, samples: &mut [u16], shape: PageShape) -> Option<(Self, PageSamples)> {
         let mut full = FullCells::default();
         let (mut bricks, mut kept) = (0, 0);
         for index in 0..shape.side.bricks_a_bin() {
@@ -143,8 +159,30 @@ impl PageInfo {
                 kept += shape.brick_samples();
             }
         }
-        samples.truncate(kept);
-        (bricks != 0).then(|| (full.page(MortonKey::of(bin), bricks), samples.into()))
+        (bricks != 0).then(|| {
+            let samples = PageSamples::new(Cow::Borrowed(&samples[..kept]), shape);
+            (full.page(MortonKey::of(bin), bricks), samples)
+        })
+    }
+
+    /// Takes a page out of the `samples` of a bin that is one brick, and leaves 0: what particles in these cells of the bin
+    /// have left. `None` if that is nothing in any cell of its own.
+    #[must_use]
+    pub fn take_sparse(
+        bin: IVec3,
+        samples: &mut [u16],
+        cells: impl ExactSizeIterator<Item = [usize; 3]>,
+        shape: PageShape,
+    ) -> Option<(Self, PageSamples)> {
+        let sparse = take_sparse(samples, cells, shape);
+        let mut full = FullCells::default();
+        let own = CellBox::cube(IVec3::ZERO, BIN);
+        let places = sparse.iter().map(|(place, _)| place.local() - shape.rim);
+        for cell in places.filter(|&cell| own.contains(cell)) {
+            full.rows[(cell.y + BIN * cell.z) as usize] |= 1 << cell.x;
+        }
+        let any = full.rows.iter().any(|&row| row != 0);
+        any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
     /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`, and nothing
@@ -184,6 +222,14 @@ impl PageInfo {
                 dense[index * shape.brick_samples()..][..shape.brick_samples()].copy_from_slice(samples);
             }
         }
+    }
+
+    /// Bytes that its samples take in memory at the most.
+    #[must_use]
+    pub fn most_bytes(&self, shape: PageShape) -> usize {
+        let nonzero = shape.cells_a_particle() * self.full_count as usize;
+        let near = self.full.grown(shape.rim, shape.rim).volume();
+        PageSamples::most_bytes(nonzero.min(near), self.bricks.count_ones() as usize, shape)
     }
 
     /// How many samples are stored.
@@ -242,7 +288,11 @@ impl FullCells {
             for y in inside.lo.y..inside.hi.y {
                 let at = IVec3::new(inside.lo.x, y, z) - first;
                 let row = &full[(at.x + edge * (at.y + edge * at.z)) as usize..];
-                let bits = (full_bits(&row[..inside.size().x as usize]) as u32) << inside.lo.x;
+                let row = &row[..inside.size().x as usize];
+                // A whole row's width is known to the compiler.
+                let bits = <&[u8; BIN as usize]>::try_from(row)
+                    .map_or_else(|_| full_bits(row), |row| full_bits(row));
+                let bits = (bits as u32) << inside.lo.x;
                 self.rows[(y + BIN * z) as usize] |= bits as u16;
                 if own.contains(IVec3::new(own.lo.x, y, z)) {
                     any |= bits & of_brick;
@@ -254,21 +304,30 @@ impl FullCells {
 
     /// A page of which these cells are full.
     fn page(&self, key: MortonKey, bricks: u64) -> PageInfo {
-        // A bit for each layer across x, y and z that has a full cell.
-        let mut layers = [0_u16; 3];
-        for (row, &bits) in self.rows.iter().enumerate() {
-            let any = u16::from(bits != 0);
-            let [x, y, z] = &mut layers;
-            *x |= bits;
-            *y |= any << (row % BIN as usize);
-            *z |= any << (row / BIN as usize);
-        }
+        let (layers, full_count) = summary(&self.rows);
         let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
         let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
-        let full_count = self.rows.iter().map(|bits| bits.count_ones()).sum();
         let corner = key.coord() * BIN;
         PageInfo { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
+}
+
+/// Of a bin's rows a bit for each layer across x, y and z that has a full cell, and how many are full.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512vl+avx512bitalg",
+    "x86_64+avx2+popcnt",
+    "x86_64+sse4.2+popcnt"
+))]
+fn summary(rows: &[u16; (BIN * BIN) as usize]) -> ([u16; 3], u32) {
+    let mut layers = [0_u16; 3];
+    let (slabs, _) = rows.as_chunks::<{ BIN as usize }>();
+    for (z, rows) in slabs.iter().enumerate() {
+        let any = rows.iter().fold(0, |any, bits| any | bits);
+        layers[0] |= any;
+        layers[1] |= (0..).zip(rows).fold(0, |y, (i, &bits)| y | u16::from(bits != 0) << i);
+        layers[2] |= u16::from(any != 0) << z;
+    }
+    (layers, rows.iter().map(|bits| bits.count_ones()).sum())
 }
 
 /// A byte for each sample: 1 where it is not 0.

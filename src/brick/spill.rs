@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::grid::MortonKey;
 use crate::scratch::Scratch;
 
-use super::bins::{Bins, RECORD_BITS, Record, Slots, Store};
+use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, sampled_bins};
 use super::elias_fano::EliasFano;
 
 /// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
@@ -65,9 +65,10 @@ impl SpilledBins {
         &self.runs
     }
 
-    /// How many particles each bin holds.
-    pub fn counts(&self) -> impl Iterator<Item = usize> + '_ {
-        self.first.windows(2).map(|ends| ends[1] - ends[0])
+    /// Bins that tell of all how many cells are full: see [`sampled_bins`].
+    #[must_use]
+    pub fn sampled(&self) -> Vec<(usize, f64)> {
+        sampled_bins(&self.first)
     }
 
     /// Numbers of a particle's attributes.

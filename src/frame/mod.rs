@@ -20,9 +20,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
-use crate::brick::{
-    Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins, sampled_bins,
-};
+use crate::brick::{Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins};
 use crate::estimate::{Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
@@ -188,8 +186,7 @@ impl Frame {
     /// Joins a DIF that was read from a frame file to what the file says of it.
     #[must_use]
     pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
-        let full_cells = dif.infos().iter().map(|info| info.full_count as usize);
-        let estimate = Estimate::of_surface(full_cells, dif.shape(), resources.host_bytes());
+        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.start(resources.budget);
         Self { facts, dif, carried: None, surface_share, resources, stages }
@@ -365,11 +362,9 @@ impl Binned {
             sampled.par_iter().map(full_cells).collect::<io::Result<Vec<f64>>>()
         };
         let full_cells: Vec<f64> = match self {
-            Self::InMemory(bins) => {
-                of_bins(bins, &sampled_bins((0..bins.keys().len()).map(|bin| bins.count(bin))), 0)?
-            }
+            Self::InMemory(bins) => of_bins(bins, &bins.sampled(), 0)?,
             Self::Spilled(spilled) => {
-                let sampled = sampled_bins(spilled.counts());
+                let sampled = spilled.sampled();
                 let (mut full_cells, mut rest) = (Vec::new(), &sampled[..]);
                 for (run, bins) in spilled.runs().iter().enumerate() {
                     let (of_run, later) = rest.split_at(rest.partition_point(|&(bin, _)| bin < bins.end));

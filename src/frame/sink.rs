@@ -4,8 +4,10 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use crate::backend::Stages;
-use crate::brick::{Bins, DifField, PageInfo, PageShape};
+use crate::brick::{Bins, DifField, PageShape, Pages};
 use crate::estimate::{Estimate, Plan, Shares};
 use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
 use crate::stage::indicator::PageRule;
@@ -15,7 +17,7 @@ const BATCH_SAMPLES: usize = 1 << 22;
 
 /// Where the DIF goes as it is made.
 pub(super) enum FieldSink {
-    Memory(Vec<(PageInfo, Box<[u16]>)>),
+    Memory(Pages),
     File { file: File, writer: FrameWriter<File>, full_cells: u64 },
 }
 
@@ -42,7 +44,10 @@ impl FieldSink {
                 Self::Memory(kept) => kept.extend(pages),
                 Self::File { writer, full_cells, .. } => {
                     *full_cells += full_count(&pages);
-                    writer.push(&pages)?;
+                    let shape = rule.shape();
+                    let dense: Vec<_> =
+                        pages.par_iter().map(|(info, samples)| (*info, samples.dense(shape))).collect();
+                    writer.push(&dense)?;
                 }
             }
         }
@@ -71,6 +76,6 @@ impl FieldSink {
     }
 }
 
-fn full_count(pages: &[(PageInfo, Box<[u16]>)]) -> u64 {
+fn full_count(pages: &Pages) -> u64 {
     pages.iter().map(|(info, _)| u64::from(info.full_count)).sum()
 }

@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::backend::Pages;
 use crate::brick::vulkan::DeviceBins;
-use crate::brick::{Bins, PageInfo, PageShape};
+use crate::brick::{Bins, PageInfo, PageShape, Pages};
 use crate::grid::MortonKey;
 use crate::stage::indicator::vulkan::{BinEntry, clouds, indicate};
 use crate::stage::indicator::{Indicator, PageRule};

@@ -18,7 +18,7 @@ use glam::IVec3;
 use hashbrown::HashMap;
 
 use crate::brick::vulkan::{DeviceBins, GATHER, page_words};
-use crate::brick::{Bins, PageShape};
+use crate::brick::{Bins, PageShape, Pages};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
 use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
@@ -30,7 +30,7 @@ use crate::stage::indicator::vulkan::{CLOUDS, INDICATE};
 use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
-use super::{Backend, Cpu, Pages, Stages, Surfaces};
+use super::{Backend, Cpu, Stages, Surfaces};
 use bins::bin_bytes;
 pub use blocks::DeviceSurfaces;
 use lane::Lane;

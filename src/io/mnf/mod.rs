@@ -42,8 +42,6 @@ mod write;
 pub use read::{frame_from_file, open_frame};
 pub use write::{FrameWriter, write_frame};
 
-use std::sync::Arc;
-
 use crate::brick::Census;
 use crate::grid::{Domain, Grid};
 use crate::stage::indicator::Indicator;
@@ -83,7 +81,7 @@ fn planes_from_samples(samples: &[u16]) -> Vec<u8> {
 }
 
 /// The inverse.
-fn samples_from_planes(planes: &[u8]) -> Arc<[u16]> {
+fn samples_from_planes(planes: &[u8]) -> Vec<u16> {
     let (low, high) = planes.split_at(planes.len() / 2);
     low.iter().zip(high).map(|(&low, &high)| u16::from_le_bytes([low, high])).collect()
 }

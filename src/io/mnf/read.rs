@@ -2,7 +2,6 @@ use std::cell::RefCell;
 use std::fs::File;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crc32fast::Hasher;
@@ -96,7 +95,7 @@ impl MappedPages {
     }
 
     /// The samples of a page; `None` for a zstd stream that is damaged, or not exactly of the page's size.
-    fn decompress(&self, page: usize) -> Option<Arc<[u16]>> {
+    fn decompress(&self, page: usize) -> Option<Vec<u16>> {
         thread_local! {
             static SCRATCH: RefCell<(Decompressor<'static>, Vec<u8>)> = RefCell::default();
         }
@@ -136,7 +135,7 @@ impl MappedPages {
 }
 
 impl PageSource for MappedPages {
-    fn samples(&self, page: usize) -> Arc<[u16]> {
+    fn samples(&self, page: usize) -> Vec<u16> {
         let samples = self.decompress(page).expect("a frame that does not change after it is opened");
         self.window.looked_at(self.compressed(page).len() as u64 + AROUND);
         samples
@@ -184,8 +183,7 @@ fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), 
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = facts.indicator.shape(side);
-    let cells_a_particle = (2 * shape.rim as u64 + 1).pow(3);
-    if full_cells > cells_a_particle.saturating_mul(facts.census.binned as u64) {
+    if full_cells > (shape.cells_a_particle() as u64).saturating_mul(facts.census.binned as u64) {
         return Err(malformed(footer, format!("more full cells than particles make: {full_cells}")));
     }
     Ok((facts, infos, MappedPages { window, shape, first, bricks, checksums }))

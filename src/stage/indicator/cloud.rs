@@ -3,7 +3,7 @@
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::brick::{BinContents, BrickSide, PageShape, unpack};
+use crate::brick::{BinContents, BrickSide, PageInfo, PageSamples, PageShape, unpack};
 use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 use crate::units::{FULL, MeanCount};
 
@@ -82,19 +82,33 @@ impl Clouds {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
-    /// The DIF that a bin's particles make: all bricks of the bin with their rims.
-    pub fn of(&self, bin: IVec3, particles: &BinContents<'_>) -> Vec<u16> {
+    /// Where pages are made one after the other.
+    pub fn room(&self) -> Vec<u16> {
         // One more, for the empty share beyond the last row.
-        let mut samples = vec![0; self.shape.bin_samples() + 1];
+        vec![0; self.shape.bin_samples() + 1]
+    }
+
+    /// The page that a bin's particles make in a `room` of zeros, which it leaves as it was.
+    pub fn page(&self, room: &mut [u16], bin: IVec3, particles: &BinContents<'_>) -> (PageInfo, PageSamples) {
         let walls = self.walls.and_then(|walls| Walls::of(walls, bin));
         let add = match self.shape.side {
             BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
             BrickSide::Eight => add_clouds::<{ edge(BrickSide::Eight) }>,
             BrickSide::Sixteen => add_clouds::<{ edge(BrickSide::Sixteen) }>,
         };
-        add(self, &mut samples, particles.packed(), walls);
-        samples.pop();
-        samples
+        let packed = particles.packed();
+        add(self, room, packed, walls);
+        let samples = &mut room[..self.shape.bin_samples()];
+        let page = if PageSamples::are_sparse(self.shape.cells_a_particle() * packed.len(), self.shape) {
+            // Most samples were never touched, and need not be looked at.
+            let cells = packed.iter().map(|&particle| unpack(particle).0);
+            PageInfo::take_sparse(bin, samples, cells, self.shape)
+        } else {
+            let page = PageInfo::from_bricks(bin, samples, self.shape);
+            samples.fill(0);
+            page
+        };
+        page.expect("a bin holds particles")
     }
 }
 
@@ -144,7 +158,7 @@ fn add_clouds<const EDGE: usize>(of: &Clouds, samples: &mut [u16], packed: &[u64
             for (z, rows) in rows.iter().enumerate() {
                 for (y, rows) in rows.iter().enumerate() {
                     let to = &mut around[EDGE * (EDGE * z + y)..][..4];
-                    to.iter_mut().zip(rows[i]).for_each(|(to, part)| *to = to.saturating_add(part));
+                    to.iter_mut().zip(&rows[i]).for_each(|(to, part)| *to = to.saturating_add(*part));
                 }
             }
         }

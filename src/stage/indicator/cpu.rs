@@ -6,7 +6,7 @@ use std::ops::Range;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use crate::brick::{Bins, CellSums, PageInfo};
+use crate::brick::{Bins, CellSums, PageInfo, Pages};
 use crate::grid::{BIN, FRACTIONS};
 use crate::units::{FULL, MeanCount};
 
@@ -74,21 +74,16 @@ pub fn count_table(mean: MeanCount) -> Vec<u16> {
 ///
 /// # Panics
 /// If the indicator [waits for its mean](Indicator::waits_for_mean).
-pub fn indicate(
-    bins: &Bins,
-    range: Range<usize>,
-    rule: &PageRule,
-) -> io::Result<Vec<(PageInfo, Box<[u16]>)>> {
+pub fn indicate(bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
     let &PageRule { indicator, walls, .. } = rule;
     let shape = rule.shape();
     if let Indicator::Cloud { mean } = indicator {
         let clouds = Clouds::new(amount(mean.expect("clouds are made once mu0 is known")), walls, shape);
-        let clouds_page = |bin: usize| {
-            let coord = bins.keys()[bin].coord();
-            let bricks = clouds.of(coord, &bins.contents(bin)?);
-            Ok(PageInfo::from_bricks(coord, bricks, shape).expect("a bin holds particles"))
+        let start = || clouds.room();
+        let page = |room: &mut Vec<u16>, bin: usize| {
+            Ok(clouds.page(room, bins.keys()[bin].coord(), &bins.contents(bin)?))
         };
-        return range.into_par_iter().map(clouds_page).collect();
+        return range.into_par_iter().map_init(start, page).collect();
     }
     let values = if indicator.counts() { counts } else { symmetry_all };
     let start = || (CellSums::default(), vec![0; shape.bin_samples()]);

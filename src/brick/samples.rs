@@ -1,0 +1,184 @@
+//! The samples of a page in memory: all of them, or only those that are not 0 where these are few, as in spray.
+
+use std::borrow::Cow;
+
+use glam::IVec3;
+
+use super::{BrickSide, PageShape};
+
+/// Samples that are not 0 are kept by their places where they are no more than one in so many of all.
+const ONE_IN: usize = 8;
+
+/// Bits of a coordinate of a [`SamplePlace`].
+const PLACE_BITS: u32 = 5;
+
+/// The samples of a page, as they are stored.
+#[derive(Debug, Clone)]
+pub enum PageSamples {
+    /// Brick after brick, x fastest in each.
+    Dense(Box<[u16]>),
+    /// Of a bin that is one brick those that are not 0, in any order.
+    Sparse(Box<[(SamplePlace, u16)]>),
+}
+
+/// Where a sample is in the one brick of its bin: its coordinates, x lowest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SamplePlace(u16);
+
+impl SamplePlace {
+    fn of(index: usize, edge: usize) -> Self {
+        Self::at([index % edge, index / edge % edge, index / (edge * edge)])
+    }
+
+    #[inline]
+    fn at([x, y, z]: [usize; 3]) -> Self {
+        Self((x | y << PLACE_BITS | z << (2 * PLACE_BITS)) as u16)
+    }
+
+    /// Counted from the brick's lowest sample.
+    #[inline]
+    pub(super) fn local(self) -> IVec3 {
+        IVec3::from([0, 1, 2].map(|axis| i32::from(self.0 >> (axis * PLACE_BITS)) & ((1 << PLACE_BITS) - 1)))
+    }
+
+    fn index(self, edge: usize) -> usize {
+        let local = self.local().as_usizevec3();
+        local.x + edge * (local.y + edge * local.z)
+    }
+}
+
+impl PageSamples {
+    /// Whether so many samples that are not 0 are few enough to be kept by their places.
+    #[must_use]
+    pub fn are_sparse(nonzero: usize, shape: PageShape) -> bool {
+        shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
+    }
+
+    /// Of all samples that a page stores.
+    #[must_use]
+    pub fn new(samples: Cow<'_, [u16]>, shape: PageShape) -> Self {
+        if shape.side != BrickSide::Sixteen {
+            return Self::Dense(samples.into_owned().into());
+        }
+        let nonzero = usize::from(samples.iter().map(|&sample| u16::from(sample > 0)).sum::<u16>());
+        if !Self::are_sparse(nonzero, shape) {
+            return Self::Dense(samples.into_owned().into());
+        }
+        let edge = shape.edge() as usize;
+        let mut sparse = Vec::with_capacity(nonzero);
+        // Most of them are passed over many at a time.
+        let (many, rest) = samples.as_chunks::<16>();
+        for (first, samples) in (0..).step_by(16).zip(many.iter().map(|many| &many[..]).chain([rest])) {
+            if samples.iter().fold(0, |any, sample| any | sample) > 0 {
+                let samples = (first..).zip(samples).filter(|&(_, &sample)| sample > 0);
+                sparse.extend(samples.map(|(index, &sample)| (SamplePlace::of(index, edge), sample)));
+            }
+        }
+        Self::Sparse(sparse.into())
+    }
+
+    /// All of them, brick after brick.
+    #[must_use]
+    pub fn dense(&self, shape: PageShape) -> Cow<'_, [u16]> {
+        match self {
+            Self::Dense(samples) => samples.as_ref().into(),
+            Self::Sparse(sparse) => {
+                let mut samples = vec![0; shape.brick_samples()];
+                let edge = shape.edge() as usize;
+                sparse.iter().for_each(|&(place, sample)| samples[place.index(edge)] = sample);
+                samples.into()
+            }
+        }
+    }
+
+    /// Bytes that they take in memory.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Dense(samples) => size_of_val(&**samples),
+            Self::Sparse(sparse) => size_of_val(&**sparse),
+        }
+    }
+
+    /// Bytes that they take at the most where no more than so many are not 0, in so many bricks at the most.
+    #[must_use]
+    pub fn most_bytes(nonzero: usize, bricks: usize, shape: PageShape) -> usize {
+        if Self::are_sparse(nonzero, shape) {
+            nonzero * size_of::<(SamplePlace, u16)>()
+        } else {
+            bricks * shape.brick_samples() * size_of::<u16>()
+        }
+    }
+}
+
+/// Takes the samples that are not 0 out of `samples`, of a bin that is one brick, and leaves 0. All of them are what
+/// particles leave around their cells, given in the bin: others are not looked at.
+pub(super) fn take_sparse(
+    samples: &mut [u16],
+    cells: impl ExactSizeIterator<Item = [usize; 3]>,
+    shape: PageShape,
+) -> Box<[(SamplePlace, u16)]> {
+    let (edge, reach) = (shape.edge() as usize, 2 * shape.rim as usize);
+    let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
+    // The lowest sample around a cell is at the cell's own place, for the brick begins with its rim.
+    for [x, y, z] in cells {
+        for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
+            let first = x + edge * (y + edge * z);
+            for (x, sample) in (x..).zip(&mut samples[first..=first + reach]) {
+                if *sample > 0 {
+                    sparse.push((SamplePlace::at([x, y, z]), std::mem::take(sample)));
+                }
+            }
+        }
+    }
+    sparse.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of one brick a bin, with and without a rim: so many samples, all but some of them 0.
+    fn scenes() -> impl Iterator<Item = (PageShape, Vec<u16>)> {
+        [0, 1].into_iter().flat_map(|rim| {
+            let shape = PageShape { side: BrickSide::Sixteen, rim };
+            let all = shape.brick_samples();
+            [0, 1, 5, all / ONE_IN, all / ONE_IN + 1, all].map(|nonzero| {
+                let mut samples = vec![0; all];
+                // 2731 is prime, and no factor of any brick's size.
+                (0..nonzero).for_each(|i| samples[i * 2731 % all] = (i * 7919 % 65535) as u16 + 1);
+                assert_eq!(samples.iter().filter(|&&sample| sample > 0).count(), nonzero);
+                (shape, samples)
+            })
+        })
+    }
+
+    #[test]
+    fn few_samples_are_kept_by_their_places_and_come_back_where_they_were() {
+        for (shape, samples) in scenes() {
+            let nonzero = samples.iter().filter(|&&sample| sample > 0).count();
+            let kept = PageSamples::new(Cow::Borrowed(&samples), shape);
+            assert_eq!(matches!(kept, PageSamples::Sparse(_)), nonzero <= samples.len() / ONE_IN);
+            assert_eq!(kept.bytes(), PageSamples::most_bytes(nonzero, 1, shape));
+            assert_eq!(kept.dense(shape), samples, "{nonzero} of {shape:?}");
+        }
+    }
+
+    #[test]
+    fn what_lies_around_cells_is_taken_once_though_they_are_near_and_nothing_is_left() {
+        let shape = PageShape { side: BrickSide::Sixteen, rim: 1 };
+        let cells = [[0, 0, 0], [15, 15, 15], [15, 14, 15], [3, 9, 7], [3, 9, 7]];
+        let edge = shape.edge() as usize;
+        let mut samples = vec![0; shape.brick_samples()];
+        for [x, y, z] in cells {
+            for (dz, dy) in (0..3).flat_map(|dz| (0..3).map(move |dy| (dz, dy))) {
+                let first = x + edge * (y + dy + edge * (z + dz));
+                samples[first..first + 2].fill((100 * x + 10 * y + z + 1) as u16);
+            }
+        }
+        let expected = samples.clone();
+        let taken = take_sparse(&mut samples, cells.into_iter(), shape);
+        assert!(samples.iter().all(|&sample| sample == 0));
+        assert_eq!(PageSamples::Sparse(taken).dense(shape), expected);
+    }
+}
