@@ -5,12 +5,26 @@ use bytesize::ByteSize;
 use thiserror::Error;
 
 use crate::brick::{CountingRoom, PageInfo, PageSamples, PageShape};
+use crate::grid::{BLOCK, TILE};
+use crate::mesh::Tile;
+use crate::stage::dual_mc::Normals;
 use crate::stitch::NUMBERS_BYTES;
 use crate::units::MemoryBudget;
 
-/// Bytes that the program takes before there is any data, and that each thread works in, with its numbers of vertices.
+/// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
 const PROGRAM: u64 = 6 << 20;
-const THREAD: u64 = (2 << 20) + NUMBERS_BYTES;
+const THREAD: u64 = 5 << 18;
+/// Fields that a thread has at once while it works out that of a block.
+const FIELDS: u64 = 4;
+/// Blocks that each thread meshes before their surfaces go to the others, at the least.
+pub const BLOCKS_A_THREAD: usize = 2;
+/// Vertices of a block that is full of spray.
+const VERTICES_A_BLOCK: u64 = 20_000;
+/// Bytes that a thread takes for each of their triangles while they are written: three numbers, and four as text or
+/// records.
+const WRITTEN: u64 = 24 + 4 * 13;
+/// Tiles of a block.
+const TILES_A_BLOCK: u64 = (BLOCK / TILE).pow(3) as u64;
 /// Bytes a bin takes in tables, however little it holds.
 const BIN_BYTES: u64 = 320;
 /// Bytes of a binned particle, without attributes.
@@ -20,8 +34,9 @@ const SPILLED: u64 = 6;
 /// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
 /// more bins than a place can name.
 const MOST_PLACES: u64 = 64 << 20;
-/// Bytes of a vertex before it is written: the samples of its edge, and its share of a tile.
+/// Bytes of a vertex before it is written: the samples of its edge, its share of a tile, and its normal.
 const VERTEX: u64 = 8;
+const NORMAL: u64 = 12;
 /// Vertices around a particle that is alone.
 const VERTICES_A_PARTICLE: u64 = 60;
 /// Vertices in a bin full of wrinkled surface: a plane through it has 16^2 times one to two.
@@ -49,6 +64,15 @@ pub struct Estimate {
     pub surface: u64,
     /// Whether particles are needed until the surface is done, for their attributes.
     pub carried: bool,
+}
+
+/// What a surface takes while it is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Drawing {
+    /// Whether vertices get normals.
+    pub normals: Normals,
+    /// How far from a cell the DIF decides its field.
+    pub halo: i32,
 }
 
 /// How a frame is brought under its budget.
@@ -87,12 +111,34 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
+/// Bytes of the surface of a block that is full of spray.
+#[must_use]
+pub fn most_block_bytes(vertex_bytes: u64) -> u64 {
+    VERTICES_A_BLOCK * vertex_bytes + TILES_A_BLOCK * size_of::<Tile>() as u64
+}
+
 /// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.
 #[must_use]
 pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
     let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
     let places = (budget.0 / 8).min(MOST_PLACES) / CountingRoom::PLACE;
     CountingRoom { bins: number(budget.0 / 2 / BIN_BYTES), places: number(places) }
+}
+
+impl Drawing {
+    /// Bytes of a vertex without its attributes.
+    fn vertex(self) -> u64 {
+        VERTEX + if self.normals == Normals::Gradient { NORMAL } else { 0 }
+    }
+
+    /// Bytes that each thread works in.
+    fn thread(self, attributes: u64) -> u64 {
+        // Dual cells reach one cell up, and normals one cell each way.
+        let edge = (BLOCK + 3 + 2 * self.halo) as u64;
+        let fields = FIELDS * edge.pow(3) * size_of::<u16>() as u64;
+        let meshing = fields + BLOCKS_A_THREAD as u64 * most_block_bytes(self.vertex() + attributes);
+        THREAD + meshing.max(NUMBERS_BYTES + 2 * VERTICES_A_BLOCK * WRITTEN)
+    }
 }
 
 impl Estimate {
@@ -103,40 +149,42 @@ impl Estimate {
         counts: impl Iterator<Item = usize>,
         shape: PageShape,
         carried_components: usize,
+        drawing: Drawing,
         in_memory: u64,
     ) -> Self {
-        let mut estimate = Self { carried: carried_components > 0, ..Self::of_program(in_memory) };
+        let attributes = (carried_components * size_of::<f32>()) as u64;
+        let mut estimate = Self::of_program(drawing, attributes, in_memory);
         for count in counts {
             let nonzero = count.saturating_mul(shape.cells_a_particle());
             let bricks = count.min(shape.side.bricks_a_bin());
-            let field = PageSamples::most_bytes(nonzero, bricks, shape);
-            estimate.add_bin(count as u64, 4 * carried_components as u64, field as u64);
+            let field = PageSamples::most_bytes(nonzero, bricks, shape) as u64;
+            estimate.add_bin(count as u64, attributes, field, drawing);
         }
         estimate
     }
 
     /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
     #[must_use]
-    pub fn of_surface(pages: &[PageInfo], shape: PageShape, in_memory: u64) -> Self {
-        let mut estimate = Self::of_program(in_memory);
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: Drawing, in_memory: u64) -> Self {
+        let mut estimate = Self::of_program(drawing, 0, in_memory);
         for page in pages {
-            estimate.add_bin(page.full_count.into(), 0, page.most_bytes(shape) as u64);
+            estimate.add_bin(page.full_count.into(), 0, page.most_bytes(shape) as u64, drawing);
         }
         Self { particles: 0, spilled: 0, ..estimate }
     }
 
-    fn of_program(in_memory: u64) -> Self {
-        let threads = THREAD * rayon::current_num_threads() as u64;
-        Self { program: PROGRAM + threads + in_memory, ..Self::default() }
+    fn of_program(drawing: Drawing, attributes: u64, in_memory: u64) -> Self {
+        let threads = drawing.thread(attributes) * rayon::current_num_threads() as u64;
+        Self { program: PROGRAM + threads + in_memory, carried: attributes > 0, ..Self::default() }
     }
 
     /// Adds a bin of so many particles, each with so many bytes of attributes, and so many bytes of the DIF.
-    fn add_bin(&mut self, count: u64, attributes: u64, field: u64) {
+    fn add_bin(&mut self, count: u64, attributes: u64, field: u64, drawing: Drawing) {
         self.index += BIN_BYTES;
         self.particles += count * (RECORD + attributes);
         self.spilled += count * (SPILLED + attributes);
         self.field += field;
-        self.surface += (VERTEX + attributes) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+        self.surface += (drawing.vertex() + attributes) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
     }
 
     /// The peak with everything in memory.

@@ -93,12 +93,21 @@ pub fn recipe(
 /// The same where the isovalue is known, of whichever frame.
 #[must_use]
 pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isovalue) -> Recipe {
-    let details = match detail {
+    Recipe { smoothing: Smoothing::new(indicator, sigma), details: details(indicator, sigma, detail), iso }
+}
+
+/// How far from a cell the DIF decides its field by such a recipe, whatever its isovalue.
+#[must_use]
+pub fn halo(indicator: Indicator, sigma: Sigma, detail: Detail) -> i32 {
+    Smoothing::new(indicator, sigma).reach() + details(indicator, sigma, detail).halo()
+}
+
+fn details(indicator: Indicator, sigma: Sigma, detail: Detail) -> Details {
+    match detail {
         Detail::Smoothed => Details::Smoothed,
         Detail::Recovered => Details::Recovered(Kernel::gaussian(sigma.half())),
         Detail::Spared => Details::Spared(Adaptive::new(indicator, sigma)),
-    };
-    Recipe { smoothing: Smoothing::new(indicator, sigma), details, iso }
+    }
 }
 
 /// How often each sample was seen, by its upper and its lower byte: samples lie close together.

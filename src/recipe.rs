@@ -31,6 +31,18 @@ pub enum Details {
     Spared(Adaptive),
 }
 
+impl Details {
+    /// How far from a cell the smoothed DIF decides its field.
+    #[must_use]
+    pub fn halo(&self) -> i32 {
+        match self {
+            Self::Smoothed => 0,
+            Self::Recovered(kernel) => kernel.reach(),
+            Self::Spared(adaptive) => adaptive.near,
+        }
+    }
+}
+
 impl Recipe {
     /// How far from a full cell the field can be other than 0.
     #[must_use]
@@ -46,12 +58,7 @@ impl Recipe {
     /// How far from a cell the DIF decides its field: the sum of the reaches of all steps.
     #[must_use]
     pub fn halo(&self) -> i32 {
-        let details = match &self.details {
-            Details::Smoothed => 0,
-            Details::Recovered(kernel) => kernel.reach(),
-            Details::Spared(adaptive) => adaptive.near,
-        };
-        self.smoothing.reach() + details
+        self.smoothing.reach() + self.details.halo()
     }
 
     /// Whether the surface can pass between cells whose field this decides: the DIF, or what smoothing has come to.

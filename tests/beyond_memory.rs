@@ -12,7 +12,7 @@ use common::scene::{Random, splash};
 use common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
-use meniscus::estimate::Estimate;
+use meniscus::estimate::{Drawing, Estimate};
 use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
@@ -93,7 +93,8 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
             let plan =
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();
-            let estimate = Estimate::of(plan.counts(), rule.shape(), 0, 0);
+            let drawing = Drawing { normals: Normals::None, halo: 3 };
+            let estimate = Estimate::of(plan.counts(), rule.shape(), 0, drawing, 0);
             let bins = plan.fill(&particles[..], &[]);
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);
@@ -119,6 +120,13 @@ fn meniscus(folder: &Path, limits: &str, arguments: &str) -> Output {
     let script = format!("{limits} exec \"$0\" {arguments}");
     let mut command = Command::new("bash");
     command.current_dir(folder).args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")]).output().unwrap()
+}
+
+/// The peak that a run wrote to `stats`, in bytes.
+fn peak(folder: &Path) -> u64 {
+    let stats = fs::read_to_string(folder.join("stats")).unwrap();
+    let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
+    stats["peak_resident_bytes"].as_u64().unwrap()
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -170,6 +178,33 @@ fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
         "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch no",
     );
     assert_eq!(run.status.code(), Some(4), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
+    let (folder, mut random) = (TempDir::new().unwrap(), Random::new(7));
+    // Drops in 5^3 blocks, each alone: with their details they are all surface.
+    let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
+    fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
+    let reconstruct = |arguments: &str| {
+        let fixed = "reconstruct spray.xyz --spacing 1 --cell-size 1 --adaptive --threads 2 --backend cpu";
+        let run = meniscus(folder.path(), "", &format!("{fixed} --overwrite {arguments}"));
+        assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
+        String::from_utf8(run.stdout).unwrap()
+    };
+    for normals in ["", "--normals"] {
+        reconstruct(&format!("{normals} -o whole.ply"));
+        let plan = reconstruct(&format!("{normals} -o whole.ply --dry-run"));
+        let (_, estimate) = plan.split_once("all in memory would take ").unwrap();
+        let estimate: f64 = estimate.split_once(" MiB").unwrap().0.parse().unwrap();
+        let budget = (0.6 * estimate * 1048576.0) as u64;
+        reconstruct(&format!("{normals} -o small.ply --memory {budget}B --stats stats"));
+        let peak = peak(folder.path());
+        assert!(peak < budget + (6 << 20), "{normals}: {peak} bytes, and {budget} allowed");
+        let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+        assert!(bytes("whole.ply") == bytes("small.ply"), "{normals} under {budget} bytes");
+        fs::remove_file(folder.path().join("stats")).unwrap();
+    }
 }
 
 #[test]
@@ -291,10 +326,8 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
         let run = meniscus(folder.path(), "", &arguments);
         assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
         assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
-        let stats = String::from_utf8(bytes("stats")).unwrap();
-        let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
         // The program itself, mapped from its file, counts too, and is larger without optimisation.
-        let peak = stats["peak_resident_bytes"].as_u64().unwrap();
+        let peak = peak(folder.path());
         assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
         let full =
             meniscus(folder.path(), "trap '' XFSZ; ulimit -f 4096;", &arguments.replace("small", "full"));

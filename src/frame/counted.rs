@@ -6,15 +6,14 @@ use crate::grid::Grid;
 use crate::particles::Particles;
 use crate::rivals::Method;
 
-use super::{FrameError, Sampling};
+use super::{FrameError, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
     pub(super) particles: &'a P,
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan<'a>,
-    /// For a DIF.
-    estimate: Estimate,
+    surfacing: Surfacing,
     kernels: Option<Method>,
 }
 
@@ -39,13 +38,13 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         if plan.census().binned == 0 {
             return Err(FrameError::NoParticles(plan.census()));
         }
-        let attributes = particles.attributes();
-        let components = sampling.carried.iter().map(|&index| attributes[index].components).sum();
-        let in_memory = particles.resident_bytes() + resources.host_bytes();
-        let estimate =
-            Estimate::of(plan.counts(), sampling.indicator.shape(sampling.side), components, in_memory);
-        let estimate = Estimate { places: plan.places_bytes(), ..estimate };
-        Ok(Self { particles, sampling, plan, estimate, kernels: None })
+        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN, kernels: None })
+    }
+
+    /// The same for a surface that takes as much as this one, instead of a plain one.
+    #[must_use]
+    pub fn for_surface(self, surfacing: Surfacing) -> Self {
+        Self { surfacing, ..self }
     }
 
     /// The same for a kernel method instead of a DIF.
@@ -63,11 +62,18 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// What the frame will take.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
-        let Some(method) = self.kernels else { return self.estimate };
+        let Sampling { grid, indicator, side, carried, spacing, resources, .. } = self.sampling;
+        let attributes = self.particles.attributes();
+        let components = carried.iter().map(|&index| attributes[index].components).sum();
+        let drawing = self.surfacing.drawing(*indicator, *spacing, grid);
+        let in_memory = self.particles.resident_bytes() + resources.host_bytes();
+        let shape = indicator.shape(*side);
+        let estimate = Estimate::of(self.plan.counts(), shape, components, drawing, in_memory);
+        let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
+        let Some(method) = self.kernels else { return estimate };
         // Kernels are kept until the surface is done, as attributes are.
         let kernels = self.census().binned as u64 * method.kernel_bytes();
-        let particles = self.estimate.particles + kernels;
-        Estimate { particles, field: 0, carried: true, ..self.estimate }
+        Estimate { particles: estimate.particles + kernels, field: 0, carried: true, ..estimate }
     }
 }
 

@@ -1,5 +1,6 @@
 //! One frame, within its memory budget: particles to DIF, DIF to surface.
 
+mod blocks;
 mod counted;
 mod error;
 mod resources;
@@ -21,7 +22,7 @@ use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
 use crate::brick::{Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins};
-use crate::estimate::{Estimate, Plan};
+use crate::estimate::{Drawing, Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
 use crate::io::mnf::{FrameFacts, write_frame};
 use crate::laps::Laps;
@@ -38,10 +39,8 @@ use crate::stage::indicator::{Indicator, PageRule};
 use crate::stitch::Stitched;
 use crate::units::{Isovalue, MeanCount, MemoryBudget, Sigma};
 
+use blocks::mesh_blocks;
 use sink::FieldSink;
-
-/// Blocks that are meshed at once.
-const BATCH: usize = 1024;
 
 /// How a frame is sampled.
 #[derive(Debug, Clone)]
@@ -75,6 +74,23 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Normals on the vertices, or not.
     pub normals: Normals,
+}
+
+impl Surfacing {
+    /// As smooth as the frame's spacing says, and nothing else.
+    pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
+
+    /// What drawing it through the DIF of particles so far apart takes.
+    fn drawing(&self, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Drawing {
+        let sigma = width(self.sigma, indicator, spacing, grid);
+        Drawing { normals: self.normals, halo: plateau::halo(indicator, sigma, self.detail) }
+    }
+}
+
+/// The Gaussian's width, asked for or not.
+fn width(asked: Option<Sigma>, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Sigma {
+    let cells = |spacing: f64| indicator.spacings_smoothed() * spacing / grid.cell_size();
+    asked.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
 }
 
 /// The attributes on the mesh: velocity under the name that other programs read, others under their own.
@@ -183,10 +199,11 @@ impl Frame {
         Ok(Self { facts, dif, carried, surface_share, resources: resources.clone(), stages })
     }
 
-    /// Joins a DIF that was read from a frame file to what the file says of it.
+    /// Joins a DIF that was read from a frame file to what the file says of it, for surfaces that take as much as such a one.
     #[must_use]
-    pub fn from_parts(facts: FrameFacts, dif: DifField, resources: Resources) -> Self {
-        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), resources.host_bytes());
+    pub fn from_parts(facts: FrameFacts, dif: DifField, surfacing: &Surfacing, resources: Resources) -> Self {
+        let drawing = surfacing.drawing(facts.indicator, facts.spacing, &facts.grid);
+        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), drawing, resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.start(resources.budget);
         Self { facts, dif, carried: None, surface_share, resources, stages }
@@ -240,8 +257,7 @@ impl Frame {
     #[must_use]
     pub fn sigma(&self, asked: Option<Sigma>) -> Sigma {
         let FrameFacts { grid, spacing, indicator, .. } = &self.facts;
-        let width = |spacing: f64| indicator.spacings_smoothed() * spacing / grid.cell_size();
-        asked.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(width)))
+        width(asked, *indicator, *spacing, grid)
     }
 
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
@@ -309,16 +325,12 @@ impl Frame {
     fn mesh_blocks(&self, recipe: &Recipe, normals: Normals, spool: &mut Spool) -> io::Result<()> {
         let domain = self.facts.domain.as_ref();
         let surfaces = Surfaces { dif: &self.dif, recipe, domain, normals };
-        for regions in surfaces.regions().chunks(BATCH) {
+        mesh_blocks(spool, &surfaces.regions(), self.surface_share, &self.resources.scratch, |regions| {
             let mut blocks: Vec<BlockMesh> =
                 self.stages.contour(&surfaces, regions).into_iter().flatten().collect();
             blocks.par_iter_mut().try_for_each(|block| self.carry(recipe, block))?;
-            blocks.into_iter().try_for_each(|block| spool.push(block))?;
-            if spool.bytes() > self.surface_share {
-                spool.move_to_file(&self.resources.scratch)?;
-            }
-        }
-        Ok(())
+            Ok(blocks)
+        })
     }
 
     /// Carries the particles' attributes to the vertices.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::brick::{BinPlan, Bins, Census};
 use crate::estimate::{Plan, Shares};
-use crate::grid::Domain;
+use crate::grid::{CellBox, Domain};
 use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
@@ -19,7 +19,8 @@ use crate::stage::indicator::Indicator;
 use crate::stitch::Stitched;
 use crate::units::{MemoryBudget, Sigma};
 
-use super::{BATCH, Counted, FrameError, Resources, Sampling, carried_infos, carry};
+use super::blocks::mesh_blocks;
+use super::{Counted, FrameError, Resources, Sampling, carried_infos, carry};
 
 /// The kernels of a frame, and what else its surface needs.
 #[derive(Debug)]
@@ -127,21 +128,18 @@ impl KernelFrame {
     fn mesh_blocks(&self, normals: Normals, spool: &mut Spool) -> io::Result<()> {
         let Self { bins, attributes, smoothing, .. } = self;
         let walls = self.sampling.domain.as_ref().map(Domain::cells);
-        for regions in self.field.regions(walls).chunks(BATCH) {
-            let block = |&region| {
-                let mut mesh = self.field.mesh(region, normals, walls)?;
-                if let Some(mesh) = &mut mesh {
-                    carry(bins, attributes, smoothing, Crossings::Fractions, walls, mesh)?;
-                }
-                Ok(mesh)
-            };
-            let blocks: Vec<Option<BlockMesh>> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
-            blocks.into_iter().flatten().try_for_each(|block| spool.push(block))?;
-            if spool.bytes() > self.surface_share {
-                spool.move_to_file(&self.sampling.resources.scratch)?;
+        let block = |&region: &CellBox| {
+            let mut mesh = self.field.mesh(region, normals, walls)?;
+            if let Some(mesh) = &mut mesh {
+                carry(bins, attributes, smoothing, Crossings::Fractions, walls, mesh)?;
             }
-        }
-        Ok(())
+            Ok(mesh)
+        };
+        let scratch = &self.sampling.resources.scratch;
+        mesh_blocks(spool, &self.field.regions(walls), self.surface_share, scratch, |regions| {
+            let blocks: Vec<Option<BlockMesh>> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+            Ok(blocks.into_iter().flatten().collect())
+        })
     }
 
     /// Whose kernels they are.

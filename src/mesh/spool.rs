@@ -55,6 +55,14 @@ impl Spool {
         self.bytes
     }
 
+    /// Bytes of a vertex, without its tile.
+    #[must_use]
+    pub fn vertex_bytes(&self) -> u64 {
+        let normal = if self.normals { size_of::<[f32; 3]>() } else { 0 };
+        let components: usize = self.components.iter().sum();
+        (size_of::<[u16; 2]>() + normal + components * size_of::<f32>()) as u64
+    }
+
     /// From now on keeps surfaces in a scratch file in `folder`.
     ///
     /// # Errors

@@ -279,7 +279,7 @@ impl Options {
     fn frame(
         &self,
         input: &Path,
-        request: &SamplingRequest,
+        (request, surfacing): (&SamplingRequest, &Surfacing),
         format: MeshFormat,
         resources: Resources,
         laps: &mut Laps,
@@ -295,7 +295,7 @@ impl Options {
                 crate::print(&format!("would reconstruct {} particles into {output}", facts.census.binned))?;
                 return Ok(None);
             }
-            return Ok(Some(Sampled::Dif(Frame::from_parts(facts, dif, resources))));
+            return Ok(Some(Sampled::Dif(Frame::from_parts(facts, dif, surfacing, resources))));
         }
         let file = open_particles(input, unpacking(&resources))?;
         laps.lap("open");
@@ -303,7 +303,7 @@ impl Options {
         let carried = self.carried(input, &file, format)?;
         let sampling = request.sampling(input, &file, carried, resources, notes)?;
         laps.lap("spacing");
-        let counted = request.counted(&file.particles, &sampling).map_err(in_file)?;
+        let counted = request.counted(&file.particles, &sampling, surfacing).map_err(in_file)?;
         laps.lap("count");
         if self.dry_run {
             let (estimate, budget) = (counted.estimate(), sampling.resources.budget);
@@ -372,7 +372,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
 
     let mut laps = Laps::default();
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
-    let made = options.frame(input, &request, format, resources, &mut laps, &notes)?;
+    let made = options.frame(input, (&request, &surfacing), format, resources, &mut laps, &notes)?;
     let Some(sampled) = made else { return Ok(Verdict::Good) };
     let (mesh, iso) = match &sampled {
         Sampled::Dif(frame) => {

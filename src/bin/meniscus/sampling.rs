@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use meniscus::brick::{Census, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{Counted, FrameError, Resources, Sampling};
+use meniscus::frame::{Counted, FrameError, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
@@ -219,13 +219,14 @@ impl SamplingRequest {
         }
     }
 
-    /// Counts particles for what is to be made of them.
+    /// Counts particles for what is to be made of them, and drawn of that.
     pub fn counted<'a, P: Particles + ?Sized>(
         &self,
         particles: &'a P,
         sampling: &'a Sampling,
+        surfacing: &Surfacing,
     ) -> Result<Counted<'a, P>, FrameError> {
-        let counted = Counted::of(particles, sampling)?;
+        let counted = Counted::of(particles, sampling)?.for_surface(*surfacing);
         Ok(match self.rival() {
             None => counted,
             Some(method) => counted.for_kernels(method),

@@ -70,15 +70,14 @@ pub fn normals<T: Copy + Default + Into<f64>>(
     let strides = field.strides();
     let sample = |index: usize| -> f64 { field.samples()[index].into() };
     let falling = |index: usize| DVec3::from(strides.map(|s| sample(index - s) - sample(index + s)));
-    mesh.edges()
-        .zip(&mesh.ends)
-        .map(|((cell, axis), &ends)| {
-            let at = field.index(cell);
-            let at = [at, at + strides[axis]];
-            let falls_up = sample(at[0]) > sample(at[1]);
-            normal((cell, axis), crossings.fraction(ends), falls_up, at.map(falling), walls)
-        })
-        .collect()
+    let mut normals = Vec::with_capacity(mesh.ends.len());
+    normals.extend(mesh.edges().zip(&mesh.ends).map(|((cell, axis), &ends)| {
+        let at = field.index(cell);
+        let at = [at, at + strides[axis]];
+        let falls_up = sample(at[0]) > sample(at[1]);
+        normal((cell, axis), crossings.fraction(ends), falls_up, at.map(falling), walls)
+    }));
+    normals
 }
 
 /// The normal of one vertex, given its edge, how far along it lies, whether the field falls along it, and by how much

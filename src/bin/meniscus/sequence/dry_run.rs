@@ -67,7 +67,8 @@ impl Setup<'_> {
             let sampling = self.sampling(&frozen, carried, self.resources.clone())?;
             let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
             let mut laps = Laps::default();
-            let counted = self.request.counted(&file.particles, &sampling).map_err(in_file)?;
+            let counted =
+                self.request.counted(&file.particles, &sampling, &self.surfacing).map_err(in_file)?;
             let (census, estimate) = (counted.census(), counted.estimate());
             let (rival, budget) = (self.request.rival(), self.resources.budget);
             let sampled = Sampled::of(counted, rival, budget, &mut laps).map_err(in_file)?;

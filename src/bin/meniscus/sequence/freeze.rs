@@ -106,7 +106,7 @@ impl Setup<'_> {
             self.options.validate_frame_input(path)?;
             let (facts, dif) = open_frame(path, resources.budget.0 / 4)?;
             let (grid, spacing) = (facts.grid, facts.spacing);
-            let frame_of_file = Frame::from_parts(facts, dif, resources.clone());
+            let frame_of_file = Frame::from_parts(facts, dif, &self.surfacing, resources.clone());
             let (recipe, plateau) = frame_of_file.recipe(&self.surfacing);
             let trust = match plateau {
                 Plateau::Interior { .. } => Trust::Sound,

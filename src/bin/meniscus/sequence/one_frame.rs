@@ -194,7 +194,7 @@ impl Conversion<'_> {
         let (facts, dif) = open_frame(path, budget.0 / 4)?;
         laps.lap("open");
         let resources = Resources { budget, ..self.setup.resources.clone() };
-        let frame = Frame::from_parts(facts, dif, resources);
+        let frame = Frame::from_parts(facts, dif, &self.setup.surfacing, resources);
         Ok(Ready { frame: Some(Sampled::Dif(frame)), infos: Vec::new(), time: None, permit })
     }
 
@@ -207,7 +207,7 @@ impl Conversion<'_> {
         stage: &dyn Fn(&str),
         laps: &mut Laps,
     ) -> Result<Ready<'_>, Error> {
-        let Setup { options, request, resources, .. } = self.setup;
+        let Setup { options, request, surfacing, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
@@ -215,7 +215,7 @@ impl Conversion<'_> {
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, carried, opening)?;
         stage("counting");
-        let mut counted = request.counted(&file.particles, &sampling);
+        let mut counted = request.counted(&file.particles, &sampling, surfacing);
         laps.lap("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
@@ -230,7 +230,7 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = request.counted(&file.particles, &sampling);
+            counted = request.counted(&file.particles, &sampling, surfacing);
         }
         stage("sampling");
         let frame = match counted {
