@@ -126,9 +126,9 @@ fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
         assert!(pool.install(|| encoded(&facts, &field)) == expected, "{threads} threads");
         let mut bytes = Vec::new();
         let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
-        let pages: Vec<_> = field.infos().iter().copied().zip((0..).map(|i| field.stored(i))).collect();
+        let pages: Vec<_> = field.infos().iter().copied().zip(0..).collect();
         for batch in pages.chunks(37 * threads) {
-            pool.install(|| writer.push(batch)).unwrap();
+            pool.install(|| writer.push(batch, |&page| field.stored(page))).unwrap();
         }
         writer.finish(&facts).unwrap();
         assert!(bytes == expected, "{} pages at a time", 37 * threads);
@@ -279,7 +279,7 @@ fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
     let written = |samples: &[u16]| {
         let mut bytes = Vec::new();
         let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
-        writer.push(&[(field.infos()[0], samples)]).unwrap();
+        writer.push(&[(field.infos()[0], samples)], |&samples| samples.into()).unwrap();
         writer.finish(&facts).unwrap();
         bytes
     };

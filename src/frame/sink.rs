@@ -4,8 +4,6 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use crate::backend::Stages;
 use crate::brick::{Bins, DifField, PageShape, Pages};
 use crate::estimate::{Estimate, Plan, Shares};
@@ -44,10 +42,7 @@ impl FieldSink {
                 Self::Memory(kept) => kept.extend(pages),
                 Self::File { writer, full_cells, .. } => {
                     *full_cells += full_count(&pages);
-                    let shape = rule.shape();
-                    let dense: Vec<_> =
-                        pages.par_iter().map(|(info, samples)| (*info, samples.dense(shape))).collect();
-                    writer.push(&dense)?;
+                    writer.push(&pages, |samples| samples.dense(rule.shape()))?;
                 }
             }
         }

@@ -215,19 +215,20 @@ impl Stitched {
             static NUMBERS: Cell<Option<Numbers>> = const { Cell::new(None) };
         }
         let mut numbers = NUMBERS.take().unwrap_or_else(Numbers::new);
-        let block = self.spool.block(i);
+        let (block, own) = (self.spool.block(i), self.spool.tiles(i)?);
         for neighbour in 0..8 {
             let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
             let Some(found) = self.spool.find(coord) else { continue };
             let first = self.spool.first_vertex(found);
-            for tile in self.spool.tiles(found)?.iter() {
+            let tiles = if found == i { Cow::Borrowed(&*own) } else { self.spool.tiles(found)? };
+            for tile in tiles.iter() {
                 let corner = tile.corner(coord) - block * BLOCK;
                 if corner.max_element() <= BLOCK {
                     numbers.enter(tile, corner, first + u64::from(tile.first_vertex));
                 }
             }
         }
-        numbers.triangles(block, &self.spool.tiles(i)?, &mut put);
+        numbers.triangles(block, &own, &mut put);
         NUMBERS.set(Some(numbers));
         Ok(())
     }

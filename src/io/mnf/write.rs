@@ -1,3 +1,4 @@
+use std::borrow::Cow;
 use std::io::{self, Write};
 
 use crc32fast::Hasher;
@@ -53,18 +54,23 @@ impl<W: Write> FrameWriter<W> {
         Ok(Self { out, shape, header, at: HEADER as u64, pages: 0, index: Vec::new(), last: None })
     }
 
-    /// Appends pages, with their samples as they are stored: compresses them on all threads, and writes them in
-    /// order. The bytes depend neither on the threads nor on how the pages are divided among the calls.
+    /// Appends pages, of which `samples` gives all samples of their bricks: compresses them on all threads, and writes them
+    /// in order. The bytes depend neither on the threads nor on how the pages are divided among the calls.
     ///
     /// # Panics
     /// If the pages are not in the order of their keys, or the samples not of their bricks' number.
-    pub fn push(&mut self, pages: &[(PageInfo, impl AsRef<[u16]> + Sync)]) -> io::Result<()> {
-        for (info, samples) in pages {
+    pub fn push<'a, P: Sync>(
+        &mut self,
+        pages: &'a [(PageInfo, P)],
+        samples: impl Fn(&'a P) -> Cow<'a, [u16]> + Sync,
+    ) -> io::Result<()> {
+        for (info, _) in pages {
             assert!(self.last.is_none_or(|last| last.key < info.key), "pages are in order");
-            assert_eq!(samples.as_ref().len(), info.samples(self.shape), "samples of {info:?}");
             self.last = Some(*info);
         }
-        let compressed: Vec<io::Result<Compressed>> = pages.par_chunks(CHUNK).map(compress).collect();
+        let shape = self.shape;
+        let compressed: Vec<io::Result<Compressed>> =
+            pages.par_chunks(CHUNK).map(|pages| compress(pages, &samples, shape)).collect();
         for (pages, compressed) in pages.chunks(CHUNK).zip(compressed) {
             let Compressed { bytes, parts } = compressed?;
             self.out.write_all(&bytes)?;
@@ -137,13 +143,19 @@ fn footer(facts: &FrameFacts) -> Vec<u8> {
     footer
 }
 
-fn compress(pages: &[(PageInfo, impl AsRef<[u16]>)]) -> io::Result<Compressed> {
+fn compress<'a, P>(
+    pages: &'a [(PageInfo, P)],
+    samples: impl Fn(&'a P) -> Cow<'a, [u16]>,
+    shape: PageShape,
+) -> io::Result<Compressed> {
     let mut compressor = Compressor::new(LEVEL)?;
     // The index knows the size.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
     let mut compressed = Compressed { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };
-    for (_, samples) in pages {
-        let page = compressor.compress(&planes_from_samples(samples.as_ref()))?;
+    for (info, page) in pages {
+        let samples = samples(page);
+        assert_eq!(samples.len(), info.samples(shape), "samples of {info:?}");
+        let page = compressor.compress(&planes_from_samples(&samples))?;
         compressed.parts.push((page.len(), crc32fast::hash(&page)));
         compressed.bytes.extend(page);
     }
@@ -163,8 +175,8 @@ pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io:
     let batch = 2 * CHUNK * rayon::current_num_threads();
     for first in (0..field.infos().len()).step_by(batch) {
         let infos = field.infos()[first..].iter().take(batch);
-        let pages: Vec<_> = infos.zip(first..).map(|(&info, page)| (info, field.stored(page))).collect();
-        writer.push(&pages)?;
+        let pages: Vec<_> = infos.copied().zip(first..).collect();
+        writer.push(&pages, |&page| field.stored(page))?;
     }
     writer.finish(facts)
 }
