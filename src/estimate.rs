@@ -14,8 +14,10 @@ use crate::units::MemoryBudget;
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
 const PROGRAM: u64 = 6 << 20;
 const THREAD: u64 = 5 << 18;
-/// Fields that a thread has at once while it works out that of a block.
+/// Fields that a thread has at once while it works out that of a block; and as it smooths sums of an attribute, how many
+/// more of those than there are components.
 const FIELDS: u64 = 4;
+const SUMS: u64 = 3;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
 pub const BLOCKS_A_THREAD: usize = 2;
 /// Vertices of a block that is full of spray.
@@ -111,6 +113,11 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
+/// Bytes of attributes of so many components.
+fn attribute_bytes(components: &[usize]) -> u64 {
+    (components.iter().sum::<usize>() * size_of::<f32>()) as u64
+}
+
 /// Bytes of the surface of a block that is full of spray.
 #[must_use]
 pub fn most_block_bytes(vertex_bytes: u64) -> u64 {
@@ -131,29 +138,32 @@ impl Drawing {
         VERTEX + if self.normals == Normals::Gradient { NORMAL } else { 0 }
     }
 
-    /// Bytes that each thread works in.
-    fn thread(self, attributes: u64) -> u64 {
+    /// Bytes that each thread takes, with attributes of so many components carried.
+    fn thread(self, components: &[usize]) -> u64 {
         // Dual cells reach one cell up, and normals one cell each way.
         let edge = (BLOCK + 3 + 2 * self.halo) as u64;
-        let fields = FIELDS * edge.pow(3) * size_of::<u16>() as u64;
-        let meshing = fields + BLOCKS_A_THREAD as u64 * most_block_bytes(self.vertex() + attributes);
+        let fields = FIELDS * size_of::<u16>() as u64;
+        let sums = |&components: &usize| (components as u64 + SUMS) * size_of::<f64>() as u64;
+        let a_cell = components.iter().map(sums).fold(fields, u64::max);
+        let surfaces = BLOCKS_A_THREAD as u64 * most_block_bytes(self.vertex() + attribute_bytes(components));
+        let meshing = edge.pow(3) * a_cell + surfaces;
         THREAD + meshing.max(NUMBERS_BYTES + 2 * VERTICES_A_BLOCK * WRITTEN)
     }
 }
 
 impl Estimate {
-    /// For particles counted by bin, with so many attribute components each, and an input and a backend of which
+    /// For particles counted by bin, with attributes of so many components carried, and an input and a backend of which
     /// `in_memory` bytes are taken all the time.
     #[must_use]
     pub fn of(
         counts: impl Iterator<Item = usize>,
         shape: PageShape,
-        carried_components: usize,
+        components: &[usize],
         drawing: Drawing,
         in_memory: u64,
     ) -> Self {
-        let attributes = (carried_components * size_of::<f32>()) as u64;
-        let mut estimate = Self::of_program(drawing, attributes, in_memory);
+        let attributes = attribute_bytes(components);
+        let mut estimate = Self::of_program(drawing, components, in_memory);
         for count in counts {
             let nonzero = count.saturating_mul(shape.cells_a_particle());
             let bricks = count.min(shape.side.bricks_a_bin());
@@ -166,16 +176,16 @@ impl Estimate {
     /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
     #[must_use]
     pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: Drawing, in_memory: u64) -> Self {
-        let mut estimate = Self::of_program(drawing, 0, in_memory);
+        let mut estimate = Self::of_program(drawing, &[], in_memory);
         for page in pages {
             estimate.add_bin(page.full_count.into(), 0, page.most_bytes(shape) as u64, drawing);
         }
         Self { particles: 0, spilled: 0, ..estimate }
     }
 
-    fn of_program(drawing: Drawing, attributes: u64, in_memory: u64) -> Self {
-        let threads = drawing.thread(attributes) * rayon::current_num_threads() as u64;
-        Self { program: PROGRAM + threads + in_memory, carried: attributes > 0, ..Self::default() }
+    fn of_program(drawing: Drawing, components: &[usize], in_memory: u64) -> Self {
+        let threads = drawing.thread(components) * rayon::current_num_threads() as u64;
+        Self { program: PROGRAM + threads + in_memory, carried: !components.is_empty(), ..Self::default() }
     }
 
     /// Adds a bin of so many particles, each with so many bytes of attributes, and so many bytes of the DIF.

@@ -94,7 +94,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();
             let drawing = Drawing { normals: Normals::None, halo: 3 };
-            let estimate = Estimate::of(plan.counts(), rule.shape(), 0, drawing, 0);
+            let estimate = Estimate::of(plan.counts(), rule.shape(), &[], drawing, 0);
             let bins = plan.fill(&particles[..], &[]);
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);

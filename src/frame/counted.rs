@@ -64,11 +64,11 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     pub fn estimate(&self) -> Estimate {
         let Sampling { grid, indicator, side, carried, spacing, resources, .. } = self.sampling;
         let attributes = self.particles.attributes();
-        let components = carried.iter().map(|&index| attributes[index].components).sum();
+        let components: Vec<usize> = carried.iter().map(|&index| attributes[index].components).collect();
         let drawing = self.surfacing.drawing(*indicator, *spacing, grid);
         let in_memory = self.particles.resident_bytes() + resources.host_bytes();
         let shape = indicator.shape(*side);
-        let estimate = Estimate::of(self.plan.counts(), shape, components, drawing, in_memory);
+        let estimate = Estimate::of(self.plan.counts(), shape, &components, drawing, in_memory);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         let Some(method) = self.kernels else { return estimate };
         // Kernels are kept until the surface is done, as attributes are.
