@@ -14,16 +14,17 @@ use crate::units::MemoryBudget;
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
 const PROGRAM: u64 = 6 << 20;
 const THREAD: u64 = 5 << 18;
-/// Fields that a thread has at once while it works out that of a block; and as it smooths sums of an attribute, how many
-/// more of those than there are components.
-const FIELDS: u64 = 4;
+/// As many sums more than an attribute has components are there at once while a thread smooths them.
 const SUMS: u64 = 3;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
 pub const BLOCKS_A_THREAD: usize = 2;
-/// Vertices of a block that is full of spray.
-const VERTICES_A_BLOCK: u64 = 20_000;
-/// Bytes that a thread takes for each of their triangles while they are written: three numbers, and four as text or
-/// records.
+/// Vertices of a block with much surface.
+const VERTICES_A_BLOCK: u64 = 6_000;
+/// The same where drops keep theirs: spray is all surface.
+const VERTICES_OF_SPRAY: u64 = 20_000;
+/// Triangles of a closed surface, nearly.
+const TRIANGLES_A_VERTEX: u64 = 2;
+/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
 const WRITTEN: u64 = 24 + 4 * 13;
 /// Tiles of a block.
 const TILES_A_BLOCK: u64 = (BLOCK / TILE).pow(3) as u64;
@@ -36,9 +37,8 @@ const SPILLED: u64 = 6;
 /// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
 /// more bins than a place can name.
 const MOST_PLACES: u64 = 64 << 20;
-/// Bytes of a vertex before it is written: the samples of its edge, its share of a tile, and its normal.
-const VERTEX: u64 = 8;
-const NORMAL: u64 = 12;
+/// Bytes of a vertex's share of a tile.
+const TILE_SHARE: u64 = 4;
 /// Vertices around a particle that is alone.
 const VERTICES_A_PARTICLE: u64 = 60;
 /// Vertices in a bin full of wrinkled surface: a plane through it has 16^2 times one to two.
@@ -73,6 +73,8 @@ pub struct Estimate {
 pub struct Drawing {
     /// Whether vertices get normals.
     pub normals: Normals,
+    /// Whether details are recovered or spared.
+    pub details: bool,
     /// How far from a cell the DIF decides its field.
     pub halo: i32,
 }
@@ -113,15 +115,19 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
+/// Bytes of the surface of a block that is full of spray, given those of a vertex without its tile.
+#[must_use]
+pub fn spray_bytes(vertex_bytes: u64) -> u64 {
+    block_bytes(VERTICES_OF_SPRAY, vertex_bytes)
+}
+
+fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
+    vertices * vertex_bytes + TILES_A_BLOCK * size_of::<Tile>() as u64
+}
+
 /// Bytes of attributes of so many components.
 fn attribute_bytes(components: &[usize]) -> u64 {
     (components.iter().sum::<usize>() * size_of::<f32>()) as u64
-}
-
-/// Bytes of the surface of a block that is full of spray.
-#[must_use]
-pub fn most_block_bytes(vertex_bytes: u64) -> u64 {
-    VERTICES_A_BLOCK * vertex_bytes + TILES_A_BLOCK * size_of::<Tile>() as u64
 }
 
 /// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.
@@ -133,21 +139,27 @@ pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
 }
 
 impl Drawing {
-    /// Bytes of a vertex without its attributes.
-    fn vertex(self) -> u64 {
-        VERTEX + if self.normals == Normals::Gradient { NORMAL } else { 0 }
+    /// Bytes of a vertex before it is written, without its tile: the samples of its edge, its normal and its attributes.
+    fn vertex_bytes(self, components: &[usize]) -> u64 {
+        let normal = if self.normals == Normals::Gradient { size_of::<[f32; 3]>() } else { 0 };
+        (size_of::<[u16; 2]>() + normal) as u64 + attribute_bytes(components)
     }
 
-    /// Bytes that each thread takes, with attributes of so many components carried.
-    fn thread(self, components: &[usize]) -> u64 {
+    fn vertices_a_block(self) -> u64 {
+        if self.details { VERTICES_OF_SPRAY } else { VERTICES_A_BLOCK }
+    }
+
+    /// Bytes that each thread takes.
+    fn thread_bytes(self, components: &[usize]) -> u64 {
         // Dual cells reach one cell up, and normals one cell each way.
         let edge = (BLOCK + 3 + 2 * self.halo) as u64;
-        let fields = FIELDS * size_of::<u16>() as u64;
+        let fields = if self.details { 4 } else { 2 } * size_of::<u16>() as u64;
         let sums = |&components: &usize| (components as u64 + SUMS) * size_of::<f64>() as u64;
         let a_cell = components.iter().map(sums).fold(fields, u64::max);
-        let surfaces = BLOCKS_A_THREAD as u64 * most_block_bytes(self.vertex() + attribute_bytes(components));
-        let meshing = edge.pow(3) * a_cell + surfaces;
-        THREAD + meshing.max(NUMBERS_BYTES + 2 * VERTICES_A_BLOCK * WRITTEN)
+        let meshing = edge.pow(3) * a_cell
+            + BLOCKS_A_THREAD as u64 * block_bytes(self.vertices_a_block(), self.vertex_bytes(components));
+        let writing = NUMBERS_BYTES + self.vertices_a_block() * TRIANGLES_A_VERTEX * WRITTEN;
+        THREAD + meshing.max(writing)
     }
 }
 
@@ -162,13 +174,12 @@ impl Estimate {
         drawing: Drawing,
         in_memory: u64,
     ) -> Self {
-        let attributes = attribute_bytes(components);
         let mut estimate = Self::of_program(drawing, components, in_memory);
         for count in counts {
             let nonzero = count.saturating_mul(shape.cells_a_particle());
             let bricks = count.min(shape.side.bricks_a_bin());
             let field = PageSamples::most_bytes(nonzero, bricks, shape) as u64;
-            estimate.add_bin(count as u64, attributes, field, drawing);
+            estimate.add_bin(count as u64, components, field, drawing);
         }
         estimate
     }
@@ -178,23 +189,25 @@ impl Estimate {
     pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: Drawing, in_memory: u64) -> Self {
         let mut estimate = Self::of_program(drawing, &[], in_memory);
         for page in pages {
-            estimate.add_bin(page.full_count.into(), 0, page.most_bytes(shape) as u64, drawing);
+            estimate.add_bin(page.full_count.into(), &[], page.most_bytes(shape) as u64, drawing);
         }
         Self { particles: 0, spilled: 0, ..estimate }
     }
 
     fn of_program(drawing: Drawing, components: &[usize], in_memory: u64) -> Self {
-        let threads = drawing.thread(components) * rayon::current_num_threads() as u64;
+        let threads = drawing.thread_bytes(components) * rayon::current_num_threads() as u64;
         Self { program: PROGRAM + threads + in_memory, carried: !components.is_empty(), ..Self::default() }
     }
 
-    /// Adds a bin of so many particles, each with so many bytes of attributes, and so many bytes of the DIF.
-    fn add_bin(&mut self, count: u64, attributes: u64, field: u64, drawing: Drawing) {
+    /// Adds a bin of so many particles, with attributes of so many components, and so many bytes of the DIF.
+    fn add_bin(&mut self, count: u64, components: &[usize], field: u64, drawing: Drawing) {
+        let (attributes, vertex) =
+            (attribute_bytes(components), drawing.vertex_bytes(components) + TILE_SHARE);
         self.index += BIN_BYTES;
         self.particles += count * (RECORD + attributes);
         self.spilled += count * (SPILLED + attributes);
         self.field += field;
-        self.surface += (drawing.vertex() + attributes) * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+        self.surface += vertex * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
     }
 
     /// The peak with everything in memory.

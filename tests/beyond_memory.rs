@@ -93,7 +93,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
             let plan =
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();
-            let drawing = Drawing { normals: Normals::None, halo: 3 };
+            let drawing = Drawing { normals: Normals::None, details: false, halo: 3 };
             let estimate = Estimate::of(plan.counts(), rule.shape(), &[], drawing, 0);
             let bins = plan.fill(&particles[..], &[]);
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();

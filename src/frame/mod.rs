@@ -83,7 +83,8 @@ impl Surfacing {
     /// What drawing it through the DIF of particles so far apart takes.
     fn drawing(&self, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Drawing {
         let sigma = width(self.sigma, indicator, spacing, grid);
-        Drawing { normals: self.normals, halo: plateau::halo(indicator, sigma, self.detail) }
+        let details = self.detail != Detail::Smoothed;
+        Drawing { normals: self.normals, details, halo: plateau::halo(indicator, sigma, self.detail) }
     }
 }
 

@@ -55,6 +55,15 @@ impl Spool {
         self.bytes
     }
 
+    /// Bytes of the surfaces that are in memory.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> u64 {
+        match self.store {
+            Store::Memory(_) => self.bytes,
+            Store::File(_) => 0,
+        }
+    }
+
     /// Bytes of a vertex, without its tile.
     #[must_use]
     pub fn vertex_bytes(&self) -> u64 {

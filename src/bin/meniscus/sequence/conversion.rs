@@ -159,7 +159,7 @@ impl<'a> Conversion<'a> {
         let (to_disk, filled) = mpsc::sync_channel(self.division.lanes);
         let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
-        std::thread::scope(|scope| {
+        let converted = std::thread::scope(|scope| {
             for lane in 0..self.division.lanes {
                 let (jobs, to_disk, progress) = (&jobs, to_disk.clone(), &progress);
                 scope.spawn(move || self.lane(lane, jobs, &to_disk, progress));
@@ -185,8 +185,9 @@ impl<'a> Conversion<'a> {
                     .iter()
                     .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop)),
             }
-        })?;
+        });
         progress.finish();
+        converted?;
         tally.finish(&self.setup.frames()?)
     }
 
