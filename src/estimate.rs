@@ -7,6 +7,7 @@ use thiserror::Error;
 use crate::brick::{CountingRoom, PageInfo, PageSamples, PageShape};
 use crate::grid::{BLOCK, TILE};
 use crate::mesh::Tile;
+use crate::mesh::spool::vertex_bytes;
 use crate::stage::dual_mc::Normals;
 use crate::stitch::NUMBERS_BYTES;
 use crate::units::MemoryBudget;
@@ -125,11 +126,6 @@ fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
     vertices * vertex_bytes + TILES_A_BLOCK * size_of::<Tile>() as u64
 }
 
-/// Bytes of attributes of so many components.
-fn attribute_bytes(components: &[usize]) -> u64 {
-    (components.iter().sum::<usize>() * size_of::<f32>()) as u64
-}
-
 /// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.
 #[must_use]
 pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
@@ -139,10 +135,8 @@ pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
 }
 
 impl Drawing {
-    /// Bytes of a vertex before it is written, without its tile: the samples of its edge, its normal and its attributes.
     fn vertex_bytes(self, components: &[usize]) -> u64 {
-        let normal = if self.normals == Normals::Gradient { size_of::<[f32; 3]>() } else { 0 };
-        (size_of::<[u16; 2]>() + normal) as u64 + attribute_bytes(components)
+        vertex_bytes(self.normals == Normals::Gradient, components)
     }
 
     fn vertices_a_block(self) -> u64 {
@@ -201,13 +195,13 @@ impl Estimate {
 
     /// Adds a bin of so many particles, with attributes of so many components, and so many bytes of the DIF.
     fn add_bin(&mut self, count: u64, components: &[usize], field: u64, drawing: Drawing) {
-        let (attributes, vertex) =
-            (attribute_bytes(components), drawing.vertex_bytes(components) + TILE_SHARE);
+        let attributes = (components.iter().sum::<usize>() * size_of::<f32>()) as u64;
         self.index += BIN_BYTES;
         self.particles += count * (RECORD + attributes);
         self.spilled += count * (SPILLED + attributes);
         self.field += field;
-        self.surface += vertex * (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+        let vertices = (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
+        self.surface += (drawing.vertex_bytes(components) + TILE_SHARE) * vertices;
     }
 
     /// The peak with everything in memory.

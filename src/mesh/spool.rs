@@ -42,6 +42,14 @@ enum Store {
     File(Scratch),
 }
 
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so many components.
+#[must_use]
+pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
+    let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
+    let attributes = components.iter().sum::<usize>() * size_of::<f32>();
+    (size_of::<[u16; 2]>() + normal + attributes) as u64
+}
+
 impl Spool {
     /// For surfaces with or without normals, and attributes of so many components each.
     #[must_use]
@@ -67,9 +75,7 @@ impl Spool {
     /// Bytes of a vertex, without its tile.
     #[must_use]
     pub fn vertex_bytes(&self) -> u64 {
-        let normal = if self.normals { size_of::<[f32; 3]>() } else { 0 };
-        let components: usize = self.components.iter().sum();
-        (size_of::<[u16; 2]>() + normal + components * size_of::<f32>()) as u64
+        vertex_bytes(self.normals, &self.components)
     }
 
     /// From now on keeps surfaces in a scratch file in `folder`.
