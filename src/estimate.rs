@@ -5,7 +5,7 @@ use bytesize::ByteSize;
 use thiserror::Error;
 
 use crate::brick::{CountingRoom, PageInfo, PageSamples, PageShape};
-use crate::grid::{BLOCK, TILE};
+use crate::grid::{BLOCK, BLOCK_TILES};
 use crate::mesh::Tile;
 use crate::mesh::spool::vertex_bytes;
 use crate::stage::dual_mc::Normals;
@@ -27,8 +27,6 @@ const VERTICES_OF_SPRAY: u64 = 20_000;
 const TRIANGLES_A_VERTEX: u64 = 2;
 /// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
 const WRITTEN: u64 = 24 + 4 * 13;
-/// Tiles of a block.
-const TILES_A_BLOCK: u64 = (BLOCK / TILE).pow(3) as u64;
 /// Bytes a bin takes in tables, however little it holds.
 const BIN_BYTES: u64 = 320;
 /// Bytes of a binned particle, without attributes.
@@ -123,7 +121,7 @@ pub fn spray_bytes(vertex_bytes: u64) -> u64 {
 }
 
 fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
-    vertices * vertex_bytes + TILES_A_BLOCK * size_of::<Tile>() as u64
+    vertices * vertex_bytes + u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 /// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.

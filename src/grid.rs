@@ -21,6 +21,8 @@ pub const TILE: i32 = 4;
 pub const BIN: i32 = 16;
 /// Edge of a block in cells: the unit in which the field is smoothed and meshed.
 pub const BLOCK: i32 = 32;
+/// Tiles of a block.
+pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
 
 /// Cells from the origin to the end of the addressable grid, along each half axis: what a Morton key of
 /// 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.

@@ -4,12 +4,12 @@ use crate::brick::vulkan::{
     ELSEWHERE, ENTER, GATHER, NO_BIN, PAGE_WORDS, PLACE, PROBES, SETTLE, SETTLED, SORT,
 };
 use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
-use crate::grid::{BIN, BLOCK, CELL_LIMIT, FRACTION_BITS, TILE};
+use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::stage::adaptive::FINE_BITS;
 use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
-use crate::stage::dual_mc::vulkan::{BASES, BLOCK_TILES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
+use crate::stage::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
 use crate::stage::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
 use crate::stitch::vulkan::{BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES};

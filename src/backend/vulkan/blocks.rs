@@ -9,11 +9,11 @@ use rayon::prelude::*;
 
 use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
-use crate::grid::{BLOCK, CellBox};
+use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::mesh::{BlockMesh, Tile};
 use crate::recipe::Details;
 use crate::stage::blur::Kernel;
-use crate::stage::dual_mc::vulkan::{BLOCK_TILES, Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
+use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 

@@ -5,15 +5,13 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
-use crate::grid::{BLOCK, CellBox, TILE};
+use crate::grid::{BLOCK, BLOCK_TILES, CellBox, TILE};
 use crate::mesh::Tile;
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
 use super::table::TABLE;
 
-/// Tiles of a block.
-pub const BLOCK_TILES: u32 = ((BLOCK / TILE) * (BLOCK / TILE) * (BLOCK / TILE)) as u32;
 /// Tiles of a block and one layer of its upper neighbours: those whose signs are needed.
 pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / TILE + 1)) as u32;
 /// Words of a tile.
