@@ -86,7 +86,10 @@ impl Error {
             Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
-            Self::Frame { fault: FrameError::OverBudget(_) | FrameError::Kernels(_), .. } => Cause::Request,
+            Self::Frame {
+                fault: FrameError::OverBudget(_) | FrameError::Kernels(_) | FrameError::TooFine(_),
+                ..
+            } => Cause::Request,
             Self::Frame { fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, .. } => {
                 Cause::Output
             }

@@ -17,7 +17,7 @@ use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
 use crate::brick::{BinError, Census, DifField, InvalidParticles, sampled_bins};
 use crate::grid::{Domain, Grid};
-use crate::plateau::{self, Plateau};
+use crate::plateau::{self, Plateau, SampledDif, TooFine};
 use crate::stage::detail::Detail;
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{Indicator, PageRule};
@@ -39,6 +39,8 @@ pub struct Settings {
     pub indicator: Indicator,
     /// What to do with particles that are not finite or too far away.
     pub invalid: InvalidParticles,
+    /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
+    pub spacing: Option<f64>,
     /// The Gaussian's width.
     pub sigma: Sigma,
     /// Section 6.2, or not.
@@ -78,6 +80,9 @@ pub enum ResidentError {
     /// mu0 could not be measured.
     #[error("cannot measure mu0 on this frame: {0}")]
     MeanCount(#[source] UnitError),
+    /// The field does not tell finely enough where the surface is.
+    #[error(transparent)]
+    TooFine(#[from] TooFine),
     /// The field exceeds the isovalue nowhere.
     #[error("the surface is empty: the field is nowhere above the isovalue {:.4}", .0.value())]
     NoSurface(Isovalue),
@@ -132,7 +137,7 @@ impl Pipeline {
         positions: &[DevicePositions],
         settings: &Settings,
     ) -> Result<ResidentSurface, ResidentError> {
-        let Settings { grid, domain, indicator, invalid, sigma, detail, iso } = settings;
+        let Settings { grid, domain, indicator, invalid, spacing, sigma, detail, iso } = settings;
         let (domain, device) = (domain.as_ref(), self.vulkan.device());
         let bins = bin(device, &self.bin, positions, grid, domain, *invalid, usize::MAX)?;
         let census = bins.census;
@@ -163,7 +168,9 @@ impl Pipeline {
         drop(bins);
         let indicator = measured(indicator, stored.full_cells())?;
         let dif = indicator.decode(stored);
-        let (recipe, plateau) = plateau::recipe(&dif, indicator, domain, *sigma, *detail, *iso);
+        let spacing = spacing.map(|spacing| spacing / grid.cell_size());
+        let sampled = SampledDif { dif: &dif, indicator, domain, spacing };
+        let (recipe, plateau) = plateau::recipe(&sampled, grid, *sigma, *detail, *iso)?;
         let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
         if parts.blocks.is_empty() {

@@ -313,22 +313,27 @@ fn bad_input_is_named_with_exit_3() {
 }
 
 #[test]
-fn a_lattice_on_the_cells_corners_is_warned_of_with_the_origin_that_helps() {
+fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
     let folder = TempDir::new().unwrap();
     let lattice = fill(10.0, 2.0, 0.0, 1, |p| p.length() < 5.0);
     let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
     fs::write(folder.path().join("lattice.xyz"), raw(&on_corners)).unwrap();
-    let notes = |more: &[&str]| {
+    let notes = |more: &[&str], code: i32| {
         let options =
             ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "1", "--overwrite"];
         let run = meniscus(folder.path(), &[&options[..], &["--indicator"], more].concat());
-        assert!(run.status.success());
+        assert_eq!(run.status.code(), Some(code));
         String::from_utf8(run.stderr).unwrap()
     };
-    assert!(notes(&["symmetry"]).contains("--origin 0.25,0.25,0.25"));
-    assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"]).contains("warning"));
-    assert!(!notes(&["counting"]).contains("warning"));
-    assert!(!notes(&["cloud"]).contains("warning"));
+    let refused = notes(&["symmetry"], 2);
+    assert!(
+        refused.contains("--origin 0.25,0.25,0.25") && refused.contains("on corners of cells"),
+        "{refused}"
+    );
+    assert_eq!(names(folder.path()), ["lattice.xyz"]);
+    assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
+    assert!(!notes(&["counting"], 0).contains("warning"));
+    assert!(!notes(&["cloud"], 0).contains("warning"));
 }
 
 #[test]
@@ -360,20 +365,30 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let folder = TempDir::new().unwrap();
     // Spray: every particle has a bin of its own.
     let mut random = Random::new(1);
-    let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 100.0 * random.unit())).collect();
+    let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
     fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
     let run = |cell: &str| {
-        let options = ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--cell-size", cell];
-        meniscus(folder.path(), &options)
+        let options = [
+            "reconstruct",
+            "spray.xyz",
+            "-o",
+            "out.ply",
+            "--memory",
+            "16MiB",
+            "--spacing",
+            "1",
+            "--adaptive",
+        ];
+        meniscus(folder.path(), &[&options[..], &["--cell-size", cell]].concat())
     };
-    let refused = run("0.001");
+    let refused = run("0.5");
     let errors = String::from_utf8(refused.stderr).unwrap();
     assert_eq!(refused.status.code(), Some(2), "{errors}");
     assert_eq!(names(folder.path()), ["spray.xyz"]);
     let sizes: Vec<&str> =
         errors.split("cell size of ").skip(1).map(|s| s.split(' ').next().unwrap()).collect();
     let [asked, fitting] = sizes[..] else { panic!("{errors}") };
-    assert_eq!(asked, "0.001");
+    assert_eq!(asked, "0.5");
     let fitted = run(fitting);
     assert!(fitted.status.success(), "{fitting}: {}", String::from_utf8_lossy(&fitted.stderr));
 }

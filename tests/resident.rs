@@ -41,6 +41,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         domain: sampling.domain,
         indicator: sampling.indicator,
         invalid: InvalidParticles::Refuse,
+        spacing: sampling.spacing,
         sigma: surfacing.sigma.unwrap_or(Sigma::at_least_a_cell(None)),
         detail: surfacing.detail,
         iso: surfacing.iso,

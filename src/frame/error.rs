@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use crate::brick::{BinError, Census};
 use crate::estimate::OverBudget;
+use crate::plateau::TooFine;
 use crate::rivals::TooManyCells;
 use crate::units::{Isovalue, UnitError};
 
@@ -26,10 +27,13 @@ pub enum FrameError {
     /// mu0 could not be measured.
     #[error("cannot measure mu0 on this frame: {0}")]
     MeanCount(#[source] UnitError),
+    /// The field does not tell finely enough where the surface is.
+    #[error(transparent)]
+    TooFine(#[from] TooFine),
     /// The field exceeds the isovalue nowhere.
     #[error(
         "the surface is empty: the field is nowhere above the isovalue {:.4}; \
-         use a lower --iso, a smaller --sigma, or --detail",
+         --adaptive keeps drops and sheets that smoothing loses, or use a lower --iso or a smaller --sigma",
         iso.value()
     )]
     NoSurface {

@@ -5,12 +5,14 @@ mod counted;
 mod error;
 mod resources;
 mod rival;
+mod shortfall;
 mod sink;
 
 pub use counted::Counted;
 pub use error::FrameError;
 pub use resources::Resources;
 pub use rival::KernelFrame;
+pub use shortfall::Shortfall;
 
 pub use crate::stage::detail::Detail;
 pub use crate::stage::dual_mc::Normals;
@@ -29,7 +31,7 @@ use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
-use crate::plateau::{self, Plateau};
+use crate::plateau::{self, Plateau, SampledDif, TooFine};
 use crate::recipe::Recipe;
 use crate::simplify::{Reduction, Simplified};
 use crate::stage::attribute::vertex_values;
@@ -79,6 +81,17 @@ pub struct Surfacing {
 impl Surfacing {
     /// As smooth as the frame's spacing says, and nothing else.
     pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
+
+    /// Refuses a sampling whose cells are too fine for it, as far as can be told before there is a DIF.
+    ///
+    /// # Errors
+    /// [`TooFine`].
+    pub fn refuse_too_fine(&self, sampling: &Sampling) -> Result<(), TooFine> {
+        let Sampling { indicator, grid, spacing, .. } = sampling;
+        let Some(known) = *spacing else { return Ok(()) };
+        let sigma = width(self.sigma, *indicator, *spacing, grid);
+        plateau::refuse_too_fine_for(*indicator, known, grid, sigma)
+    }
 
     /// What drawing it through the DIF of particles so far apart takes.
     fn drawing(&self, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Drawing {
@@ -224,6 +237,12 @@ impl Frame {
         self.surface_share
     }
 
+    /// What it may take.
+    #[must_use]
+    pub fn resources(&self) -> &Resources {
+        &self.resources
+    }
+
     /// What the stages run on.
     #[must_use]
     pub fn backend(&self) -> String {
@@ -262,11 +281,19 @@ impl Frame {
     }
 
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
-    #[must_use]
-    pub fn recipe(&self, surfacing: &Surfacing) -> (Recipe, Plateau) {
+    ///
+    /// # Errors
+    /// [`TooFine`] where the field does not tell finely enough where the surface is.
+    pub fn recipe(&self, surfacing: &Surfacing) -> Result<(Recipe, Plateau), TooFine> {
         let &Surfacing { iso, detail, .. } = surfacing;
-        let FrameFacts { indicator, domain, .. } = &self.facts;
-        plateau::recipe(&self.dif, *indicator, domain.as_ref(), self.sigma(surfacing.sigma), detail, iso)
+        let FrameFacts { indicator, domain, grid, spacing, .. } = &self.facts;
+        let sampled = SampledDif {
+            dif: &self.dif,
+            indicator: *indicator,
+            domain: domain.as_ref(),
+            spacing: spacing.map(|spacing| spacing / grid.cell_size()),
+        };
+        plateau::recipe(&sampled, grid, self.sigma(surfacing.sigma), detail, iso)
     }
 
     /// The final field on `cells`.
@@ -279,9 +306,9 @@ impl Frame {
     /// The surface of the frame.
     ///
     /// # Errors
-    /// [`FrameError::NoSurface`], and [`FrameError::Scratch`] where scratch files fail.
+    /// [`FrameError::TooFine`], [`FrameError::NoSurface`], and [`FrameError::Scratch`] where scratch files fail.
     pub fn surface(&self, surfacing: &Surfacing, laps: &mut Laps) -> Result<Surface, FrameError> {
-        let (recipe, plateau) = self.recipe(surfacing);
+        let (recipe, plateau) = self.recipe(surfacing)?;
         laps.lap("plateau");
         let mesh = self.surface_by(&recipe, surfacing.normals, laps)?;
         Ok(Surface { mesh, iso: recipe.iso, plateau })
@@ -290,7 +317,7 @@ impl Frame {
     /// The surface by a recipe that is known, with nothing measured.
     ///
     /// # Errors
-    /// As [`surface`](Self::surface).
+    /// [`FrameError::NoSurface`], and [`FrameError::Scratch`] where scratch files fail.
     pub fn surface_by(
         &self,
         recipe: &Recipe,

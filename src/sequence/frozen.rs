@@ -84,7 +84,7 @@ pub struct Measured {
 /// How much a frame can tell of those to come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
-    /// No fluid is deeper than the filters reach.
+    /// Next to none of the fluid is deeper than the filters reach.
     Shallow,
     /// Counts on a lattice are all the same, as they will not be in disorder.
     Lattice,
@@ -100,13 +100,14 @@ pub enum Trust {
 /// the same wherever they fall.
 ///
 /// # Errors
-/// Those of [`Frame::sample`].
+/// Those of [`Frame::sample`], and [`FrameError::TooFine`].
 pub fn measure(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     origin: Origin,
     surfacing: &Surfacing,
 ) -> Result<Measured, FrameError> {
+    surfacing.refuse_too_fine(sampling)?;
     let given = sampling.grid;
     let lattice = match sampling.indicator {
         Indicator::Cloud { .. } => None,
@@ -115,7 +116,7 @@ pub fn measure(
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let frame =
         Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound.clone() }, &mut Laps::default())?;
-    let (recipe, plateau) = frame.recipe(surfacing);
+    let (recipe, plateau) = frame.recipe(surfacing)?;
     Ok(Measured {
         grid: if origin == Origin::Free { sound.grid } else { given },
         mean: frame.mean_count(),

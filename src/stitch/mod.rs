@@ -20,7 +20,7 @@ use crate::grid::{BLOCK, CellBox, Domain, Grid};
 use crate::memory::zeroed_in_huge_pages;
 use crate::mesh::source::{MeshSource, Outline, Vertices};
 use crate::mesh::spool::Spool;
-use crate::mesh::{BlockMesh, Mesh, VertexAttribute};
+use crate::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::particles::AttributeInfo;
 use crate::stage::dual_mc::Crossings;
 
@@ -125,6 +125,32 @@ impl Stitched {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.spool.bytes()
+    }
+
+    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's own, but for what the surface
+    /// bends within a cell.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn volume(&self) -> io::Result<f64> {
+        let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block));
+        let columns: Vec<f64> =
+            (0..self.pieces()).into_par_iter().map(of_piece).collect::<io::Result<_>>()?;
+        Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
+    }
+
+    /// What a block adds to the lengths of all columns along x, in cells.
+    fn block_columns(&self, block: &BlockMesh) -> f64 {
+        let of_tile = |tile: &Tile| {
+            let first = tile.corner(block.block).x;
+            let ends = &block.ends[tile.first_vertex as usize..];
+            let crossings = bits(tile.crossed(0)).zip(ends).map(|(bit, &ends)| {
+                let x = f64::from(first + cell_of_bit(bit).x) + self.crossings.fraction(ends);
+                if tile.corners[0] >> bit & 1 == 1 { x } else { -x }
+            });
+            crossings.sum::<f64>()
+        };
+        block.tiles.iter().map(of_tile).sum()
     }
 
     /// The block of each piece, in Morton order.

@@ -52,7 +52,7 @@ fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
 
 /// The sparse field, block by block as it is meshed, is the dense one; beyond, both are 0.
 fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
-    let (recipe, _) = frame.recipe(surfacing);
+    let (recipe, _) = frame.recipe(surfacing).unwrap();
     let mut cells = 0;
     for block in dense.cells.cubes(BLOCK) {
         let part = dense.cells.intersection(&CellBox::cube(block, BLOCK));
@@ -170,7 +170,7 @@ fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much() {
     let (sampling, surfacing) = &variants()[0];
     let frame = |particles: &[[f64; 3]]| Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
     let (here, there) = (frame(&particles), frame(&moved));
-    let (recipe, _) = here.recipe(surfacing);
+    let (recipe, _) = here.recipe(surfacing).unwrap();
     let cells = CellBox { lo: IVec3::splat(-20), hi: IVec3::splat(20) };
     let elsewhere = CellBox { lo: cells.lo + shift, hi: cells.hi + shift };
     assert_eq!(here.field(&recipe, cells).samples(), there.field(&recipe, elsewhere).samples());

@@ -58,7 +58,7 @@ fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool() {
         let (frame, pool) = frame(indicator);
         let blocks = frame.dif().regions(0, 0).len();
         assert!(blocks > 64, "all of {blocks} blocks tell the plateau");
-        let (recipe, plateau) = frame.recipe(&surfacing());
+        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
         let inside = CellBox { lo: IVec3::splat(BIN / 2), hi: pool - BIN / 2 };
         let mut deep = Vec::new();
         for cells in inside.cubes(BIN) {

@@ -258,9 +258,12 @@ fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape() {
 #[test]
 fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error() {
     let particle = [[0.3, 0.4, -0.6]];
-    let (frame, surface) = reconstruct(&particle[..], &sampling(), &surfacing());
+    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
+    let (frame, surface) = reconstruct(&particle[..], &sampling(), &spared);
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
+    let error = frame.surface(&surfacing(), &mut Laps::default()).unwrap_err();
+    assert!(matches!(error, FrameError::NoSurface { iso } if iso == surface.iso), "{error}");
     let iso = Isovalue::new(0.5).unwrap();
     let above = Surfacing { iso: Some(iso), ..surfacing() };
     let error = frame.surface(&above, &mut Laps::default()).unwrap_err();
@@ -270,10 +273,11 @@ fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error()
 #[test]
 fn a_million_particles_in_one_place_are_one_drop() {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
+    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
     for indicator in INDICATORS {
         let surface =
             Frame::sample(&particles[..], &Sampling { indicator, ..sampling() }, &mut Laps::default())
-                .and_then(|frame| frame.surface(&surfacing(), &mut Laps::default()));
+                .and_then(|frame| frame.surface(&spared, &mut Laps::default()));
         match (indicator, surface) {
             (Indicator::Symmetry, Ok(surface)) => {
                 assert_watertight(&surface.mesh.to_mesh().unwrap(), "one place")

@@ -98,7 +98,7 @@ fn main() {
     };
     let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
-    let (recipe, _) = frame.recipe(&surfacing);
+    let (recipe, _) = frame.recipe(&surfacing).expect("cells of a spacing");
     let blocks = frame.dif().regions(0, 0);
     let halo = recipe.halo();
     let (seconds, samples) = best_seconds(3, || {

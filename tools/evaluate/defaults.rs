@@ -6,7 +6,7 @@ use meniscus::frame::Normals;
 use meniscus::laps::Laps;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
-use crate::methods::{Iso, Method, grid};
+use crate::methods::{Iso, Method, grid, held};
 use crate::roughness::pool;
 use crate::scene::splash;
 use crate::shapes::solids;
@@ -86,6 +86,7 @@ fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)>
         let surface = method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Laps::default())?;
         let triangles = surface.to_mesh()?.triangles.len();
         least = (start.elapsed().as_secs_f64().min(least.0), triangles);
+        held(&surface, frame.len(), 1.0)?;
     }
     Ok(least)
 }

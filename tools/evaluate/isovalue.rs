@@ -8,7 +8,6 @@ use meniscus::frame::{Frame, FrameError};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::lattice::sound_origin;
-use meniscus::plateau::Plateau;
 use meniscus::recipe::Recipe;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{FULL, Isovalue};
@@ -142,9 +141,8 @@ fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> O
     let sample =
         |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
     let frame = sample(grid(cell)?)?;
-    let (recipe, plateau) = frame.recipe(&surfacing(None, None));
-    let (Plateau::Interior { median, .. } | Plateau::Shallow { greatest: median }) = plateau;
-    let median = f64::from(median) / f64::from(FULL);
+    let (recipe, plateau) = frame.recipe(&surfacing(None, None))?;
+    let median = f64::from(plateau.value()) / f64::from(FULL);
     let values = Values::of(&frame, &recipe, solid);
     let error = |rule: &Rule| match *rule {
         Rule::Median(share) => error_at(solid, &frame, Some(share * median)),

@@ -2,7 +2,9 @@
 
 use glam::DVec3;
 use meniscus::brick::InvalidParticles;
-use meniscus::frame::{Detail, Frame, FrameError, KernelFrame, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{
+    Detail, Frame, FrameError, KernelFrame, Normals, Resources, Sampling, Shortfall, Surfacing,
+};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
@@ -157,6 +159,14 @@ impl Iso {
             Self::Auto => None,
             Self::At(c) => Some(Isovalue::new(c).expect("between 0 and 1")),
         }
+    }
+}
+
+/// How much of the volume of so many particles a surface holds, 1 being all. What is timed has to hold half of it at least.
+pub fn held(surface: &Stitched, particles: usize, spacing: f64) -> Outcome<f64> {
+    match Shortfall::of(surface, particles, spacing)? {
+        None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
+        Some(shortfall) => Err(format!("what was timed is no surface of the fluid: {shortfall}").into()),
     }
 }
 

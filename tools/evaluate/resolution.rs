@@ -15,7 +15,7 @@ use meniscus::stitch::Stitched;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
 
-use crate::methods::{COUNTING, Iso, Sigmas, grid, sampling, surfacing};
+use crate::methods::{COUNTING, Iso, Sigmas, grid, held, sampling, surfacing};
 use crate::scene::splash;
 use crate::speed::longest_side;
 use crate::tables::Table;
@@ -83,11 +83,13 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let start = Instant::now();
     let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
     let dif = start.elapsed().as_secs_f64();
-    let surface = frame.surface(&surfacing, &mut Laps::default())?.mesh.to_mesh()?;
+    let stitched = frame.surface(&surfacing, &mut Laps::default())?.mesh;
+    let surface = stitched.to_mesh()?;
     let whole = start.elapsed().as_secs_f64();
+    held(&stitched, particles.len(), 1.0)?;
 
     let start = Instant::now();
-    let (recipe, _) = frame.recipe(&surfacing);
+    let (recipe, _) = frame.recipe(&surfacing)?;
     let surfaces = Surfaces { dif: frame.dif(), recipe: &recipe, domain: None, normals: Normals::None };
     let regions = surfaces.regions();
     let field = |&cells: &_| frame.field(&recipe, meniscus::grid::CellBox::tiled(&cells).grown(0, 1));
@@ -117,7 +119,9 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
         let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
         let mesh = frame.surface(&surfacing, &mut Laps::default())?.mesh;
         mesh.to_mesh()?;
-        Ok((start.elapsed().as_secs_f64(), mesh.triangle_count()))
+        let seconds = start.elapsed().as_secs_f64();
+        held(&mesh, particles.len(), 1.0)?;
+        Ok((seconds, mesh.triangle_count()))
     };
     // The first run compiles kernels and takes memory.
     run()?;

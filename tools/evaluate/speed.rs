@@ -4,9 +4,10 @@ use std::time::Instant;
 
 use meniscus::frame::Normals;
 use meniscus::laps::Laps;
+use meniscus::stitch::Stitched;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::methods::{Iso, Method, grid};
+use crate::methods::{Iso, Method, grid, held};
 use crate::scene::splash;
 use crate::tables::{Table, deviation, mean};
 use crate::{Options, Outcome};
@@ -69,6 +70,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         "method",
         "seconds",
         "deviation",
+        "volume",
         "paper",
         "paper / here",
         "here / defaults",
@@ -82,7 +84,7 @@ pub fn run(options: &Options) -> Outcome<()> {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
             let mut ours = None;
             for (name, method, paper) in scene.methods() {
-                let seconds = seconds(&method, &frames, cells, &pool)?;
+                let (seconds, held) = seconds(&method, &frames, cells, &pool)?;
                 let mean = mean(seconds.iter().copied());
                 let ours = *ours.get_or_insert(mean);
                 // The paper's figures are of one core and all particles.
@@ -95,6 +97,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                     name,
                     format!("{mean:.3}"),
                     format!("{:.3}", deviation(&seconds)),
+                    format!("{held:.2}"),
                     paper.map_or("-".into(), |paper| format!("{paper:.2}")),
                     paper.map_or("-".into(), |paper| format!("{:.1}", paper / mean)),
                     format!("{:.1}", mean / ours),
@@ -104,29 +107,36 @@ pub fn run(options: &Options) -> Outcome<()> {
     }
     table.print(
         "seconds a frame, particles in memory to mesh in memory, mean and deviation over frames of a splash \
-         whose longest side has so many cells; the paper's are of one core of a Ryzen 9 3950X and its own scenes",
+         whose longest side has so many cells; volume of the mesh over that of the particles; the paper's are of one core of a Ryzen 9 3950X and its own scenes",
     );
     Ok(())
 }
 
-/// Seconds of each frame, after one that takes what the memory's first use takes.
-fn seconds(method: &Method, frames: &[Vec<[f32; 3]>], cells: u32, pool: &ThreadPool) -> Outcome<Vec<f64>> {
-    let mut seconds = Vec::new();
+/// Seconds of each frame, after one that takes what the memory's first use takes; and what the last surface holds of its
+/// particles' volume.
+fn seconds(
+    method: &Method,
+    frames: &[Vec<[f32; 3]>],
+    cells: u32,
+    pool: &ThreadPool,
+) -> Outcome<(Vec<f64>, f64)> {
+    let (mut seconds, mut share) = (Vec::new(), f64::NAN);
     for frame in frames.iter().take(1).chain(frames) {
         let (cell, spacing) = (longest_side(frame) / f64::from(cells), 1.0);
         let start = Instant::now();
-        pool.install(|| -> Outcome<()> {
+        let surface = pool.install(|| -> Outcome<Stitched> {
             let laps = &mut Laps::default();
             let surface = method.surface(&frame[..], grid(cell)?, spacing, Normals::None, laps)?;
             std::hint::black_box(surface.to_mesh()?);
-            Ok(())
+            Ok(surface)
         })?;
         seconds.push(start.elapsed().as_secs_f64());
+        share = held(&surface, frame.len(), spacing)?;
         if seconds[0] > PATIENCE {
-            return Ok(seconds);
+            return Ok((seconds, share));
         }
     }
-    Ok(seconds.split_off(1))
+    Ok((seconds.split_off(1), share))
 }
 
 /// Of the box around particles that are not below 0.

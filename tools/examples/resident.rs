@@ -120,6 +120,7 @@ unsafe fn mesh(
         domain: None,
         indicator: Indicator::Symmetry,
         invalid: InvalidParticles::Refuse,
+        spacing: Some(cell),
         sigma: Sigma::new(1.0)?,
         detail: Detail::Smoothed,
         iso: None,

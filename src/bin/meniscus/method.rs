@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use meniscus::brick::Census;
 use meniscus::error::Error;
-use meniscus::frame::{Counted, Frame, FrameError, KernelFrame};
+use meniscus::frame::{Counted, Frame, FrameError, KernelFrame, Shortfall};
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 use meniscus::rivals::Method;
@@ -99,6 +99,17 @@ impl Sampled {
             Self::Dif(frame) => frame.warnings(),
             Self::Kernels(_) => Vec::new(),
         }
+    }
+
+    /// Whether a surface of the frame holds far less than its particles, where their spacing is known.
+    pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
+        let (spacing, resources) = match self {
+            Self::Dif(frame) => (frame.facts().spacing, frame.resources()),
+            Self::Kernels(frame) => (frame.sampling().spacing, &frame.sampling().resources),
+        };
+        let Some(spacing) = spacing else { return Ok(None) };
+        let found = Shortfall::of(surface, self.census().binned, spacing);
+        found.map_err(|fault| FrameError::Scratch { folder: resources.scratch.clone(), fault })
     }
 
     /// The surface with what a reduction leaves of it.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::Error;
-use meniscus::frame::{Frame, FrameError};
+use meniscus::frame::{Frame, FrameError, Surfacing};
 use meniscus::io::input::open_particles;
 use meniscus::io::whole::{Replace, WholeFile};
 use meniscus::laps::Laps;
@@ -51,6 +51,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
     laps.lap("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
+    Surfacing::PLAIN.refuse_too_fine(&sampling).map_err(|e| in_file(e.into()))?;
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
     report_warnings(&frame, &notes);
     report_frame(&frame, &notes);

@@ -30,7 +30,7 @@ use crate::Verdict;
 use crate::interrupt;
 use crate::method::{MethodName, Sampled};
 use crate::report::{
-    report_census, report_frame, report_isovalue, report_laps, report_simplified, report_warnings,
+    advice, report_census, report_frame, report_isovalue, report_laps, report_simplified, report_warnings,
 };
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
@@ -388,6 +388,9 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         }
     };
 
+    if let Some(shortfall) = sampled.shortfall(&mesh).map_err(in_file)? {
+        notes.say(format!("warning: {shortfall}{}", advice(options, None)));
+    }
     let width = coordinate_width(&mesh, mesh.grid().cell_size(), format, &notes)?;
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {
         Box::new(mesh)

@@ -1,5 +1,7 @@
 //! What a run says of a frame, for people.
 
+use std::fmt::Write;
+
 use meniscus::brick::Census;
 use meniscus::frame::Frame;
 use meniscus::laps::Laps;
@@ -9,6 +11,8 @@ use meniscus::simplify::{Reduction, Simplified};
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{FULL, Isovalue};
 
+use crate::method::MethodName;
+use crate::reconstruct::{IsoOption, Options};
 use crate::run::Notes;
 
 /// Says what went wrong with the backend and was made good.
@@ -65,7 +69,7 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
 
 pub fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, notes: &Notes) {
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
-    let iso = iso.value();
+    let (iso, share) = (iso.value(), f64::from(Isovalue::PLATEAU_PERCENT) / 100.0);
     match (plateau, given) {
         (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
             "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",
@@ -73,14 +77,29 @@ pub fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>,
         )),
         (_, Some(_)) => {}
         (Plateau::Interior { median, .. }, None) => {
-            let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
             notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", fraction(median)));
         }
-        (Plateau::Shallow { greatest }, None) => notes.say(format!(
-            "isovalue {iso:.4}, by the field's greatest value {:.4}: no fluid is deeper than the filters reach",
-            fraction(greatest)
+        (Plateau::Shallow { expected }, None) => notes.say(format!(
+            "isovalue {iso:.4}, {share} of the plateau {:.4} that the spacing tells: next to no fluid is deeper than the \
+             filters reach",
+            fraction(expected)
         )),
     }
+}
+
+/// What can be done about a surface that holds less than its particles, drawn as was asked for; `frame` is the one whose isovalue
+/// it has, if that is another.
+pub fn advice(options: &Options, frame: Option<u64>) -> String {
+    let mut advice = String::new();
+    if let Some(frame) = frame {
+        let _ = write!(advice, "; its isovalue was measured on frame {frame}");
+    }
+    if matches!(options.iso, IsoOption::Value(_)) {
+        advice += "; a lower --iso, or --iso auto, shows more";
+    } else if options.method == MethodName::Dif && !options.adaptive {
+        advice += "; --adaptive keeps drops and sheets that smoothing loses";
+    }
+    advice + "; or their --spacing is less"
 }
 
 /// Says what every stage took.

@@ -194,10 +194,12 @@ pub struct Cells {
 }
 
 impl Cells {
-    fn describe(&self) -> Option<String> {
-        let spacing = self.spacing.zip(self.source.as_ref());
-        spacing
-            .map(|(spacing, source)| format!("spacing {spacing:.6} ({source}), cell size {:.6}", self.size))
+    fn describe(&self) -> String {
+        let size = format!("cell size {:.6}", self.size);
+        match (self.spacing, &self.source) {
+            (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), {size}"),
+            _ => format!("spacing not known, taken to be the cell size; {size}"),
+        }
     }
 }
 
@@ -226,6 +228,9 @@ impl SamplingRequest {
         sampling: &'a Sampling,
         surfacing: &Surfacing,
     ) -> Result<Counted<'a, P>, FrameError> {
+        if self.rival().is_none() {
+            surfacing.refuse_too_fine(sampling)?;
+        }
         let counted = Counted::of(particles, sampling)?.for_surface(*surfacing);
         Ok(match self.rival() {
             None => counted,
@@ -256,7 +261,7 @@ impl SamplingRequest {
             FieldRequest::Kernels(_) => String::new(),
             FieldRequest::Dif(_) => format!(", indicator {}", indicator.name()),
         };
-        cells.describe().iter().for_each(|text| notes.say(format!("{text}{by}")));
+        notes.say(format!("{}{by}", cells.describe()));
         self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)
     }
 
@@ -286,12 +291,9 @@ impl SamplingRequest {
         Ok(Grid::new(self.origin, cell_size)?)
     }
 
-    /// The edge of a cell, the spacing where it matters, and where that comes from.
+    /// The edge of a cell, the spacing, and where that comes from. Only where cells have a size of their own and no kernels are
+    /// drawn can it be unknown: the filters are then as wide as for particles a cell apart.
     pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
-        if let (Cell::Size(size), FieldRequest::Dif(_)) = (self.cell, self.field) {
-            let known = self.spacing.or(file.spacing).or_else(|| Some(spacing_beside(path)?.0));
-            return Ok(Cells { size, spacing: known, source: None });
-        }
         let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, "as given".to_owned())
         } else if let Some(spacing) = file.spacing {
@@ -301,10 +303,12 @@ impl SamplingRequest {
         } else if file.particles.is_empty() {
             let fault = FrameError::NoParticles(Census::default());
             return Err(Error::Frame { path: path.to_owned(), fault });
-        } else {
-            let none = || Error::NoSpacing { path: path.to_owned(), particles: file.particles.len() };
-            let spacing = spacing::estimate(&file.particles).ok_or_else(none)?;
+        } else if let Some(spacing) = spacing::estimate(&file.particles) {
             (spacing, "estimated from the particles".to_owned())
+        } else if let (Cell::Size(size), FieldRequest::Dif(_)) = (self.cell, self.field) {
+            return Ok(Cells { size, spacing: None, source: None });
+        } else {
+            return Err(Error::NoSpacing { path: path.to_owned(), particles: file.particles.len() });
         };
         let size = match self.cell {
             Cell::Size(size) => size,

@@ -55,6 +55,13 @@ impl Kernel {
         self.half.len() as i32 - 1
     }
 
+    /// The square of its standard deviation, in squared cells.
+    #[must_use]
+    pub fn variance(&self) -> f64 {
+        let moments = (0_u32..).zip(&self.half).map(|(k, &weight)| u64::from(k * k) * u64::from(weight));
+        2.0 * moments.sum::<u64>() as f64 / f64::from(UNIT)
+    }
+
     /// The weight of the centre, then of the cells 1, 2, ... away on either side.
     #[must_use]
     pub fn half(&self) -> &[u32] {
@@ -71,6 +78,15 @@ mod tests {
         for (sigma, taps) in [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)] {
             let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
             assert_eq!(2 * kernel.reach() + 1, taps, "sigma {sigma}");
+        }
+    }
+
+    #[test]
+    fn the_variance_is_that_of_the_gaussian_but_for_what_is_cut_off() {
+        assert!((Kernel::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
+        for sigma in [2.0, 3.2, 6.4, 10.0] {
+            let ratio = Kernel::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);
+            assert!((0.85..1.0).contains(&ratio), "sigma {sigma}: {ratio}");
         }
     }
 

@@ -37,6 +37,12 @@ impl Smoothing {
         self.filters.iter().map(Kernel::reach).sum()
     }
 
+    /// The standard deviation of what becomes of a particle of such an indicator, along an axis, in cells.
+    #[must_use]
+    pub fn width(&self, indicator: Indicator) -> f64 {
+        (indicator.variance() + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
+    }
+
     /// Smooths a block; the result is smaller by [`reach`](Self::reach) on every side.
     #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {

@@ -122,6 +122,13 @@ impl Indicator {
         if matches!(self, Self::Cloud { .. }) { 0.8 } else { 1.0 }
     }
 
+    /// The variance of where a particle is, along an axis, as far as it is known from the DIF, in squared cells: that of a
+    /// cloud, or of the cell that it is in.
+    #[must_use]
+    pub fn variance(self) -> f64 {
+        if matches!(self, Self::Cloud { .. }) { 1.0 / 4.0 } else { 1.0 / 12.0 }
+    }
+
     /// The least theta of cells that count as full where details are told from nothing, once mu0 is known: for clouds a
     /// thirtieth of a particle. Cells of a layer of particles then hang together, and no particle is without one.
     #[must_use]

@@ -77,7 +77,7 @@ impl Setup<'_> {
         match (best, first_error) {
             (Some((frozen, trust)), _) => {
                 let what = match trust {
-                    Trust::Shallow => "no fluid is deeper than the filters reach",
+                    Trust::Shallow => "next to no fluid is deeper than the filters reach",
                     Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
                 };
                 notes.say(format!(
@@ -107,7 +107,7 @@ impl Setup<'_> {
             let (facts, dif) = open_frame(path, resources.budget.0 / 4)?;
             let (grid, spacing) = (facts.grid, facts.spacing);
             let frame_of_file = Frame::from_parts(facts, dif, &self.surfacing, resources.clone());
-            let (recipe, plateau) = frame_of_file.recipe(&self.surfacing);
+            let (recipe, plateau) = frame_of_file.recipe(&self.surfacing).map_err(|e| in_file(e.into()))?;
             let trust = match plateau {
                 Plateau::Interior { .. } => Trust::Sound,
                 Plateau::Shallow { .. } => Trust::Shallow,

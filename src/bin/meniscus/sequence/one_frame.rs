@@ -26,6 +26,7 @@ use crate::interrupt::{self, Unfinished};
 use crate::lanes::Permit;
 use crate::method::Sampled;
 use crate::reconstruct::{coordinate_width, is_frame};
+use crate::report::advice;
 use crate::run::Notes;
 use crate::up::Orientation;
 
@@ -266,28 +267,41 @@ impl Conversion<'_> {
         laps: &mut Laps,
     ) -> Result<Option<Found>, Error> {
         let reduction = &self.setup.reduction;
-        let mut empty = |why: &str| {
-            warnings.push(format!("{why}: an empty mesh"));
-            Ok(None)
-        };
+        let mut warn = |text: String| warnings.push(text);
+        let empty = |why: &str| format!("{why}: an empty mesh");
+        let in_file = |fault| Error::Frame { path: path.to_owned(), fault };
         let surface = match self.setup.surface(path, sampled, frozen, laps) {
             Err(Error::Frame { fault: FrameError::NoSurface { .. }, .. }) => {
-                return empty("the field is nowhere above the isovalue");
+                warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
+                return Ok(None);
             }
             Err(Error::Frame { fault: FrameError::NoKernelSurface, .. }) => {
-                return empty("no cell's centre is inside of the surface");
+                warn(empty("no cell's centre is inside of the surface"));
+                return Ok(None);
             }
             surface => surface?,
         };
+        if let Some(shortfall) = sampled.shortfall(&surface).map_err(in_file)? {
+            warn(format!("{shortfall}{}", self.advice(frozen)));
+        }
         let width = coordinate_width(&surface, frozen.cell_size, self.format, &Notes::none())?;
         if reduction.is_none() {
             return Ok(Some((Box::new(surface), width)));
         }
         match sampled.simplify(surface, reduction, laps) {
-            Err(FrameError::NothingLeft { .. }) => empty("all components are below --drop-smaller"),
-            Err(fault) => Err(Error::Frame { path: path.to_owned(), fault }),
+            Err(FrameError::NothingLeft { .. }) => {
+                warn(empty("all components are below --drop-smaller"));
+                Ok(None)
+            }
+            Err(fault) => Err(in_file(fault)),
             Ok(simplified) => Ok(Some((Box::new(simplified), width))),
         }
+    }
+
+    /// What can be done about a surface that holds less than its particles.
+    fn advice(&self, frozen: &Frozen) -> String {
+        let measured = self.setup.surfacing.iso.is_none() && frozen.isovalue.is_some();
+        advice(self.setup.options, measured.then_some(frozen.frame))
     }
 }
 

@@ -1,0 +1,42 @@
+//! Surfaces that hold far less than their particles: lost to an isovalue that is not theirs, or to smoothing.
+
+use std::fmt;
+use std::io;
+
+use crate::stitch::Stitched;
+
+/// The share of its particles' volume that is expected of a surface. Smoothing takes something off each drop and sheet.
+const EXPECTED: f64 = 0.5;
+
+/// A surface that holds less of its particles' volume than one expects.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shortfall {
+    /// What it holds of their volume, 1 being all.
+    pub share: f64,
+    /// How many particles it is of.
+    pub particles: usize,
+    /// Their spacing: a particle fills a cube of this edge.
+    pub spacing: f64,
+}
+
+impl Shortfall {
+    /// Of a surface around so many particles, so far apart; `None` where it holds what one expects.
+    ///
+    /// # Errors
+    /// Where the surface is in a scratch file that cannot be read.
+    pub fn of(surface: &Stitched, particles: usize, spacing: f64) -> io::Result<Option<Self>> {
+        let share = surface.volume()? / (particles as f64 * spacing.powi(3));
+        Ok((share < EXPECTED).then_some(Self { share, particles, spacing }))
+    }
+}
+
+impl fmt::Display for Shortfall {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { share, particles, spacing } = self;
+        let percent = 100.0 * share;
+        write!(
+            f,
+            "the surface holds {percent:.1} % of the volume of {particles} particles {spacing:.6} apart"
+        )
+    }
+}

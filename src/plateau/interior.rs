@@ -1,0 +1,103 @@
+//! Which cells are interior: deep in the fluid, by lengths that do not depend on the cell.
+//!
+//! A cell counts as fluid where the particles' cells, closed, hold it: dilated and then eroded by the same length,
+//! so that gaps between particles count as fluid and the fluid's outside does not move. Interior is what lies deeper in that
+//! than the filters see, or 2.5 standard deviations of what they make of a particle, beyond which next to nothing comes from.
+
+use glam::IVec3;
+
+use crate::brick::{DifField, full_bits, fullness};
+use crate::grid::{BLOCK, CellBox, Domain};
+use crate::recipe::gather;
+use crate::stage::blur::Smoothing;
+
+use super::histogram::Histogram;
+
+/// How deep interior cells lie, in standard deviations of what a particle is smoothed into.
+const DEPTH: f64 = 2.5;
+
+/// Cells of a row, at the most: each is a bit.
+const ROW: i32 = u128::BITS as i32;
+
+/// Which cells of a DIF are interior.
+pub struct Interior<'a> {
+    dif: &'a DifField,
+    smoothing: &'a Smoothing,
+    domain: Option<&'a Domain>,
+    /// By how much full cells are dilated.
+    dilation: i32,
+    /// By how much that is eroded.
+    erosion: i32,
+}
+
+impl<'a> Interior<'a> {
+    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is more. `width` is the standard
+    /// deviation of what a particle is smoothed into, in cells.
+    pub fn new(
+        dif: &'a DifField,
+        smoothing: &'a Smoothing,
+        domain: Option<&'a Domain>,
+        width: f64,
+        gap: f64,
+    ) -> Self {
+        let reach = dif.reach();
+        let depth = (reach + smoothing.reach()).min((DEPTH * width).ceil() as i32);
+        // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals is off by a rounding.
+        let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
+        let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
+        let closing = closing.min(fitting);
+        // What is stored of clouds is dilated by their reach already.
+        Self { dif, smoothing, domain, dilation: closing - reach, erosion: closing + depth }
+    }
+
+    /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.
+    pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
+        let Self { dif, smoothing, domain, dilation, erosion } = *self;
+        let (seen, reach) = (dilation + erosion, smoothing.reach());
+        let margin = seen.max(reach);
+        let wide = gather(dif, cells.grown(margin, margin), domain);
+        let [_, width, slab] = wide.strides();
+        let mut rows: Vec<u128> = fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
+        windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
+        windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
+        // Both windows of a cell begin `seen` below it, and `wide` begins `margin` below `cells`.
+        let CellBox { lo, hi } = cells;
+        let among = (1 << (hi.x - lo.x)) - 1;
+        let row = |y, z| {
+            let begins = wide.index(IVec3::new(lo.x - margin, y - seen, z - seen));
+            rows[begins / width] >> (margin - seen) & among
+        };
+        let rows = (lo.z..hi.z).flat_map(|z| (lo.y..hi.y).map(move |y| (y, z, row(y, z))));
+        let interior: Vec<(i32, i32, u128)> = rows.filter(|&(.., bits)| bits != 0).collect();
+
+        let around = |&(y, z, bits): &(i32, i32, u128)| {
+            let [first, last] = [bits.trailing_zeros(), bits.ilog2()].map(|bit| lo.x + bit as i32);
+            CellBox { lo: IVec3::new(first, y, z), hi: IVec3::new(last, y, z) + 1 }
+        };
+        let near = interior.iter().map(around).fold(CellBox::EMPTY, |a, b| a.union(&b));
+        if near.is_empty() {
+            return;
+        }
+        let field = smoothing.apply(wide.part(near.grown(reach, reach)), domain.map(Domain::cells));
+        for (y, z, bits) in interior {
+            let first = field.index(IVec3::new(near.lo.x, y, z));
+            histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));
+        }
+    }
+}
+
+/// Combines every cell, a bit of its row, with those that follow in a cube of so many along each axis. `combine` may see a
+/// cell more than once. Cells nearer than that to the end of a row are combined with whatever.
+fn windows(rows: &mut [u128], rows_a_slab: usize, width: i32, combine: impl Fn(u128, u128) -> u128) {
+    let mut seen = 1;
+    while seen < width {
+        let step = seen.min(width - seen);
+        rows.iter_mut().for_each(|row| *row = combine(*row, *row >> step));
+        for beyond in [step as usize, step as usize * rows_a_slab] {
+            for at in beyond..rows.len() {
+                rows[at - beyond] = combine(rows[at - beyond], rows[at]);
+            }
+        }
+        seen += step;
+    }
+}
