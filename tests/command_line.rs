@@ -12,6 +12,7 @@ use common::scene::Random;
 use common::{fill, splashes};
 use meniscus::io::output::read_mesh;
 use meniscus::mesh::check::check;
+use meniscus::mesh::measure::measure;
 use tempfile::TempDir;
 
 fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
@@ -676,4 +677,118 @@ fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
     assert!(check(&less).is_closed_oriented_manifold());
     run(&["-o", "less.glb", "--simplify", "0.25", "--normals", "--compress"]);
     assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
+}
+
+/// The mesh in a folder, and what the program said.
+#[track_caller]
+fn drawn(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
+    let options = ["reconstruct", input, "-o", "drawn.ply", "--overwrite"];
+    let run = meniscus(folder, &[&options[..], more].concat());
+    let notes = String::from_utf8(run.stderr).unwrap();
+    assert!(run.status.success(), "{more:?}: {notes}");
+    (fs::read(folder.join("drawn.ply")).unwrap(), notes)
+}
+
+#[test]
+fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
+    let folder = TempDir::new().unwrap();
+    let frames = [
+        "dambreak_small/ParticleData_Fluid_10.bgeo",
+        "dambreak_small/ParticleData_Fluid_20.bgeo",
+        "dualsphysics_dambreak/Part_0005.bi4",
+    ];
+    for frame in frames.map(data) {
+        for indicator in ["cloud", "counting"] {
+            let found = |cell: &str| {
+                let more = ["--cell", cell, "--indicator", indicator];
+                let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
+                assert!(!notes.contains("warning"), "{notes}");
+                let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
+                (measures.volume.unwrap(), measures.components)
+            };
+            let (volume, pieces) = found("0.6667");
+            for cell in ["0.5", "0.4", "0.35", "0.333333", "0.25"] {
+                let (fine, fine_pieces) = found(cell);
+                let what = format!("{} by {indicator} in cells of {cell}", frame.display());
+                assert!((fine / volume - 1.0).abs() < 0.03, "{what}: {fine} of {volume}");
+                assert!(fine_pieces.abs_diff(pieces) <= 2, "{what}: {fine_pieces} of {pieces} pieces");
+            }
+        }
+    }
+}
+
+#[test]
+fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
+    let folder = TempDir::new().unwrap();
+    let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
+    let frame = frame.to_str().unwrap();
+    // The one finds an interior, the other none.
+    for indicator in ["cloud", "counting"] {
+        let fine = ["--cell", "0.333333", "--indicator", indicator];
+        let (whole, _) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        for more in [["--threads", "1"], ["--memory", "16MiB"]] {
+            let more = [&fine[..], &["--attributes", "none"], &more].concat();
+            assert!(whole == drawn(folder.path(), frame, &more).0, "{more:?}");
+        }
+        let pack =
+            meniscus(folder.path(), &[&["pack", frame, "-o", "f.mnf", "--overwrite"], &fine[..]].concat());
+        assert!(pack.status.success());
+        assert!(whole == drawn(folder.path(), "f.mnf", &[]).0, "{indicator}, packed");
+    }
+}
+
+#[test]
+fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
+    let folder = folder_with_ball();
+    let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1"];
+    assert_refused(
+        folder.path(),
+        &fine,
+        2,
+        &["ball.xyz", "too fine", "of 65535", "0.125", "use cells of 0.0"],
+    );
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too fine"]);
+    let more = ["--indicator", "symmetry", "--cell", "0.4"];
+    let symmetry = [&fine[..5], &more[..]].concat();
+    assert_refused(folder.path(), &symmetry, 2, &["too fine for symmetry", "0.25"]);
+    fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball_1.xyz")).unwrap();
+    let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.1"];
+    let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.code() == Some(2) && errors.contains("too fine"), "{errors}");
+    let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.1"];
+    let run = meniscus(folder.path(), &pack);
+    assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(!folder.path().join("f.mnf").exists());
+}
+
+#[test]
+fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
+    let folder = folder_with_ball();
+    let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
+    assert!(!notes(&[]).contains("warning"));
+    let lost = notes(&["--iso", "0.145"]);
+    assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
+    // A ball, and three times as much spray.
+    let mut random = Random::new(3);
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
+    let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
+    fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball.clone()).collect::<Vec<_>>())).unwrap();
+    let lost = notes(&[]);
+    assert!(lost.contains("% of the volume of") && lost.contains("--adaptive keeps"), "{lost}");
+    assert!(!notes(&["--adaptive"]).contains("% of the volume of"));
+}
+
+#[test]
+fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
+    let folder = folder_with_ball();
+    let info = meniscus(folder.path(), &["info", "ball.xyz", "--json"]);
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    let spacing = info[0]["spacing"].as_f64().unwrap().to_string();
+    let (estimated, notes) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15"]);
+    assert!(notes.contains("estimated from the particles"), "{notes}");
+    let (given, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
+    assert!(estimated == given);
+    let (a_cell, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--sigma", "1"]);
+    assert!(estimated != a_cell);
 }

@@ -368,6 +368,21 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
 }
 
 #[test]
+fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
+    let folder = TempDir::new().unwrap();
+    // All is measured on a fluid four times as dense as the next.
+    let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
+    let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
+    fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
+    fs::write(folder.path().join("f_2.xyz"), raw(&thin)).unwrap();
+    let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
+    let warnings: Vec<&str> = notes.lines().filter(|line| line.contains("warning")).collect();
+    let [warning] = warnings[..] else { panic!("{notes}") };
+    assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
+    assert!(folder.path().join("m_2.ply").exists());
+}
+
+#[test]
 fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will_be() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
     let folder = TempDir::new().unwrap();

@@ -1,7 +1,9 @@
 //! What the plateau of a fluid would be, told from its spacing alone.
 
 use hashbrown::HashMap;
+use rayon::prelude::*;
 
+use crate::brick::DifField;
 use crate::grid::FRACTIONS;
 use crate::stage::indicator::{Indicator, amount, count_table, symmetry};
 use crate::units::{FULL, MeanCount};
@@ -18,64 +20,107 @@ const LONGEST: f64 = 24.0;
 /// How far a particle is from its place on the lattice along each axis, in spacings, at the most.
 const JITTER: f64 = 0.3;
 
+/// Full cells that tell of a frame's disorder, and not of a few particles.
+const TELLING: u64 = 1000;
+
+/// Particles of a cell that count for its disorder, in usual ones: beyond, they are a clump.
+const MOST: f64 = 4.0;
+
 /// The mean DIF of a fluid whose particles are `spacing` cells apart: those of a lattice in some disorder. Smoothing does not
-/// change a mean.
+/// change a mean. Counts also tell of the disorder that there is in a frame, from its DIF.
 ///
 /// # Panics
 /// If the indicator has to know mu0, and does not.
-pub fn expected(indicator: Indicator, spacing: f64) -> u16 {
-    match indicator {
+pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> u16 {
+    let theta = match indicator {
         Indicator::Cloud { mean } => {
             // Clouds add up, wherever the particles are.
-            let theta = f64::from(amount(known(mean))) / (spacing * spacing * spacing);
-            theta.round().clamp(1.0, f64::from(FULL)) as u16
+            f64::from(amount(known(mean))) / (spacing * spacing * spacing)
         }
         Indicator::Counting { mean } => {
             let table = count_table(known(mean));
-            mean_of_cells(spacing, |[n, ..]| table.get(n as usize).copied().unwrap_or(FULL))
+            let theta = |[n, ..]: [f64; 4]| table.get(n as usize).copied().unwrap_or(FULL);
+            let fluid = Fluid::of(spacing, theta);
+            // In more disorder particles fill fewer cells, each with more of them.
+            fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
-        Indicator::Symmetry => mean_of_cells(spacing, symmetry),
-    }
+        Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
+    };
+    theta.round().clamp(1.0, f64::from(FULL)) as u16
 }
 
 fn known(mean: Option<MeanCount>) -> MeanCount {
     mean.expect("a plateau is of a DIF, which knows its mu0")
 }
 
-/// The mean over cells of what `theta` makes of their number of particles and the sums of their offsets.
-fn mean_of_cells(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> u16 {
-    let spacing = spacing.max(1.0 / LONGEST);
-    let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor() as i32;
-    // One layer of the lattice more, for it begins below the cells.
-    let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
-    // Multiples of the golden ratio's powers spread evenly.
-    let shift =
-        |place: u64| [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
-    // Integers add up to the same in any order.
-    let sum_at = |place: u64| {
-        let shift = shift(place);
-        let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();
-        for number in 0..layers.pow(3) {
-            let of_lattice = [number % layers, number / layers % layers, number / (layers * layers)];
-            let at = [0, 1, 2].map(|axis| {
-                let random = unit(3 * (place * layers.pow(3) + number) + axis as u64);
-                let jitter = JITTER * (2.0 * random - 1.0);
-                (of_lattice[axis] as f64 - 0.5 + shift[axis] + jitter) * spacing
-            });
-            let cell = at.map(|x| x.floor() as i32);
-            if cell.iter().all(|x| (0..edge).contains(x)) {
-                let [n, sums @ ..] = cells.entry(cell).or_default();
-                *n += 1.0;
-                for (axis, sum) in sums.iter_mut().enumerate() {
-                    *sum += ((at[axis] - f64::from(cell[axis])) * f64::from(FRACTIONS)).floor();
+/// What was found in the cells of a fluid that was made.
+#[derive(Default)]
+struct Fluid {
+    cells: f64,
+    full_cells: f64,
+    particles: f64,
+    /// Of theta, over all cells.
+    sum: u64,
+}
+
+impl Fluid {
+    /// With what `theta` makes of the number of particles in a cell and of the sums of their offsets.
+    fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
+        let spacing = spacing.max(1.0 / LONGEST);
+        let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor() as i32;
+        // One layer of the lattice more, for it begins below the cells.
+        let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
+        let mut fluid = Self::default();
+        for place in 0..PLACES {
+            // Multiples of the golden ratio's powers spread evenly.
+            let shift = [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
+            let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();
+            for number in 0..layers.pow(3) {
+                let of_lattice = [number % layers, number / layers % layers, number / (layers * layers)];
+                let at = [0, 1, 2].map(|axis| {
+                    let random = unit(3 * (place * layers.pow(3) + number) + axis as u64);
+                    let jitter = JITTER * (2.0 * random - 1.0);
+                    (of_lattice[axis] as f64 - 0.5 + shift[axis] + jitter) * spacing
+                });
+                let cell = at.map(|x| x.floor() as i32);
+                if cell.iter().all(|x| (0..edge).contains(x)) {
+                    let [n, sums @ ..] = cells.entry(cell).or_default();
+                    *n += 1.0;
+                    for (axis, sum) in sums.iter_mut().enumerate() {
+                        *sum += ((at[axis] - f64::from(cell[axis])) * f64::from(FRACTIONS)).floor();
+                    }
                 }
             }
+            fluid.cells += f64::from(edge * edge * edge);
+            fluid.full_cells += cells.len() as f64;
+            // Integers add up to the same in any order.
+            fluid.particles += cells.values().map(|[n, ..]| n).sum::<f64>();
+            fluid.sum += cells.into_values().map(|sums| u64::from(theta(sums))).sum::<u64>();
         }
-        cells.into_values().map(|sums| u64::from(theta(sums))).sum::<u64>()
-    };
-    let cells = PLACES as f64 * f64::from(edge * edge * edge);
-    let sum: u64 = (0..PLACES).map(sum_at).sum();
-    ((sum as f64 / cells).round() as u16).max(1)
+        fluid
+    }
+
+    /// mu0.
+    fn mean_count(&self) -> f64 {
+        self.particles / self.full_cells
+    }
+
+    /// The mean of theta.
+    fn theta(&self) -> f64 {
+        self.sum as f64 / self.cells
+    }
+}
+
+/// How many times as many particles the full cells of counts hold as is `usual`, if that is more.
+fn crowding(dif: &DifField, usual: f64) -> f64 {
+    let full_cells = dif.full_cells();
+    if full_cells < TELLING {
+        return 1.0;
+    }
+    let most = (MOST * usual).ceil() as u16;
+    let of_page = |page: usize| dif.stored(page).iter().map(|&n| u64::from(n.min(most))).sum::<u64>();
+    let particles: u64 = (0..dif.infos().len()).into_par_iter().map(of_page).sum();
+    (particles as f64 / full_cells as f64 / usual).max(1.0)
 }
 
 /// Numbers from 0 to 1, 1 excluded, as good as random, the same on every machine.
@@ -91,7 +136,7 @@ mod tests {
     use super::*;
 
     fn share(indicator: Indicator, spacing: f64) -> f64 {
-        f64::from(expected(indicator, spacing)) / f64::from(FULL)
+        f64::from(expected(indicator, spacing, None)) / f64::from(FULL)
     }
 
     #[test]
@@ -116,7 +161,7 @@ mod tests {
         assert!((share(Indicator::Cloud { mean }, 0.25) - 0.5).abs() < 0.001);
         assert!((0.93..1.0).contains(&share(Indicator::Counting { mean }, 0.25)));
         assert!((0.85..1.0).contains(&share(Indicator::Symmetry, 0.25)));
-        assert_eq!(expected(Indicator::Cloud { mean: MeanCount::new(1.0).ok() }, 0.01), FULL);
-        assert_eq!(expected(Indicator::Counting { mean: MeanCount::new(1.0).ok() }, 0.01), FULL);
+        assert_eq!(expected(Indicator::Cloud { mean: MeanCount::new(1.0).ok() }, 0.01, None), FULL);
+        assert_eq!(expected(Indicator::Counting { mean: MeanCount::new(1.0).ok() }, 0.01, None), FULL);
     }
 }

@@ -12,7 +12,9 @@ mod histogram;
 mod interior;
 mod precision;
 
-pub use precision::{COARSEST_STEP, Remedy, TooFine, refuse_too_fine, step_cells};
+pub use precision::{
+    COARSEST_STEP, FINEST_OF_SYMMETRY, Remedy, TooFine, refuse_symmetry, refuse_too_fine, step_cells,
+};
 
 use crate::brick::{DifField, equal_steps};
 use crate::grid::{CellBox, Domain, Grid};
@@ -86,7 +88,7 @@ impl Plateau {
             // Where nothing can be expected, any interior is better.
             measured(dif, &interior, enough, if spacing.is_some() { least } else { 1.0 })
         });
-        let fluid = |spacing: f64| expected(indicator, spacing);
+        let fluid = |spacing: f64| expected(indicator, spacing, Some(dif));
         // Symmetry does not tell how many particles there are.
         let least = spacing.filter(|_| indicator.counts()).map_or(0.0, |s| LEAST_SHARE * f64::from(fluid(s)));
         match found {
@@ -144,14 +146,21 @@ pub fn recipe(
     detail: Detail,
     iso: Option<Isovalue>,
 ) -> Result<(Recipe, Plateau), TooFine> {
+    let symmetric = frame.spacing.filter(|_| frame.indicator == Indicator::Symmetry);
+    symmetric.map_or(Ok(()), |spacing| refuse_symmetry(spacing, grid.cell_size()))?;
     let smoothing = Smoothing::new(frame.indicator, sigma);
     let plateau = Plateau::of(frame, &smoothing);
     let width = smoothing.width(frame.indicator);
     refuse_too_fine(plateau.value(), width, grid.cell_size()).map_err(|refused| {
-        // What is fine enough in disorder is not told by larger cells.
-        let sound = |spacing| refuse_too_fine(expected(frame.indicator, spacing), width, 1.0).is_ok();
-        let on_corners = frame.indicator == Indicator::Symmetry && frame.spacing.is_some_and(sound);
-        if on_corners { TooFine { remedy: Remedy::Origin, ..refused } } else { refused }
+        match (refused, symmetric) {
+            // What would be fine enough in disorder is not helped by larger cells.
+            (TooFine::Steps { cell_size, plateau, step_cells, .. }, Some(spacing))
+                if refuse_too_fine(expected(frame.indicator, spacing, None), width, cell_size).is_ok() =>
+            {
+                TooFine::Steps { cell_size, plateau, step_cells, remedy: Remedy::Origin }
+            }
+            _ => refused,
+        }
     })?;
     Ok((recipe_at(frame.indicator, sigma, detail, iso.unwrap_or(plateau.isovalue())), plateau))
 }
@@ -167,11 +176,14 @@ pub fn refuse_too_fine_for(
     grid: &Grid,
     sigma: Sigma,
 ) -> Result<(), TooFine> {
+    if indicator == Indicator::Symmetry {
+        refuse_symmetry(spacing / grid.cell_size(), grid.cell_size())?;
+    }
     // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
     let one = || MeanCount::new(1.0).expect("a number within the bounds");
     let indicator = indicator.with_mean(Some(indicator.mean().unwrap_or_else(one)));
     let width = Smoothing::new(indicator, sigma).width(indicator);
-    refuse_too_fine(expected(indicator, spacing / grid.cell_size()), width, grid.cell_size())
+    refuse_too_fine(expected(indicator, spacing / grid.cell_size(), None), width, grid.cell_size())
 }
 
 /// The same where the isovalue is known, of whichever frame.

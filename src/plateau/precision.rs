@@ -14,21 +14,40 @@ const DENSITY: f64 = 0.3978;
 /// The most that a step of the field may move a flat surface, in cells. From there on its steps can be seen in the light.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// A field that does not tell finely enough where its surface is.
+/// The finest cells for symmetry, in spacings. In finer ones more than seven of eight cells are empty deep in the fluid, and
+/// where the others' particles happen to lie moves the surface.
+pub const FINEST_OF_SYMMETRY: f64 = 0.5;
+
+/// Cells in which it cannot be told finely enough where the surface is.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error(
-    "cells of {cell_size:.6} are too fine for a field of 16 bits: deep in the fluid it is {plateau} of 65535, a step of which \
-     moves the surface by {step_cells:.3} cells, where {COARSEST_STEP} are allowed; {remedy}"
-)]
-pub struct TooFine {
-    /// Edge of a cell.
-    pub cell_size: f64,
-    /// Of the field.
-    pub plateau: u16,
-    /// How far one step of the field moves a flat surface, in cells.
-    pub step_cells: f64,
-    /// What to do about it.
-    pub remedy: Remedy,
+pub enum TooFine {
+    /// The field's steps are too large.
+    #[error(
+        "cells of {cell_size:.6} are too fine for a field of 16 bits: deep in the fluid it is {plateau} of 65535, a step of \
+         which moves the surface by {step_cells:.3} cells, where {COARSEST_STEP} are allowed; {remedy}"
+    )]
+    Steps {
+        /// Edge of a cell.
+        cell_size: f64,
+        /// Of the field.
+        plateau: u16,
+        /// How far one step of the field moves a flat surface, in cells.
+        step_cells: f64,
+        /// What to do about it.
+        remedy: Remedy,
+    },
+    /// Too many cells are empty to tell how particles lie in them.
+    #[error(
+        "cells of {cell_size:.6} are too fine for symmetry, which sees particles in one of eight of them at the most: use cells \
+         of {:.6} or more, or another --indicator",
+        FINEST_OF_SYMMETRY * spacing
+    )]
+    Symmetry {
+        /// Edge of a cell.
+        cell_size: f64,
+        /// Of the particles.
+        spacing: f64,
+    },
 }
 
 /// What makes a field finer.
@@ -64,7 +83,7 @@ pub fn step_cells(plateau: u16, width: f64) -> f64 {
 /// Refuses a field whose steps are too large.
 ///
 /// # Errors
-/// [`TooFine`], with larger cells for a remedy.
+/// [`TooFine::Steps`], with larger cells for a remedy.
 pub fn refuse_too_fine(plateau: u16, width: f64, cell_size: f64) -> Result<(), TooFine> {
     let step_cells = step_cells(plateau, width);
     if step_cells <= COARSEST_STEP {
@@ -72,5 +91,17 @@ pub fn refuse_too_fine(plateau: u16, width: f64, cell_size: f64) -> Result<(), T
     }
     // The plateau grows with the cell's volume, and the width in cells shrinks with its edge.
     let remedy = Remedy::Cells(cell_size * (step_cells / COARSEST_STEP).powf(0.25));
-    Err(TooFine { cell_size, plateau, step_cells, remedy })
+    Err(TooFine::Steps { cell_size, plateau, step_cells, remedy })
+}
+
+/// Refuses cells that are too fine for symmetry, by their particles' spacing in cells.
+///
+/// # Errors
+/// [`TooFine::Symmetry`].
+pub fn refuse_symmetry(spacing: f64, cell_size: f64) -> Result<(), TooFine> {
+    // A quotient of decimals is off by a rounding.
+    if spacing * FINEST_OF_SYMMETRY <= 1.0 + 1e-9 {
+        return Ok(());
+    }
+    Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
 }

@@ -1,0 +1,385 @@
+//! The isovalue in cells of any size: what is interior is told in spacings, clumps tell nothing, and what 16 bits cannot hold
+//! is refused.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::collections::HashMap;
+
+use common::dense::Method;
+use common::scene::Random;
+use common::{INDICATORS, fill, sampling, surfacing};
+use glam::{DVec3, IVec3};
+use meniscus::frame::{Detail, Frame, FrameError, KernelFrame, Normals, Sampling, Shortfall, Surfacing};
+use meniscus::grid::{CellBox, Domain};
+use meniscus::laps::Laps;
+use meniscus::mesh::measure::measure;
+use meniscus::mesh::source::MeshSource;
+use meniscus::plateau::{COARSEST_STEP, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine, step_cells};
+use meniscus::rivals::Method as Rival;
+use meniscus::stage::blur::Smoothing;
+use meniscus::stage::indicator::Indicator;
+use meniscus::stitch::Stitched;
+use meniscus::units::{Isovalue, MeanCount};
+use rayon::prelude::*;
+
+const CLOUD: Indicator = Indicator::Cloud { mean: None };
+const COUNTING: Indicator = Indicator::Counting { mean: None };
+
+/// How particles stand in a box.
+#[derive(Debug, Clone, Copy)]
+enum Disorder {
+    /// On a lattice, but for so much of a spacing.
+    Jittered(f64),
+    Random,
+    /// As FLIP leaves them: one anywhere in each cell of a lattice, a quarter of them beside another.
+    Clumped,
+}
+
+/// A cube of edge `edge` from the origin, with so many particles in a unit of volume.
+fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]> {
+    let mut random = Random::new(seed);
+    let step = density.cbrt().recip();
+    let side = (edge / step) as usize;
+    let mut particles: Vec<[f64; 3]> = (0..side.pow(3))
+        .map(|i| {
+            let place = [i % side, i / side % side, i / (side * side)];
+            place.map(|c| {
+                let (place, unit) = (c as f64 + 0.5, random.unit() - 0.5);
+                match disorder {
+                    Disorder::Jittered(jitter) => (place + 2.0 * jitter * unit) * step,
+                    Disorder::Random => (unit + 0.5) * side as f64 * step,
+                    Disorder::Clumped => (place + unit) * step,
+                }
+            })
+        })
+        .collect();
+    if let Disorder::Clumped = disorder {
+        for i in (0..particles.len()).step_by(4) {
+            let other = particles[random.bits() as usize % particles.len()];
+            particles[i] = other.map(|x| x + 0.3 * step * (random.unit() - 0.5));
+        }
+    }
+    particles
+}
+
+/// In cells of edge 1, of particles `spacing` of them apart.
+fn sampling_at(spacing: f64, indicator: Indicator) -> Sampling {
+    Sampling { indicator, spacing: Some(spacing), side: indicator.brick_side(), ..sampling() }
+}
+
+fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
+    // Off the faces of cells, where a lattice would be rounded to either side.
+    particles.iter().map(|p| p.map(|x| x * by + 0.137)).collect()
+}
+
+fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Frame {
+    Frame::sample(particles, sampling, &mut Laps::default()).unwrap()
+}
+
+fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
+    frame.surface(surfacing, &mut Laps::default()).unwrap().mesh
+}
+
+/// The median of the smoothed DIF in f64, over the cells that lie deeper in a cube than the filters reach.
+fn oracle(particles: &[[f64; 3]], frame: &Frame, edge: f64) -> f64 {
+    let (sigma, indicator) = (frame.sigma(None), frame.facts().indicator);
+    let method = Method { indicator, sigma: sigma.cells(), detail: Detail::Smoothed, iso: 1.0, walls: None };
+    let field = method.real(particles);
+    let depth = Smoothing::new(indicator, sigma).reach() + 1;
+    let deep = CellBox { lo: IVec3::splat(depth), hi: IVec3::splat(edge as i32 - depth) };
+    let mut deep: Vec<f64> = field.iter().filter(|(cell, _)| deep.contains(*cell)).map(|(_, x)| x).collect();
+    let middle = deep.len() / 2;
+    *deep.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[test]
+fn the_isovalue_is_its_share_of_the_plateau_that_a_dense_oracle_finds_in_cells_of_any_size() {
+    const CELLS: [f64; 6] = [1.0, 2.0 / 3.0, 0.5, 0.4, 1.0 / 3.0, 0.25];
+    let disorders = [
+        Disorder::Jittered(0.0),
+        Disorder::Jittered(0.3),
+        Disorder::Jittered(0.5),
+        Disorder::Random,
+        Disorder::Clumped,
+    ];
+    let mut cases = Vec::new();
+    for (i, density) in [0.5, 1.0, 2.0, 4.0, 8.0].into_iter().enumerate() {
+        for (j, disorder) in disorders.into_iter().enumerate() {
+            // Each with two of them, and each of them with all.
+            for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
+                cases.extend([CLOUD, COUNTING].map(|indicator| (density, disorder, cell, indicator)));
+            }
+        }
+    }
+    let off = cases.into_par_iter().filter_map(|(density, disorder, cell, indicator)| {
+        let edge = if density > 2.0 { 16.0 } else { 22.0 };
+        let mut particles = scaled(&cube(edge, density, disorder, 7), 1.0 / cell);
+        let clump = particles[particles.len() / 2];
+        particles.extend([clump; 10]);
+        let frame = sample(&particles, &sampling_at(1.0 / cell, indicator));
+        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
+        let share = recipe.iso.value() / oracle(&particles, &frame, edge / cell);
+        let off = share / 0.47 - 1.0;
+        let what =
+            format!("{indicator:?} {density} {disorder:?} in cells of {cell}: off by {off}, {plateau:?}");
+        // Counts of a lattice beat with the cells: their median is another in every part of the cube.
+        let beats = matches!((disorder, indicator), (Disorder::Jittered(0.0), COUNTING));
+        let found = matches!(plateau, Plateau::Interior { .. }) && off.abs() < if beats { 0.1 } else { 0.02 };
+        (!found).then_some(what)
+    });
+    let off: Vec<String> = off.collect();
+    assert!(off.is_empty(), "{off:#?}");
+}
+
+/// Where a surface's vertices lie, by their cells.
+fn places(surface: &Stitched) -> HashMap<IVec3, Vec<DVec3>> {
+    let mut places: HashMap<IVec3, Vec<DVec3>> = HashMap::new();
+    for piece in 0..surface.pieces() {
+        for (_, place) in surface.places(piece).unwrap() {
+            places.entry(place.floor().as_ivec3()).or_default().push(place);
+        }
+    }
+    places
+}
+
+/// How far the vertices of `one`, no nearer than so much to a place, lie from the next ones of `other`, from the least to the
+/// greatest; infinitely far where there is none within a cell.
+fn moved(one: &Stitched, other: &Stitched, (place, away): (DVec3, f64)) -> Vec<f64> {
+    let others = places(other);
+    let next = |p: DVec3| {
+        let cells = (0..27).map(|i| p.floor().as_ivec3() + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1);
+        let places = cells.filter_map(|cell| others.get(&cell)).flatten();
+        places.map(|q| q.distance(p)).fold(f64::INFINITY, f64::min)
+    };
+    let far = places(one).into_values().flatten().filter(|p| p.distance(place) > away);
+    let mut moved: Vec<f64> = far.map(next).collect();
+    moved.sort_by(f64::total_cmp);
+    moved
+}
+
+/// Bodies from deep to thin, in spacings, each with a place in it that is to get a clump.
+fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
+    let ball = |radius: f64| fill(12.0, 1.0, 0.3, 5, move |p| p.length() < radius);
+    let mut random = Random::new(9);
+    let spray = (0..300).map(|_| [(); 3].map(|()| 60.0 * random.unit())).collect();
+    let sheet = |p: DVec3| p.y.abs() < 0.6 && p.y > 0.0;
+    [
+        ("pool", cube(20.0, 1.0, Disorder::Jittered(0.3), 3), DVec3::splat(10.0)),
+        ("ball", ball(8.5), DVec3::ZERO),
+        ("small ball", ball(4.0), DVec3::splat(0.5)),
+        ("sheet", fill(12.0, 1.0, 0.2, 5, sheet), DVec3::new(0.5, 0.5, 0.5)),
+        ("spray", spray, DVec3::splat(30.0)),
+        (
+            "handful",
+            vec![[0.5; 3], [1.4, 0.5, 0.6], [0.6, 1.5, 0.4], [8.0, 0.1, 0.2]],
+            DVec3::new(0.5, 0.5, 0.5),
+        ),
+    ]
+}
+
+#[test]
+fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
+    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
+    for (name, body, place) in bodies() {
+        for (cell, indicator) in
+            [(1.0 / 1.5, CLOUD), (1.0 / 3.0, CLOUD), (1.0 / 1.5, COUNTING), (0.4, COUNTING)]
+        {
+            let spacing = 1.0 / cell;
+            let particles = scaled(&body, spacing);
+            let clean = draw(&sample(&particles, &sampling_at(spacing, indicator)), &spared);
+            let beside = [20.0, 0.0, 0.0];
+            for (clump, count) in [(place.to_array(), 1), (place.to_array(), 10), (beside, 30)] {
+                let [at] = scaled(&[clump], spacing)[..] else { unreachable!() };
+                let with: Vec<_> = particles.iter().copied().chain(std::iter::repeat_n(at, count)).collect();
+                let with = draw(&sample(&with, &sampling_at(spacing, indicator)), &spared);
+                let there = (DVec3::from(at), 4.0 * spacing);
+                for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
+                    // Along an edge that is nearly tangent to the surface a vertex moves far, and one that comes or goes with
+                    // the sign of one sample is as far as its cell from the next.
+                    let [most, all] =
+                        [moved[moved.len() * 9 / 10], moved[moved.len() - 1]].map(|d| d / spacing);
+                    let what = format!(
+                        "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
+                    );
+                    assert!(most < 0.02 && all.is_finite(), "{what}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
+    // Of less disorder, symmetry and counts would tell where the lattice lies on the grid.
+    let pool = cube(24.0, 1.0, Disorder::Jittered(0.5), 1);
+    for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
+        for indicator in INDICATORS {
+            let spacing = 1.0 / cell;
+            if surfacing().refuse_too_fine(&sampling_at(spacing, indicator)).is_err() {
+                assert!(indicator == Indicator::Symmetry && cell < FINEST_OF_SYMMETRY);
+                continue;
+            }
+            let of_pool = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
+            let (_, deep) = of_pool.recipe(&surfacing()).unwrap();
+            let Plateau::Interior { median, .. } = deep else { panic!("a pool of {cell}: {deep:?}") };
+            // Of the same mu0, which fewer particles in a cell would make another.
+            let sampling = sampling_at(spacing, of_pool.facts().indicator);
+            for (name, body, _) in &bodies()[2..] {
+                let frame = sample(&scaled(body, spacing), &sampling);
+                let (_, plateau) = frame.recipe(&surfacing()).unwrap();
+                let Plateau::Shallow { expected } = plateau else { panic!("{name} in {cell}: {plateau:?}") };
+                let ratio = f64::from(expected) / f64::from(median);
+                let within = if matches!(indicator, Indicator::Cloud { .. }) { 0.02 } else { 0.1 };
+                assert!((ratio - 1.0).abs() < within, "{indicator:?} {name} in {cell}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn mist_is_no_fluid_however_much_there_is_of_it() {
+    let mut random = Random::new(4);
+    let mist: Vec<[f64; 3]> = (0..8000).map(|_| [(); 3].map(|()| 40.0 * random.unit())).collect();
+    for indicator in [CLOUD, COUNTING] {
+        let frame = sample(&scaled(&mist, 1.5), &sampling_at(1.5, indicator));
+        let (_, plateau) = frame.recipe(&surfacing()).unwrap();
+        assert!(matches!(plateau, Plateau::Shallow { .. }), "{indicator:?}: {plateau:?}");
+    }
+}
+
+#[test]
+fn a_pool_holds_the_same_volume_in_cells_of_any_size_with_walls_and_without() {
+    let pool = cube(14.0, 1.0, Disorder::Clumped, 2);
+    for indicator in [CLOUD, COUNTING] {
+        for walls in [false, true] {
+            let volume = |cell: f64| {
+                let spacing = 1.0 / cell;
+                let particles = scaled(&pool, spacing);
+                let mut sampling = sampling_at(spacing, indicator);
+                if walls {
+                    // Half of them: the pool ends at a wall on every side but above.
+                    let [lo, hi] = [DVec3::ZERO, DVec3::new(14.0, 30.0, 14.0) * spacing];
+                    sampling.domain = Some(Domain::new(&sampling.grid, lo, hi).unwrap());
+                }
+                let surface = draw(&sample(&particles, &sampling), &surfacing());
+                surface.volume().unwrap() / spacing.powi(3)
+            };
+            let coarse = volume(2.0 / 3.0);
+            for cell in [0.5, 0.4, 1.0 / 3.0, 0.25] {
+                let ratio = volume(cell) / coarse;
+                assert!((ratio - 1.0).abs() < 0.03, "{indicator:?}, cells of {cell}, walls {walls}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
+    let ball = fill(16.0, 1.0, 0.3, 1, |p| p.length() < 15.0);
+    let close = |surface: &Stitched, within: f64, what: &str| {
+        let mesh = measure(&surface.to_mesh().unwrap()).volume.unwrap();
+        let ratio = surface.volume().unwrap() / mesh;
+        assert!((ratio - 1.0).abs() < within, "{what}: {ratio}");
+    };
+    for indicator in INDICATORS {
+        close(&draw(&sample(&ball, &sampling_at(1.0, indicator)), &surfacing()), 0.01, "a ball");
+        // Walls on faces of cells cut off all but a cube.
+        let mut tank = sampling_at(1.0, indicator);
+        tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
+        close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
+        // Triangles cut off what bends within a cell, which is much of a drop.
+        let splashes = sample(&common::splashes(3), &Sampling { indicator, ..sampling() });
+        close(&draw(&splashes, &surfacing()), 0.06, "drops");
+    }
+    let sampling = Sampling { spacing: Some(1.0), ..sampling() };
+    let laps = &mut Laps::default();
+    let kernels = KernelFrame::sample(&ball[..], &sampling, Rival::ZhuBridson, laps).unwrap();
+    close(&kernels.surface(Normals::None, laps).unwrap(), 0.01, "kernels");
+}
+
+#[test]
+fn a_surface_that_holds_less_than_half_of_its_particles_is_told() {
+    let pool = scaled(&cube(14.0, 1.0, Disorder::Jittered(0.3), 2), 1.5);
+    let frame = sample(&pool, &sampling_at(1.5, CLOUD));
+    let whole = draw(&frame, &surfacing());
+    assert_eq!(Shortfall::of(&whole, pool.len(), 1.5).unwrap(), None);
+    let high = Isovalue::new(0.145).unwrap();
+    let lost = draw(&frame, &Surfacing { iso: Some(high), ..surfacing() });
+    let shortfall = Shortfall::of(&lost, pool.len(), 1.5).unwrap().unwrap();
+    let volume = measure(&lost.to_mesh().unwrap()).volume.unwrap() / (pool.len() as f64 * 1.5_f64.powi(3));
+    assert!(
+        shortfall.share < 0.5 && (shortfall.share / volume - 1.0).abs() < 0.06,
+        "{shortfall:?} of {volume}"
+    );
+}
+
+#[test]
+fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
+    let edge = 24.0;
+    let pool = cube(edge, 1.0, Disorder::Jittered(0.0), 1);
+    for (cell, indicator) in [(0.25, CLOUD), (0.2, CLOUD), (0.2, COUNTING)] {
+        let spacing = 1.0 / cell;
+        let frame = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
+        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
+        let told = step_cells(plateau.value(), recipe.smoothing.width(indicator));
+        assert!(told < COARSEST_STEP);
+        // Where vertices lie on the cube's upper face, away from its edges.
+        let steps = 8;
+        let face = |threshold: u16| {
+            let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
+            let surface = draw(&frame, &Surfacing { iso: Some(iso), ..surfacing() }).to_mesh().unwrap();
+            let [low, high] = [5.0, edge - 5.0].map(|x| x * spacing);
+            let inner = |x: f64| (low..high).contains(&x);
+            let on_face = |[x, y, z]: [f64; 3]| (inner(x) && inner(z) && y > high).then_some(y);
+            let heights: Vec<f64> = surface.positions.into_iter().filter_map(on_face).collect();
+            heights.iter().sum::<f64>() / heights.len() as f64
+        };
+        let threshold = recipe.iso.threshold();
+        let found = (face(threshold - steps) - face(threshold + steps)) / f64::from(2 * steps);
+        let ratio = found / told;
+        assert!((0.85..1.15).contains(&ratio), "{indicator:?}, cells of {cell}: {found} cells, told {told}");
+    }
+}
+
+/// What becomes of a pool's surface in such cells: the same whether it is asked before there is a DIF or after.
+fn refused(indicator: Indicator, cell: f64) -> Result<(), TooFine> {
+    let spacing = 1.0 / cell;
+    let sampling = sampling_at(spacing, indicator);
+    let before = surfacing().refuse_too_fine(&sampling);
+    let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
+    match sample(&pool, &sampling).surface(&surfacing(), &mut Laps::default()) {
+        Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
+        Err(FrameError::TooFine(after)) => assert!(before.is_err(), "{indicator:?} in {cell}: {after}"),
+        Err(other) => panic!("{other}"),
+    }
+    before
+}
+
+#[test]
+fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with_some_that_fit() {
+    for indicator in [CLOUD, COUNTING] {
+        assert_eq!(refused(indicator, 0.2), Ok(()));
+        let found = refused(indicator, 0.11).unwrap_err();
+        let TooFine::Steps { step_cells, remedy: Remedy::Cells(fitting), .. } = found else {
+            panic!("{found}")
+        };
+        assert!(step_cells > COARSEST_STEP && (1.0..2.0).contains(&fitting), "{found}");
+        assert_eq!(refused(indicator, 0.11 * fitting * 1.03), Ok(()), "{found}");
+    }
+}
+
+#[test]
+fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
+    assert_eq!(refused(Indicator::Symmetry, FINEST_OF_SYMMETRY), Ok(()));
+    let found = refused(Indicator::Symmetry, 0.4).unwrap_err();
+    assert_eq!(found, TooFine::Symmetry { cell_size: 1.0, spacing: 2.5 });
+}
+
+#[test]
+fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
+    let indicator = CLOUD.with_mean(MeanCount::new(60.0).ok());
+    let refused = surfacing().refuse_too_fine(&sampling_at(3.0, indicator)).unwrap_err();
+    assert!(matches!(refused, TooFine::Steps { plateau: 1..30, .. }), "{refused}");
+    assert_eq!(surfacing().refuse_too_fine(&sampling_at(3.0, CLOUD)), Ok(()));
+}
