@@ -773,7 +773,7 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
-    fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball.clone()).collect::<Vec<_>>())).unwrap();
+    fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball).collect::<Vec<_>>())).unwrap();
     let lost = notes(&[]);
     assert!(lost.contains("% of the volume of") && lost.contains("--adaptive keeps"), "{lost}");
     assert!(!notes(&["--adaptive"]).contains("% of the volume of"));

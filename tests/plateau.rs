@@ -238,6 +238,20 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
 }
 
 #[test]
+fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
+    for disorder in [Disorder::Jittered(0.3), Disorder::Jittered(0.5), Disorder::Clumped] {
+        let particles = scaled(&cube(48.0, 1.0, disorder, 6), 1.5);
+        let deep = sample(&particles, &sampling_at(1.5, COUNTING));
+        let (_, Plateau::Interior { median, .. }) = deep.recipe(&surfacing()).unwrap() else { panic!() };
+        let layer: Vec<_> = particles.into_iter().filter(|p| p[1] < 4.0 * 1.5).collect();
+        let layer = sample(&layer, &sampling_at(1.5, deep.facts().indicator));
+        let (_, Plateau::Shallow { expected }) = layer.recipe(&surfacing()).unwrap() else { panic!() };
+        let ratio = f64::from(expected) / f64::from(median);
+        assert!((ratio - 1.0).abs() < 0.05, "{disorder:?}: {ratio}");
+    }
+}
+
+#[test]
 fn mist_is_no_fluid_however_much_there_is_of_it() {
     let mut random = Random::new(4);
     let mist: Vec<[f64; 3]> = (0..8000).map(|_| [(); 3].map(|()| 40.0 * random.unit())).collect();

@@ -31,7 +31,7 @@ use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::Spool;
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
-use crate::plateau::{self, Plateau, SampledDif, TooFine};
+use crate::plateau::{self, Plateau, SampledDif, TooFine, step_cells};
 use crate::recipe::Recipe;
 use crate::simplify::{Reduction, Simplified};
 use crate::stage::attribute::vertex_values;
@@ -141,6 +141,8 @@ pub struct Surface {
     pub iso: Isovalue,
     /// The field's interior, measured whether or not the isovalue was given.
     pub plateau: Plateau,
+    /// How far one step of the field moves a flat surface, in cells.
+    pub step_cells: f64,
 }
 
 impl Frame {
@@ -311,7 +313,8 @@ impl Frame {
         let (recipe, plateau) = self.recipe(surfacing)?;
         laps.lap("plateau");
         let mesh = self.surface_by(&recipe, surfacing.normals, laps)?;
-        Ok(Surface { mesh, iso: recipe.iso, plateau })
+        let step_cells = step_cells(plateau.value(), recipe.smoothing.width(self.facts.indicator));
+        Ok(Surface { mesh, iso: recipe.iso, plateau, step_cells })
     }
 
     /// The surface by a recipe that is known, with nothing measured.

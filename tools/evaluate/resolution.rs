@@ -78,7 +78,7 @@ type Figures = ([Option<f64>; 4], f64, u64);
 
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let (sampling, surfacing) =
-        (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Cells(1.0).value(), Iso::Auto.value()));
+        (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Auto.value(), Iso::Auto.value()));
     Frame::sample(particles, &sampling, &mut Laps::default())?;
     let start = Instant::now();
     let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
@@ -113,7 +113,7 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
 fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let mut sampling = sampling(grid(cell)?, 1.0, COUNTING);
     sampling.resources.backend = Arc::clone(vulkan) as _;
-    let surfacing = surfacing(Sigmas::Cells(1.0).value(), Iso::Auto.value());
+    let surfacing = surfacing(Sigmas::Auto.value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
         let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;

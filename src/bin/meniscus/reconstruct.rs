@@ -8,7 +8,7 @@ use clap::Args;
 use meniscus::backend::Cpu;
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
-use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Surface, Surfacing};
+use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Surfacing};
 use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -56,7 +56,8 @@ pub struct Options {
     /// Width of the Gaussian [default: 0.8 spacings for cloud and 1 for others, and a cell at the least].
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
-    /// Where the surface is, between 0 and 1; auto: 0.47 of the field's interior plateau.
+    /// Where the surface is, between 0 and 1; auto: 0.47 of the field deep in the fluid, or of what the spacing tells it to be
+    /// where no fluid is deep.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true)]
     pub iso: IsoOption,
     /// Recover details that smoothing loses, such as drops.
@@ -377,10 +378,10 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let (mesh, iso) = match &sampled {
         Sampled::Dif(frame) => {
             report_frame(frame, &notes);
-            let Surface { mesh, iso, plateau } = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
+            let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
             report_warnings(frame, &notes);
-            report_isovalue(iso, plateau, surfacing.iso, &notes);
-            (mesh, Some(iso))
+            report_isovalue(&surface, surfacing.iso, &notes);
+            (surface.mesh, Some(surface.iso))
         }
         Sampled::Kernels(frame) => {
             report_census(frame.census(), &notes);

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use meniscus::brick::Census;
-use meniscus::frame::Frame;
+use meniscus::frame::{Frame, Surface};
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
 use meniscus::plateau::Plateau;
@@ -67,7 +67,10 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
     }
 }
 
-pub fn report_isovalue(iso: Isovalue, plateau: Plateau, given: Option<Isovalue>, notes: &Notes) {
+/// Says where the surface is drawn, and how finely the field tells it.
+pub fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
+    let &Surface { iso, plateau, step_cells, .. } = surface;
+    notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
     let (iso, share) = (iso.value(), f64::from(Isovalue::PLATEAU_PERCENT) / 100.0);
     match (plateau, given) {
