@@ -17,6 +17,9 @@ const EDGE: f64 = 16.0;
 /// The most that it is, in spacings. Of the disorder of so many particles in one cell nothing is left.
 const LONGEST: f64 = 24.0;
 
+/// Cells of a spacing in which a cell holds so little that finer ones do not matter: 16 bits are too few for them.
+const FINEST: f64 = 64.0;
+
 /// How far a particle is from its place on the lattice along each axis, in spacings, at the most.
 const JITTER: f64 = 0.3;
 
@@ -66,8 +69,8 @@ struct Fluid {
 impl Fluid {
     /// With what `theta` makes of the number of particles in a cell and of the sums of their offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
-        let spacing = spacing.max(1.0 / LONGEST);
-        let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor() as i32;
+        let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
+        let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor().max(1.0) as i32;
         // One layer of the lattice more, for it begins below the cells.
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self::default();
@@ -91,7 +94,7 @@ impl Fluid {
                     }
                 }
             }
-            fluid.cells += f64::from(edge * edge * edge);
+            fluid.cells += f64::from(edge) * f64::from(edge) * f64::from(edge);
             fluid.full_cells += cells.len() as f64;
             // Integers add up to the same in any order.
             fluid.particles += cells.values().map(|[n, ..]| n).sum::<f64>();

@@ -88,12 +88,12 @@ impl Plateau {
             // Where nothing can be expected, any interior is better.
             measured(dif, &interior, enough, if spacing.is_some() { least } else { 1.0 })
         });
-        let fluid = |spacing: f64| expected(indicator, spacing, Some(dif));
         // Symmetry does not tell how many particles there are.
-        let least = spacing.filter(|_| indicator.counts()).map_or(0.0, |s| LEAST_SHARE * f64::from(fluid(s)));
+        let counted = spacing.filter(|_| indicator.counts());
+        let least = counted.map_or(0.0, |s| LEAST_SHARE * f64::from(expected(indicator, s, None)));
         match found {
             Some((median, lowest)) if f64::from(median) >= least => Self::Interior { median, lowest },
-            _ => Self::Shallow { expected: fluid(cells) },
+            _ => Self::Shallow { expected: expected(indicator, cells, Some(dif)) },
         }
     }
 
@@ -135,6 +135,27 @@ fn middle(cells: &CellBox) -> CellBox {
     CellBox { lo: cells.lo + size / 4, hi: cells.hi - size / 4 }
 }
 
+/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF; those that are found to be so
+/// only once mu0 is known are refused by [`recipe`].
+///
+/// # Errors
+/// [`TooFine`].
+pub fn refuse_too_fine_for(
+    indicator: Indicator,
+    spacing: f64,
+    grid: &Grid,
+    sigma: Sigma,
+) -> Result<(), TooFine> {
+    if indicator == Indicator::Symmetry {
+        refuse_symmetry(spacing / grid.cell_size(), grid.cell_size())?;
+    }
+    // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
+    let one = || MeanCount::new(1.0).expect("a number within the bounds");
+    let indicator = indicator.with_mean(Some(indicator.mean().unwrap_or_else(one)));
+    let width = Smoothing::new(indicator, sigma).width(indicator);
+    refuse_too_fine(expected(indicator, spacing / grid.cell_size(), None), width, grid.cell_size())
+}
+
 /// From the DIF of a frame to its surface: the smoothing's kernels, and the isovalue, measured where it is `None`.
 ///
 /// # Errors
@@ -165,28 +186,7 @@ pub fn recipe(
     Ok((recipe_at(frame.indicator, sigma, detail, iso.unwrap_or(plateau.isovalue())), plateau))
 }
 
-/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF; those that are found to be so
-/// only once mu0 is known are refused by [`recipe`].
-///
-/// # Errors
-/// [`TooFine`].
-pub fn refuse_too_fine_for(
-    indicator: Indicator,
-    spacing: f64,
-    grid: &Grid,
-    sigma: Sigma,
-) -> Result<(), TooFine> {
-    if indicator == Indicator::Symmetry {
-        refuse_symmetry(spacing / grid.cell_size(), grid.cell_size())?;
-    }
-    // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
-    let one = || MeanCount::new(1.0).expect("a number within the bounds");
-    let indicator = indicator.with_mean(Some(indicator.mean().unwrap_or_else(one)));
-    let width = Smoothing::new(indicator, sigma).width(indicator);
-    refuse_too_fine(expected(indicator, spacing / grid.cell_size(), None), width, grid.cell_size())
-}
-
-/// The same where the isovalue is known, of whichever frame.
+/// The smoothing's kernels and an isovalue that is known, of whichever frame.
 #[must_use]
 pub fn recipe_at(indicator: Indicator, sigma: Sigma, detail: Detail, iso: Isovalue) -> Recipe {
     Recipe { smoothing: Smoothing::new(indicator, sigma), details: details(indicator, sigma, detail), iso }

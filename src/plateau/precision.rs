@@ -77,7 +77,7 @@ impl fmt::Display for Remedy {
 /// particle is smoothed into.
 #[must_use]
 pub fn step_cells(plateau: u16, width: f64) -> f64 {
-    width / (DENSITY * f64::from(plateau))
+    width / (DENSITY * f64::from(plateau.max(1)))
 }
 
 /// Refuses a field whose steps are too large.

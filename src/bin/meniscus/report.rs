@@ -102,7 +102,7 @@ pub fn advice(options: &Options, frame: Option<u64>) -> String {
     } else if options.method == MethodName::Dif && !options.adaptive {
         advice += "; --adaptive keeps drops and sheets that smoothing loses";
     }
-    advice + "; or their --spacing is less"
+    advice + "; is their --spacing right?"
 }
 
 /// Says what every stage took.
