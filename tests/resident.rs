@@ -61,7 +61,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     for indicator in INDICATORS {
         for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Spared, 1.0)] {
             for walls in [false, true] {
-                let mut sampling = Sampling { indicator, ..sampling() };
+                let mut sampling = Sampling { indicator, spacing: Some(0.8), ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let surfacing = Surfacing { detail, sigma: Some(Sigma::new(sigma).unwrap()), ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
@@ -105,7 +105,9 @@ fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
         return;
     }
     let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
-    let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
+    // The program takes its particles to be a cell apart.
+    let sampling = Sampling { spacing: Some(1.0), ..sampling() };
+    let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
     assert!(example::surface_of(&particles, 1.0).unwrap() == rounded(&expected.mesh));
 }
 
