@@ -167,7 +167,7 @@ fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
     [
         ("pool", cube(20.0, 1.0, Disorder::Jittered(0.3), 3), DVec3::splat(10.0)),
         ("ball", ball(8.5), DVec3::ZERO),
-        ("small ball", ball(4.0), DVec3::splat(0.5)),
+        ("small ball", ball(5.0), DVec3::ZERO),
         ("sheet", fill(12.0, 1.0, 0.2, 5, sheet), DVec3::new(0.5, 0.5, 0.5)),
         ("spray", spray, DVec3::splat(30.0)),
         (
