@@ -20,7 +20,7 @@ use meniscus::rivals::Method as Rival;
 use meniscus::stage::blur::Smoothing;
 use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, MeanCount};
+use meniscus::units::{Isovalue, MeanCount, Sigma};
 use rayon::prelude::*;
 
 const CLOUD: Indicator = Indicator::Cloud { mean: None };
@@ -66,6 +66,11 @@ fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]>
 /// In cells of edge 1, of particles `spacing` of them apart.
 fn sampling_at(spacing: f64, indicator: Indicator) -> Sampling {
     Sampling { indicator, spacing: Some(spacing), side: indicator.brick_side(), ..sampling() }
+}
+
+/// Whether such cells are refused before there is a DIF.
+fn asked(surfacing: &Surfacing, spacing: f64, indicator: Indicator) -> Result<(), TooFine> {
+    surfacing.refuse_too_fine(indicator, Some(spacing), &sampling().grid)
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
@@ -216,7 +221,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {
             let spacing = 1.0 / cell;
-            if surfacing().refuse_too_fine(&sampling_at(spacing, indicator)).is_err() {
+            if asked(&surfacing(), spacing, indicator).is_err() {
                 assert!(indicator == Indicator::Symmetry && cell < FINEST_OF_SYMMETRY);
                 continue;
             }
@@ -336,7 +341,7 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
         let spacing = 1.0 / cell;
         let frame = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
         let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
-        let told = step_cells(plateau.value(), recipe.smoothing.width(indicator));
+        let told = step_cells(f64::from(plateau.value()), recipe.smoothing.width(indicator));
         assert!(told < COARSEST_STEP);
         // Where vertices lie on the cube's upper face, away from its edges.
         let steps = 8;
@@ -360,7 +365,7 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
 fn refused(indicator: Indicator, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
-    let before = surfacing().refuse_too_fine(&sampling);
+    let before = asked(&surfacing(), spacing, indicator);
     let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
     match sample(&pool, &sampling).surface(&surfacing(), &mut Laps::default()) {
         Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
@@ -375,11 +380,19 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
     for indicator in [CLOUD, COUNTING] {
         assert_eq!(refused(indicator, 0.2), Ok(()));
         let found = refused(indicator, 0.11).unwrap_err();
-        let TooFine::Steps { step_cells, remedy: Remedy::Cells(fitting), .. } = found else {
-            panic!("{found}")
-        };
-        assert!(step_cells > COARSEST_STEP && (1.0..2.0).contains(&fitting), "{found}");
-        assert_eq!(refused(indicator, 0.11 * fitting * 1.03), Ok(()), "{found}");
+        assert!(matches!(found, TooFine::Steps { step_cells, .. } if step_cells > COARSEST_STEP), "{found}");
+        for sigma in [None, Some(10.0)].map(|cells| cells.map(|cells| Sigma::new(cells).unwrap())) {
+            let surfacing = Surfacing { sigma, ..surfacing() };
+            for cell in [0.11, 0.02, 1.0 / 128.0, 1e-5] {
+                let refused = |cell: f64| asked(&surfacing, 1.0 / cell, indicator);
+                let Err(TooFine::Steps { remedy: Remedy::Cells(fitting), .. }) = refused(cell) else {
+                    panic!("{indicator:?}, cells of {cell}: {:?}", refused(cell))
+                };
+                // What is said fits, and little less does not.
+                assert_eq!(refused(cell * fitting), Ok(()), "{indicator:?}, {fitting} times {cell}");
+                assert!(refused(cell * fitting * 0.97).is_err(), "{indicator:?}, {fitting} times {cell}");
+            }
+        }
     }
 }
 
@@ -393,7 +406,7 @@ fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
 #[test]
 fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
     let indicator = CLOUD.with_mean(MeanCount::new(60.0).ok());
-    let refused = surfacing().refuse_too_fine(&sampling_at(3.0, indicator)).unwrap_err();
-    assert!(matches!(refused, TooFine::Steps { plateau: 1..30, .. }), "{refused}");
-    assert_eq!(surfacing().refuse_too_fine(&sampling_at(3.0, CLOUD)), Ok(()));
+    let refused = asked(&surfacing(), 3.0, indicator).unwrap_err();
+    assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 30.0), "{refused}");
+    assert_eq!(asked(&surfacing(), 3.0, CLOUD), Ok(()));
 }

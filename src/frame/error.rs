@@ -33,7 +33,8 @@ pub enum FrameError {
     /// The field exceeds the isovalue nowhere.
     #[error(
         "the surface is empty: the field is nowhere above the isovalue {:.4}; \
-         --adaptive keeps drops and sheets that smoothing loses, or use a lower --iso or a smaller --sigma",
+         --adaptive keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller --sigma; \
+         is the --spacing right?",
         iso.value()
     )]
     NoSurface {

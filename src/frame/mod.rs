@@ -82,28 +82,32 @@ impl Surfacing {
     /// As smooth as the frame's spacing says, and nothing else.
     pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
 
-    /// Refuses a sampling whose cells are too fine for it, as far as can be told before there is a DIF.
+    /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.
     ///
     /// # Errors
     /// [`TooFine`].
-    pub fn refuse_too_fine(&self, sampling: &Sampling) -> Result<(), TooFine> {
-        let Sampling { indicator, grid, spacing, .. } = sampling;
-        let Some(known) = *spacing else { return Ok(()) };
-        let sigma = width(self.sigma, *indicator, *spacing, grid);
-        plateau::refuse_too_fine_for(*indicator, known, grid, sigma)
+    pub fn refuse_too_fine(
+        &self,
+        indicator: Indicator,
+        spacing: Option<f64>,
+        grid: &Grid,
+    ) -> Result<(), TooFine> {
+        let Some(known) = spacing else { return Ok(()) };
+        let sigma = |cell_size| width(self.sigma, indicator, spacing, cell_size);
+        plateau::refuse_too_fine_for(indicator, known, grid.cell_size(), sigma)
     }
 
     /// What drawing it through the DIF of particles so far apart takes.
     fn drawing(&self, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Drawing {
-        let sigma = width(self.sigma, indicator, spacing, grid);
+        let sigma = width(self.sigma, indicator, spacing, grid.cell_size());
         let details = self.detail != Detail::Smoothed;
         Drawing { normals: self.normals, details, halo: plateau::halo(indicator, sigma, self.detail) }
     }
 }
 
 /// The Gaussian's width, asked for or not.
-fn width(asked: Option<Sigma>, indicator: Indicator, spacing: Option<f64>, grid: &Grid) -> Sigma {
-    let cells = |spacing: f64| indicator.spacings_smoothed() * spacing / grid.cell_size();
+fn width(asked: Option<Sigma>, indicator: Indicator, spacing: Option<f64>, cell_size: f64) -> Sigma {
+    let cells = |spacing: f64| indicator.spacings_smoothed() * spacing / cell_size;
     asked.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
 }
 
@@ -279,7 +283,7 @@ impl Frame {
     #[must_use]
     pub fn sigma(&self, asked: Option<Sigma>) -> Sigma {
         let FrameFacts { grid, spacing, indicator, .. } = &self.facts;
-        width(asked, *indicator, *spacing, grid)
+        width(asked, *indicator, *spacing, grid.cell_size())
     }
 
     /// From the DIF to the surface: the smoothing's kernels, and the isovalue, measured where it is not given.
@@ -313,7 +317,7 @@ impl Frame {
         let (recipe, plateau) = self.recipe(surfacing)?;
         laps.lap("plateau");
         let mesh = self.surface_by(&recipe, surfacing.normals, laps)?;
-        let step_cells = step_cells(plateau.value(), recipe.smoothing.width(self.facts.indicator));
+        let step_cells = step_cells(f64::from(plateau.value()), recipe.smoothing.width(self.facts.indicator));
         Ok(Surface { mesh, iso: recipe.iso, plateau, step_cells })
     }
 

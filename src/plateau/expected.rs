@@ -17,7 +17,7 @@ const EDGE: f64 = 16.0;
 /// The most that it is, in spacings. Of the disorder of so many particles in one cell nothing is left.
 const LONGEST: f64 = 24.0;
 
-/// Cells of a spacing in which a cell holds so little that finer ones do not matter: 16 bits are too few for them.
+/// Cells of a spacing in which no cell holds two particles: finer ones hold as much less as they are smaller.
 const FINEST: f64 = 64.0;
 
 /// How far a particle is from its place on the lattice along each axis, in spacings, at the most.
@@ -30,15 +30,15 @@ const TELLING: u64 = 1000;
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart: those of a lattice in some disorder. Smoothing does not
-/// change a mean. Counts also tell of the disorder that there is in a frame, from its DIF.
+/// change a mean. As in a field, 65535 is 1. Counts also tell of the disorder that there is in a frame, from its DIF.
 ///
 /// # Panics
 /// If the indicator has to know mu0, and does not.
-pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> u16 {
-    let theta = match indicator {
+pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
+    match indicator {
         Indicator::Cloud { mean } => {
             // Clouds add up, wherever the particles are.
-            f64::from(amount(known(mean))) / (spacing * spacing * spacing)
+            (f64::from(amount(known(mean))) / (spacing * spacing * spacing)).min(f64::from(FULL))
         }
         Indicator::Counting { mean } => {
             let table = count_table(known(mean));
@@ -48,8 +48,7 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> u
             fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
         Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
-    };
-    theta.round().clamp(1.0, f64::from(FULL)) as u16
+    }
 }
 
 fn known(mean: Option<MeanCount>) -> MeanCount {
@@ -64,16 +63,19 @@ struct Fluid {
     particles: f64,
     /// Of theta, over all cells.
     sum: u64,
+    /// How many times as many particles its cells hold as those that were asked for.
+    denser: f64,
 }
 
 impl Fluid {
     /// With what `theta` makes of the number of particles in a cell and of the sums of their offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
+        let denser = (spacing / FINEST).powi(3).max(1.0);
         let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
         let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor().max(1.0) as i32;
         // One layer of the lattice more, for it begins below the cells.
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
-        let mut fluid = Self::default();
+        let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
             // Multiples of the golden ratio's powers spread evenly.
             let shift = [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
@@ -110,7 +112,7 @@ impl Fluid {
 
     /// The mean of theta.
     fn theta(&self) -> f64 {
-        self.sum as f64 / self.cells
+        self.sum as f64 / self.cells / self.denser
     }
 }
 
@@ -139,7 +141,7 @@ mod tests {
     use super::*;
 
     fn share(indicator: Indicator, spacing: f64) -> f64 {
-        f64::from(expected(indicator, spacing, None)) / f64::from(FULL)
+        expected(indicator, spacing, None) / f64::from(FULL)
     }
 
     #[test]
@@ -164,7 +166,13 @@ mod tests {
         assert!((share(Indicator::Cloud { mean }, 0.25) - 0.5).abs() < 0.001);
         assert!((0.93..1.0).contains(&share(Indicator::Counting { mean }, 0.25)));
         assert!((0.85..1.0).contains(&share(Indicator::Symmetry, 0.25)));
-        assert_eq!(expected(Indicator::Cloud { mean: MeanCount::new(1.0).ok() }, 0.01, None), FULL);
-        assert_eq!(expected(Indicator::Counting { mean: MeanCount::new(1.0).ok() }, 0.01, None), FULL);
+        assert_eq!(
+            expected(Indicator::Cloud { mean: MeanCount::new(1.0).ok() }, 0.01, None),
+            f64::from(FULL)
+        );
+        assert_eq!(
+            expected(Indicator::Counting { mean: MeanCount::new(1.0).ok() }, 0.01, None),
+            f64::from(FULL)
+        );
     }
 }

@@ -12,9 +12,7 @@ mod histogram;
 mod interior;
 mod precision;
 
-pub use precision::{
-    COARSEST_STEP, FINEST_OF_SYMMETRY, Remedy, TooFine, refuse_symmetry, refuse_too_fine, step_cells,
-};
+pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, step_cells};
 
 use crate::brick::{DifField, equal_steps};
 use crate::grid::{CellBox, Domain, Grid};
@@ -28,6 +26,7 @@ use crate::units::{Isovalue, MeanCount, Sigma};
 use expected::expected;
 use histogram::Histogram;
 use interior::Interior;
+use precision::{fitting, refuse_symmetry, refuse_too_fine, roundly_above};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
@@ -38,12 +37,9 @@ const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 /// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell for all of it.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings. Thin fluids at random have an interior by the wider one alone; it is tried last, for
-/// it can take mist for fluid.
-const GAPS: [f64; 2] = [2.0, 3.0];
-
-/// The least plateau of a fluid, as a share of what is expected of its spacing. Mist has less.
-const LEAST_SHARE: f64 = 1.0 / 3.0;
+/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, as a share of what is expected of its
+/// spacing. Thin fluids at random have an interior by the wider gaps alone; but those are in mist as well.
+const GAPS: [(f64, f64); 2] = [(2.0, 0.0), (3.0, 1.0 / 3.0)];
 
 /// What the smoothed DIF is like where the fluid is deep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,19 +78,21 @@ impl Plateau {
         let &SampledDif { dif, indicator, domain, spacing } = frame;
         let width = smoothing.width(indicator);
         let cells = spacing.unwrap_or(1.0);
-        let found = GAPS.into_iter().find_map(|gap| {
+        // Symmetry does not tell how many particles there are, nor is anything expected where the spacing is not known.
+        let counted = spacing.filter(|_| indicator.counts());
+        let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(dif, smoothing, domain, width, gap * cells);
             let [enough, least] = [ENOUGH, LEAST].map(|volume| volume * cells * cells * cells);
-            // Where nothing can be expected, any interior is better.
-            measured(dif, &interior, enough, if spacing.is_some() { least } else { 1.0 })
+            // Then any interior is better.
+            let least = if spacing.is_some() { least } else { 1.0 };
+            let (median, lowest) = measured(dif, &interior, enough, least)?;
+            let is_fluid = |spacing| f64::from(median) >= share * expected(indicator, spacing, None);
+            counted.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
         });
-        // Symmetry does not tell how many particles there are.
-        let counted = spacing.filter(|_| indicator.counts());
-        let least = counted.map_or(0.0, |s| LEAST_SHARE * f64::from(expected(indicator, s, None)));
-        match found {
-            Some((median, lowest)) if f64::from(median) >= least => Self::Interior { median, lowest },
-            _ => Self::Shallow { expected: expected(indicator, cells, Some(dif)) },
-        }
+        found.unwrap_or_else(|| {
+            let expected = expected(indicator, cells, Some(dif)).round().max(1.0) as u16;
+            Self::Shallow { expected }
+        })
     }
 
     /// The field deep in the fluid.
@@ -135,25 +133,27 @@ fn middle(cells: &CellBox) -> CellBox {
     CellBox { lo: cells.lo + size / 4, hi: cells.hi - size / 4 }
 }
 
-/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF; those that are found to be so
-/// only once mu0 is known are refused by [`recipe`].
+/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF, by a Gaussian that may depend on their
+/// size; those that are found to be so only once mu0 is known are refused by [`recipe`].
 ///
 /// # Errors
 /// [`TooFine`].
 pub fn refuse_too_fine_for(
     indicator: Indicator,
     spacing: f64,
-    grid: &Grid,
-    sigma: Sigma,
+    cell_size: f64,
+    sigma: impl Fn(f64) -> Sigma,
 ) -> Result<(), TooFine> {
     if indicator == Indicator::Symmetry {
-        refuse_symmetry(spacing / grid.cell_size(), grid.cell_size())?;
+        refuse_symmetry(spacing / cell_size, cell_size)?;
     }
     // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
     let one = || MeanCount::new(1.0).expect("a number within the bounds");
     let indicator = indicator.with_mean(Some(indicator.mean().unwrap_or_else(one)));
-    let width = Smoothing::new(indicator, sigma).width(indicator);
-    refuse_too_fine(expected(indicator, spacing / grid.cell_size(), None), width, grid.cell_size())
+    let plateau = |size: f64| expected(indicator, spacing / size, None);
+    let width = |size: f64| Smoothing::new(indicator, sigma(size)).width(indicator);
+    let larger = |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
+    refuse_too_fine(plateau(cell_size), width(cell_size), cell_size, larger)
 }
 
 /// From the DIF of a frame to its surface: the smoothing's kernels, and the isovalue, measured where it is `None`.
@@ -167,23 +167,20 @@ pub fn recipe(
     detail: Detail,
     iso: Option<Isovalue>,
 ) -> Result<(Recipe, Plateau), TooFine> {
-    let symmetric = frame.spacing.filter(|_| frame.indicator == Indicator::Symmetry);
-    symmetric.map_or(Ok(()), |spacing| refuse_symmetry(spacing, grid.cell_size()))?;
-    let smoothing = Smoothing::new(frame.indicator, sigma);
+    let (indicator, cell_size) = (frame.indicator, grid.cell_size());
+    if let (Indicator::Symmetry, Some(spacing)) = (indicator, frame.spacing) {
+        refuse_symmetry(spacing, cell_size)?;
+    }
+    let smoothing = Smoothing::new(indicator, sigma);
     let plateau = Plateau::of(frame, &smoothing);
-    let width = smoothing.width(frame.indicator);
-    refuse_too_fine(plateau.value(), width, grid.cell_size()).map_err(|refused| {
-        match (refused, symmetric) {
-            // What would be fine enough in disorder is not helped by larger cells.
-            (TooFine::Steps { cell_size, plateau, step_cells, .. }, Some(spacing))
-                if refuse_too_fine(expected(frame.indicator, spacing, None), width, cell_size).is_ok() =>
-            {
-                TooFine::Steps { cell_size, plateau, step_cells, remedy: Remedy::Origin }
-            }
-            _ => refused,
+    refuse_too_fine(f64::from(plateau.value()), smoothing.width(indicator), cell_size, |step_cells| {
+        if indicator == Indicator::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
+            return Remedy::Origin;
         }
+        // The plateau grows with the cell's volume.
+        Remedy::Cells(roundly_above(cell_size * (step_cells / COARSEST_STEP).cbrt()))
     })?;
-    Ok((recipe_at(frame.indicator, sigma, detail, iso.unwrap_or(plateau.isovalue())), plateau))
+    Ok((recipe_at(indicator, sigma, detail, iso.unwrap_or(plateau.isovalue())), plateau))
 }
 
 /// The smoothing's kernels and an isovalue that is known, of whichever frame.

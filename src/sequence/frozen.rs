@@ -107,7 +107,7 @@ pub fn measure(
     origin: Origin,
     surfacing: &Surfacing,
 ) -> Result<Measured, FrameError> {
-    surfacing.refuse_too_fine(sampling)?;
+    surfacing.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid)?;
     let given = sampling.grid;
     let lattice = match sampling.indicator {
         Indicator::Cloud { .. } => None,

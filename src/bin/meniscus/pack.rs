@@ -51,7 +51,8 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
     laps.lap("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
-    Surfacing::PLAIN.refuse_too_fine(&sampling).map_err(|e| in_file(e.into()))?;
+    let fine = Surfacing::PLAIN.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid);
+    fine.map_err(|e| in_file(e.into()))?;
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
     report_warnings(&frame, &notes);
     report_frame(&frame, &notes);

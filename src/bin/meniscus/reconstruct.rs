@@ -380,7 +380,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
             report_frame(frame, &notes);
             let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
             report_warnings(frame, &notes);
-            report_isovalue(&surface, surfacing.iso, &notes);
+            report_isovalue(frame, &surface, surfacing.iso, &notes);
             (surface.mesh, Some(surface.iso))
         }
         Sampled::Kernels(frame) => {

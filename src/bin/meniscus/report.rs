@@ -6,7 +6,7 @@ use meniscus::brick::Census;
 use meniscus::frame::{Frame, Surface};
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
-use meniscus::plateau::Plateau;
+use meniscus::plateau::{ON_CORNERS, Plateau};
 use meniscus::simplify::{Reduction, Simplified};
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{FULL, Isovalue};
@@ -36,13 +36,11 @@ pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes:
 /// Says what became of the particles, and warns of a lattice on the corners of cells.
 pub fn report_frame(frame: &Frame, notes: &Notes) {
     report_census(frame.facts().census, notes);
-    // Particles at random have a mean indicator of 0.44 in cells that hold one, and more in larger ones. Much
-    // less means a lattice whose particles lie on corners, where symmetry sees next to nothing.
     if frame.facts().indicator != Indicator::Symmetry {
         return;
     }
     let mean = frame.dif().mean_of_full();
-    if mean < 0.2 {
+    if mean < ON_CORNERS {
         let grid = frame.facts().grid;
         let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
         notes.say(format!(
@@ -68,7 +66,7 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
 }
 
 /// Says where the surface is drawn, and how finely the field tells it.
-pub fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
+pub fn report_isovalue(frame: &Frame, surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
     let &Surface { iso, plateau, step_cells, .. } = surface;
     notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
@@ -83,9 +81,10 @@ pub fn report_isovalue(surface: &Surface, given: Option<Isovalue>, notes: &Notes
             notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", fraction(median)));
         }
         (Plateau::Shallow { expected }, None) => notes.say(format!(
-            "isovalue {iso:.4}, {share} of the plateau {:.4} that the spacing tells: next to no fluid is deeper than the \
+            "isovalue {iso:.4}, {share} of the plateau {:.4} that {} tells: next to no fluid so dense is deeper than the \
              filters reach",
-            fraction(expected)
+            fraction(expected),
+            if frame.facts().spacing.is_some() { "the spacing" } else { "a spacing of one cell, for none is known," }
         )),
     }
 }
@@ -101,6 +100,8 @@ pub fn advice(options: &Options, frame: Option<u64>) -> String {
         advice += "; a lower --iso, or --iso auto, shows more";
     } else if options.method == MethodName::Dif && !options.adaptive {
         advice += "; --adaptive keeps drops and sheets that smoothing loses";
+    } else if options.adaptive {
+        advice += "; larger cells keep more of drops and sheets";
     }
     advice + "; is their --spacing right?"
 }

@@ -229,7 +229,7 @@ impl SamplingRequest {
         surfacing: &Surfacing,
     ) -> Result<Counted<'a, P>, FrameError> {
         if self.rival().is_none() {
-            surfacing.refuse_too_fine(sampling)?;
+            surfacing.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid)?;
         }
         let counted = Counted::of(particles, sampling)?.for_surface(*surfacing);
         Ok(match self.rival() {
@@ -303,12 +303,24 @@ impl SamplingRequest {
         } else if file.particles.is_empty() {
             let fault = FrameError::NoParticles(Census::default());
             return Err(Error::Frame { path: path.to_owned(), fault });
-        } else if let Some(spacing) = spacing::estimate(&file.particles) {
-            (spacing, "estimated from the particles".to_owned())
-        } else if let (Cell::Size(size), FieldRequest::Dif(_)) = (self.cell, self.field) {
-            return Ok(Cells { size, spacing: None, source: None });
         } else {
-            return Err(Error::NoSpacing { path: path.to_owned(), particles: file.particles.len() });
+            let estimate = spacing::estimate(&file.particles);
+            let estimate = match (self.cell, self.field) {
+                (Cell::Size(size), FieldRequest::Dif(indicator)) => {
+                    // Nobody asks for cells that are refused: then it was spray that was estimated.
+                    let grid = self.grid(size)?;
+                    let fits = |&spacing: &f64| {
+                        Surfacing::PLAIN.refuse_too_fine(indicator, Some(spacing), &grid).is_ok()
+                    };
+                    let Some(spacing) = estimate.filter(fits) else {
+                        return Ok(Cells { size, spacing: None, source: None });
+                    };
+                    Some(spacing)
+                }
+                _ => estimate,
+            };
+            let none = || Error::NoSpacing { path: path.to_owned(), particles: file.particles.len() };
+            (estimate.ok_or_else(none)?, "estimated from the particles".to_owned())
         };
         let size = match self.cell {
             Cell::Size(size) => size,

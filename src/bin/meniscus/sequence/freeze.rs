@@ -57,7 +57,11 @@ impl Setup<'_> {
                             best = Some((frozen, trust));
                         }
                     }
-                    Err(error) if error.cause() == Cause::Input => {
+                    // What is too fine for one frame, by its mu0 or where its lattice lies, need not be for another.
+                    Err(error)
+                        if error.cause() == Cause::Input
+                            || matches!(error, Error::Frame { fault: FrameError::TooFine(_), .. }) =>
+                    {
                         if let Some(watch) = &mut watch {
                             watch.failed(frame.number);
                         }
