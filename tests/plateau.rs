@@ -192,12 +192,24 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
         {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
-            let clean = draw(&sample(&particles, &sampling_at(spacing, indicator)), &spared);
+            // Detail is drawn by the isovalue whatever that is, so it is looked at too, as particles in a cell.
+            let isovalue = |frame: &Frame| {
+                let (recipe, _) = frame.recipe(&surfacing()).unwrap();
+                recipe.iso.value() * frame.mean_count().unwrap().particles()
+            };
+            let of_clean = sample(&particles, &sampling_at(spacing, indicator));
+            let clean = draw(&of_clean, &spared);
             let beside = [20.0, 0.0, 0.0];
             for (clump, count) in [(place.to_array(), 1), (place.to_array(), 10), (beside, 30)] {
                 let [at] = scaled(&[clump], spacing)[..] else { unreachable!() };
                 let with: Vec<_> = particles.iter().copied().chain(std::iter::repeat_n(at, count)).collect();
-                let with = draw(&sample(&with, &sampling_at(spacing, indicator)), &spared);
+                let of_with = sample(&with, &sampling_at(spacing, indicator));
+                let ratio = isovalue(&of_with) / isovalue(&of_clean);
+                assert!(
+                    (ratio - 1.0).abs() < 0.03,
+                    "{name}, {indicator:?}, cells of {cell}, {count} more: {ratio}"
+                );
+                let with = draw(&of_with, &spared);
                 let there = (DVec3::from(at), 4.0 * spacing);
                 for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
                     // Along an edge that is nearly tangent to the surface a vertex moves far, and one that comes or goes with

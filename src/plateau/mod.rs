@@ -173,7 +173,8 @@ pub fn recipe(
     }
     let smoothing = Smoothing::new(indicator, sigma);
     let plateau = Plateau::of(frame, &smoothing);
-    refuse_too_fine(f64::from(plateau.value()), smoothing.width(indicator), cell_size, |step_cells| {
+    let value = f64::from(plateau.value().max(1));
+    refuse_too_fine(value, smoothing.width(indicator), cell_size, |step_cells| {
         if indicator == Indicator::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
             return Remedy::Origin;
         }
