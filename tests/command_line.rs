@@ -326,13 +326,15 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
         assert_eq!(run.status.code(), Some(code));
         String::from_utf8(run.stderr).unwrap()
     };
-    let refused = notes(&["symmetry"], 2);
+    let refused = notes(&["symmetry", "--origin", "0,0,0"], 2);
     assert!(
         refused.contains("--origin 0.25,0.25,0.25") && refused.contains("on corners of cells"),
         "{refused}"
     );
     assert_eq!(names(folder.path()), ["lattice.xyz"]);
     assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
+    let moved = notes(&["symmetry"], 0);
+    assert!(moved.contains("lattice: the grid's origin is") && !moved.contains("warning"), "{moved}");
     assert!(!notes(&["counting"], 0).contains("warning"));
     assert!(!notes(&["cloud"], 0).contains("warning"));
 }
@@ -693,6 +695,7 @@ fn drawn(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
 fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
     let folder = TempDir::new().unwrap();
     let frames = [
+        "dambreak_small/ParticleData_Fluid_1.bgeo",
         "dambreak_small/ParticleData_Fluid_10.bgeo",
         "dambreak_small/ParticleData_Fluid_20.bgeo",
         "dualsphysics_dambreak/Part_0005.bi4",

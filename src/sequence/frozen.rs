@@ -109,10 +109,7 @@ pub fn measure(
 ) -> Result<Measured, FrameError> {
     surfacing.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid)?;
     let given = sampling.grid;
-    let lattice = match sampling.indicator {
-        Indicator::Cloud { .. } => None,
-        _ => sound_origin(particles, given.origin(), given.cell_size()),
-    };
+    let lattice = of_lattice(particles, sampling);
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let frame =
         Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound.clone() }, &mut Laps::default())?;
@@ -127,6 +124,21 @@ pub fn measure(
             (Plateau::Interior { .. }, _) => Trust::Sound,
         },
     })
+}
+
+/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
+/// one and the indicator tells where that lies: see [`sound_origin`].
+#[must_use]
+pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
+    of_lattice(particles, &sampling).and_then(|origin| moved(&sampling, origin)).unwrap_or(sampling)
+}
+
+/// Where the grid should be for a lattice, if there is one and it matters.
+fn of_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
+    match sampling.indicator {
+        Indicator::Cloud { .. } => None,
+        _ => sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size()),
+    }
 }
 
 /// The same sampling on a grid with another origin; `None` where its walls have no cells.

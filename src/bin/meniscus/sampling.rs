@@ -12,6 +12,7 @@ use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::Particles;
 use meniscus::rivals::Method;
+use meniscus::sequence::frozen::on_sound_grid;
 use meniscus::spacing;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{MeanCount, positive_length};
@@ -66,7 +67,8 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 pub struct SamplingRequest {
     field: FieldRequest,
     invalid: InvalidParticles,
-    origin: DVec3,
+    /// Of the grid, where it is given.
+    origin: Option<DVec3>,
     walls: Option<[DVec3; 2]>,
     spacing: Option<f64>,
     cell: Cell,
@@ -169,11 +171,11 @@ impl SamplingOptions {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
             None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(CELL))?),
         };
-        let origin = DVec3::from(self.origin.unwrap_or_default());
+        let origin = self.origin.map(DVec3::from);
         let walls =
             self.domain.map(|[x0, y0, z0, x1, y1, z1]| [DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)]);
         // Whether origin and corners are any good does not depend on the cells' size.
-        let unit = Grid::new(origin, 1.0)?;
+        let unit = Grid::new(origin.unwrap_or_default(), 1.0)?;
         if let Some([lo, hi]) = walls
             && let Err(error @ DomainError::Corners) = Domain::new(&unit, lo, hi)
         {
@@ -246,7 +248,8 @@ impl SamplingRequest {
         }
     }
 
-    /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices.
+    /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices. A grid that nobody asked to
+    /// be where it is may be moved to suit a lattice, as for the first frame of a simulation.
     pub fn sampling(
         &self,
         path: &Path,
@@ -262,7 +265,17 @@ impl SamplingRequest {
             FieldRequest::Dif(_) => format!(", indicator {}", indicator.name()),
         };
         notes.say(format!("{}{by}", cells.describe()));
-        self.sampling_on(self.grid(cells.size)?, indicator, cells.spacing, carried, resources)
+        let grid = self.grid(cells.size)?;
+        let sampling = self.sampling_on(grid, indicator, cells.spacing, carried, resources)?;
+        if self.origin.is_some() || self.rival().is_some() {
+            return Ok(sampling);
+        }
+        let sound = on_sound_grid(&file.particles, sampling);
+        if sound.grid != grid {
+            let [x, y, z] = sound.grid.origin().to_array();
+            notes.say(format!("all particles stand on a lattice: the grid's origin is {x:.6},{y:.6},{z:.6}"));
+        }
+        Ok(sound)
     }
 
     /// The same on a grid that is known.
@@ -288,7 +301,7 @@ impl SamplingRequest {
 
     /// The grid that was asked for, with cells of some size.
     pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
-        Ok(Grid::new(self.origin, cell_size)?)
+        Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
     }
 
     /// The edge of a cell, the spacing, and where that comes from. Only where cells have a size of their own and no kernels are
