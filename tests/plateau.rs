@@ -234,7 +234,7 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
         for indicator in INDICATORS {
             let spacing = 1.0 / cell;
             if asked(&surfacing(), spacing, indicator).is_err() {
-                assert!(indicator == Indicator::Symmetry && cell < FINEST_OF_SYMMETRY);
+                assert!(indicator == Indicator::Symmetry && cell <= FINEST_OF_SYMMETRY);
                 continue;
             }
             let of_pool = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
@@ -410,7 +410,8 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
 
 #[test]
 fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
-    assert_eq!(refused(Indicator::Symmetry, FINEST_OF_SYMMETRY), Ok(()));
+    assert_eq!(refused(Indicator::Symmetry, 2.0 / 3.0), Ok(()));
+    assert!(refused(Indicator::Symmetry, FINEST_OF_SYMMETRY).is_err());
     let found = refused(Indicator::Symmetry, 0.4).unwrap_err();
     assert_eq!(found, TooFine::Symmetry { cell_size: 1.0, spacing: 2.5 });
 }

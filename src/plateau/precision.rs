@@ -14,8 +14,8 @@ const DENSITY: f64 = 0.3978;
 /// The most that a step of the field may move a flat surface, in cells. From there on its steps can be seen in the light.
 pub const COARSEST_STEP: f64 = 0.125;
 
-/// The finest cells for symmetry, in spacings. In finer ones more than seven of eight cells are empty deep in the fluid, and
-/// where the others' particles happen to lie moves the surface.
+/// The cells that are just too fine for symmetry, in spacings. Seven of eight are empty deep in the fluid, and where the others'
+/// particles happen to lie moves the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
 /// The least mean indicator of full cells in which particles lie as they may. By symmetry it is 0.44 in disorder, where a cell
@@ -106,7 +106,7 @@ pub fn refuse_too_fine(
 /// [`TooFine::Symmetry`].
 pub fn refuse_symmetry(spacing: f64, cell_size: f64) -> Result<(), TooFine> {
     // A quotient of decimals is off by a rounding.
-    if spacing * FINEST_OF_SYMMETRY <= 1.0 + 1e-9 {
+    if spacing * FINEST_OF_SYMMETRY < 1.0 - 1e-9 {
         return Ok(());
     }
     Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })

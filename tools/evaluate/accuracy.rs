@@ -83,7 +83,8 @@ pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
-/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles only.
+/// None where a method finds no surface: a narrow filter at a high isovalue sees single particles only, and some cells are too
+/// fine.
 pub fn errors(
     solid: &Solid,
     method: &Method,
@@ -94,7 +95,7 @@ pub fn errors(
         let particles = fill(solid, lattice);
         let surface = method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Laps::default());
         match surface {
-            Err(FrameError::NoSurface { .. }) => Ok(None),
+            Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
             surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),
         }
     };

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use meniscus::frame::Normals;
 use meniscus::laps::Laps;
+use meniscus::plateau::FINEST_OF_SYMMETRY;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
 use crate::methods::{Iso, Method, grid, held};
@@ -37,6 +38,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     ]);
     for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
         for (name, of) in DIFS {
+            if name == "symmetry" && cell <= FINEST_OF_SYMMETRY {
+                continue;
+            }
             for sigma in sigmas(cell) {
                 let method = of(sigma, Iso::Auto);
                 let mut found: [Vec<Errors>; 2] = Default::default();

@@ -141,7 +141,9 @@ fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> O
     let sample =
         |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
     let frame = sample(grid(cell)?)?;
-    let (recipe, plateau) = frame.recipe(&surfacing(None, None))?;
+    let Ok((recipe, plateau)) = frame.recipe(&surfacing(None, None)) else {
+        return Ok(Found { plateau: f64::NAN, errors: vec![None; RULES.len()] });
+    };
     let median = f64::from(plateau.value()) / f64::from(FULL);
     let values = Values::of(&frame, &recipe, solid);
     let error = |rule: &Rule| match *rule {
@@ -163,7 +165,7 @@ fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> O
 fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Errors>> {
     let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
     match frame.surface(&surfacing(None, iso), &mut Laps::default()) {
-        Err(FrameError::NoSurface { .. }) => Ok(None),
+        Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
         surface => Errors::of(solid, &surface?.mesh.to_mesh()?).map(Some),
     }
 }

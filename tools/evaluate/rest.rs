@@ -2,9 +2,10 @@
 //! grid, mu0 and isovalue are those of the first.
 
 use glam::{DVec3, IVec3};
-use meniscus::frame::{Frame, Sampling, Surfacing};
+use meniscus::frame::{Frame, Sampling};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
+use meniscus::plateau::{FINEST_OF_SYMMETRY, recipe_at};
 use meniscus::sequence::frozen::{Measured, Origin, measure};
 use meniscus::stage::indicator::Indicator;
 
@@ -28,6 +29,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     let mut table = Table::new(&head);
     for indicator in [CLOUD, COUNTING, Indicator::Symmetry] {
         for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
+            if indicator == Indicator::Symmetry && cell <= FINEST_OF_SYMMETRY {
+                continue;
+            }
             let moves = JITTERS.into_iter().map(|jitter| greatest_move(indicator, cell, jitter));
             let moves: Outcome<Vec<f64>> = moves.collect();
             let about = [indicator.name().to_owned(), figure(cell)];
@@ -54,7 +58,8 @@ fn greatest_move(indicator: Indicator, cell: f64, jitter: f64) -> Outcome<f64> {
     let height = |step: u32| -> Outcome<f64> {
         let laps = &mut Laps::default();
         let frame = Frame::sample(&raised(step)[..], &frozen, laps)?;
-        let mesh = frame.surface(&Surfacing { iso: Some(iso), ..asked }, laps)?.mesh.to_mesh()?;
+        let recipe = recipe_at(frame.facts().indicator, frame.sigma(None), asked.detail, iso);
+        let mesh = frame.surface_by(&recipe, asked.normals, laps)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;

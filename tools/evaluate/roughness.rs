@@ -97,7 +97,7 @@ impl Deviation {
 /// No mesh where there is no surface.
 fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
     match method.surface(particles, grid(cell)?, 1.0, Normals::None, &mut Laps::default()) {
-        Err(FrameError::NoSurface { .. }) => Ok(Mesh::default()),
+        Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(Mesh::default()),
         surface => Ok(surface?.to_mesh()?),
     }
 }
