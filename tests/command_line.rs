@@ -726,9 +726,10 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
-    for indicator in ["cloud", "counting"] {
+    for (indicator, told) in [("cloud", "interior plateau"), ("counting", "the spacing tells")] {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
-        let (whole, _) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        let (whole, notes) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        assert!(notes.contains(told), "{notes}");
         for more in [["--threads", "1"], ["--memory", "16MiB"]] {
             let more = [&fine[..], &["--attributes", "none"], &more].concat();
             assert!(whole == drawn(folder.path(), frame, &more).0, "{more:?}");

@@ -243,7 +243,7 @@ impl Frame {
         self.surface_share
     }
 
-    /// What it may take.
+    /// The memory, folders and backend that the frame may use.
     #[must_use]
     pub fn resources(&self) -> &Resources {
         &self.resources

@@ -11,7 +11,7 @@ const EXPECTED: f64 = 0.5;
 /// A surface that holds less of its particles' volume than one expects.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shortfall {
-    /// What it holds of their volume, 1 being all.
+    /// Volume of the surface over that of its particles.
     pub share: f64,
     /// How many particles it is of.
     pub particles: usize,
@@ -20,7 +20,7 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
-    /// Of a surface around so many particles, so far apart; `None` where it holds what one expects.
+    /// Compares a surface with so many particles, so far apart; `None` where it holds what one expects.
     ///
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.

@@ -1,4 +1,4 @@
-//! What the plateau of a fluid would be, told from its spacing alone.
+//! The plateau that a fluid of a given spacing would have.
 
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -55,13 +55,13 @@ fn known(mean: Option<MeanCount>) -> MeanCount {
     mean.expect("a plateau is of a DIF, which knows its mu0")
 }
 
-/// What was found in the cells of a fluid that was made.
+/// Sums over the cells of a synthetic fluid.
 #[derive(Default)]
 struct Fluid {
     cells: f64,
     full_cells: f64,
     particles: f64,
-    /// Of theta, over all cells.
+    /// Sum of theta over all cells.
     sum: u64,
     /// How many times as many particles its cells hold as those that were asked for.
     denser: f64,

@@ -14,7 +14,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Of what `add` adds for each part.
+    /// Counts the samples that `add` adds for each part.
     pub fn of<T: Sync>(parts: &[T], add: impl Fn(&mut Self, &T) + Sync) -> Self {
         let add = |mut histogram: Self, part: &T| {
             add(&mut histogram, part);

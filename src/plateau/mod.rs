@@ -37,16 +37,16 @@ const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 /// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell for all of it.
 const LEAST: f64 = 256.0;
 
-/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, as a share of what is expected of its
-/// spacing. Thin fluids at random have an interior by the wider gaps alone; but those are in mist as well.
-const GAPS: [(f64, f64); 2] = [(2.0, 0.0), (3.0, 1.0 / 3.0)];
+/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, if that matters, as a share of what is
+/// expected of its spacing. Thin fluids at random have an interior by the wider gaps alone; but those are in mist as well.
+const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
-/// What the smoothed DIF is like where the fluid is deep.
+/// The value of the smoothed DIF deep in the fluid, measured or expected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Plateau {
     /// Interior cells were found.
     Interior {
-        /// Of the field over the interior cells.
+        /// Median of the field over the interior cells.
         median: u16,
         /// The least value seen in the parts of blocks that were looked at: from there on the interior fills with bubbles.
         lowest: u16,
@@ -78,16 +78,16 @@ impl Plateau {
         let &SampledDif { dif, indicator, domain, spacing } = frame;
         let width = smoothing.width(indicator);
         let cells = spacing.unwrap_or(1.0);
-        // Symmetry does not tell how many particles there are, nor is anything expected where the spacing is not known.
+        // Symmetry does not tell how many particles there are, and any interior is better than none where the spacing is not
+        // known, for nothing can be expected there.
         let counted = spacing.filter(|_| indicator.counts());
+        let volume = cells * cells * cells;
+        let (enough, least) = (ENOUGH * volume, if spacing.is_some() { LEAST * volume } else { 1.0 });
         let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(dif, smoothing, domain, width, gap * cells);
-            let [enough, least] = [ENOUGH, LEAST].map(|volume| volume * cells * cells * cells);
-            // Then any interior is better.
-            let least = if spacing.is_some() { least } else { 1.0 };
             let (median, lowest) = measured(dif, &interior, enough, least)?;
-            let is_fluid = |spacing| f64::from(median) >= share * expected(indicator, spacing, None);
-            counted.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
+            let is_fluid = |(share, spacing)| f64::from(median) >= share * expected(indicator, spacing, None);
+            share.zip(counted).is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
         });
         found.unwrap_or_else(|| {
             let expected = expected(indicator, cells, Some(dif)).round().max(1.0) as u16;

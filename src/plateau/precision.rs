@@ -34,11 +34,11 @@ pub enum TooFine {
     Steps {
         /// Edge of a cell.
         cell_size: f64,
-        /// Of the field; a mean where it is expected, and not measured.
+        /// The field deep in the fluid; a mean where it is expected, and not measured.
         plateau: f64,
         /// How far one step of the field moves a flat surface, in cells.
         step_cells: f64,
-        /// What to do about it.
+        /// How to make the field finer.
         remedy: Remedy,
     },
     /// Too many cells are empty to tell how particles lie in them.

@@ -89,8 +89,7 @@ pub fn report_isovalue(frame: &Frame, surface: &Surface, given: Option<Isovalue>
     }
 }
 
-/// What can be done about a surface that holds less than its particles, drawn as was asked for; `frame` is the one whose isovalue
-/// it has, if that is another.
+/// Advises on a surface that holds less than its particles. `frame` is the one whose isovalue it has, if that is another.
 pub fn advice(options: &Options, frame: Option<u64>) -> String {
     let mut advice = String::new();
     if let Some(frame) = frame {

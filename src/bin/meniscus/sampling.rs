@@ -67,7 +67,7 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 pub struct SamplingRequest {
     field: FieldRequest,
     invalid: InvalidParticles,
-    /// Of the grid, where it is given.
+    /// The grid's origin, where it is given.
     origin: Option<DVec3>,
     walls: Option<[DVec3; 2]>,
     spacing: Option<f64>,

@@ -298,7 +298,7 @@ impl Conversion<'_> {
         }
     }
 
-    /// What can be done about a surface that holds less than its particles.
+    /// Advises on a surface that holds less than its particles.
     fn advice(&self, frozen: &Frozen) -> String {
         let measured = self.setup.surfacing.iso.is_none() && frozen.isovalue.is_some();
         advice(self.setup.options, measured.then_some(frozen.frame))
