@@ -1,15 +1,15 @@
 //! What stays on a device: particles to bins, and surfaces to one mesh, the same as on the host.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../tools/shaders/compile.rs"]
+#[allow(dead_code, reason = "only its way to binaries")]
+mod compile;
 #[path = "common/device.rs"]
 #[allow(dead_code, reason = "this file opens devices of its own")]
 mod device;
 #[path = "../tools/bench/scene.rs"]
 #[allow(dead_code, reason = "only its random numbers")]
 mod scene;
-#[path = "common/wgsl.rs"]
-#[allow(dead_code, reason = "only its way to binaries")]
-mod wgsl;
 
 use std::sync::Arc;
 
@@ -154,7 +154,7 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
     let Some((device, log)) = open() else { return };
     let program: &'static Program = Box::leak(Box::new(Program {
         name: "arithmetic",
-        code: wgsl::compiled("arithmetic", &wgsl::whole(ARITHMETIC)).leak(),
+        code: compile::compiled("arithmetic", &compile::whole(ARITHMETIC).unwrap()).unwrap().leak(),
         buffers: &["cases", "answers"],
         push: &[],
         group: [64, 1, 1],

@@ -3,10 +3,10 @@
 //!
 //! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
 
+#[path = "../shaders/compile.rs"]
+#[allow(dead_code, reason = "only its way to binaries")]
+mod compile;
 mod scene;
-#[path = "../../tests/common/wgsl.rs"]
-#[allow(clippy::unwrap_used, dead_code)]
-mod wgsl;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -84,7 +84,7 @@ fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
     (slots, numbers)
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+fn main() -> Result<(), compile::Fault> {
     let millions = std::env::args().skip(1).find_map(|a| a.parse::<f64>().ok()).unwrap_or(1.0);
     let instance = Instance::connect(false)?;
     let device = Device::open(&instance, &DeviceChoice::Best, &DeviceOptions::default())?;
@@ -132,7 +132,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let direct: &'static Program = Box::leak(Box::new(Program {
         name: "direct",
-        code: wgsl::compiled("direct", &wgsl::whole(include_str!("direct.wgsl"))).leak(),
+        code: compile::compiled("direct", &compile::whole(include_str!("direct.wgsl"))?)?.leak(),
         buffers: &["grid", "positions", "slots", "bins", "sums"],
         push: const { &[field("first", 0), field("count", 4), field("width", 8), field("mask", 12)] },
         group: [256, 1, 1],

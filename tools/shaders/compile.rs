@@ -1,0 +1,85 @@
+//! From the shaders' sources to their binaries: what the command does, and what tests compare with.
+
+use std::collections::HashSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use meniscus::programs::{PROGRAMS, constants};
+use naga::Module;
+use naga::back::spv;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+/// A source that cannot be read or compiled: its name, the line and the cause.
+pub type Fault = Box<dyn std::error::Error + Send + Sync>;
+
+/// A binary as its source says, and where it belongs.
+pub struct Binary {
+    pub file: PathBuf,
+    pub code: Vec<u8>,
+}
+
+/// The binaries that are missing or are not what their sources compile to.
+pub fn outdated() -> Result<Vec<Binary>, Fault> {
+    let mut outdated = Vec::new();
+    for program in PROGRAMS {
+        let file = folder().join(program.name).with_extension("spv");
+        let code = compiled(program.name, &source(program.name)?)?;
+        if fs::read(&file).ok().as_ref() != Some(&code) {
+            outdated.push(Binary { file, code });
+        }
+    }
+    Ok(outdated)
+}
+
+/// Where sources and binaries are.
+pub fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("spirv")
+}
+
+/// The text of a file of the folder, without what it builds on.
+fn read(name: &str) -> Result<String, Fault> {
+    let file = folder().join(name).with_extension("wgsl");
+    fs::read_to_string(&file).map_err(|cause| format!("{}: {cause}", file.display()).into())
+}
+
+/// The whole source of a program of the folder.
+pub fn source(name: &str) -> Result<String, Fault> {
+    whole(&read(name)?)
+}
+
+/// Puts before a text the parts that its first line names, and before those the constants that all of it names.
+pub fn whole(own: &str) -> Result<String, Fault> {
+    let parts = own.lines().next().and_then(|line| line.strip_prefix("//! with ")).unwrap_or("");
+    let parts = parts.split_whitespace().map(read).collect::<Result<String, Fault>>()?;
+    let text = parts + own;
+    let words: HashSet<&str> = text.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+    let named = constants().into_iter().filter(|(name, ..)| words.contains(name));
+    let constants: String =
+        named.map(|(name, kind, value)| format!("const {name}: {kind} = {value};\n")).collect();
+    Ok(constants + &text)
+}
+
+/// A whole source, understood.
+pub fn parsed(name: &str, source: &str) -> Result<Module, Fault> {
+    naga::front::wgsl::parse_str(source)
+        .map_err(|fault| format!("{name}: {}", fault.emit_to_string(source)).into())
+}
+
+/// A whole source as SPIR-V.
+pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
+    let mut module = parsed(name, source)?;
+    naga::compact::compact(&mut module, naga::compact::KeepUnused::No);
+    let info = Validator::new(ValidationFlags::all(), Capabilities::IMMEDIATES)
+        .validate(&module)
+        .map_err(|fault| format!("{name}: {}", fault.emit_to_string(source)))?;
+    let options = spv::Options {
+        lang_version: (1, 3),
+        flags: spv::WriterFlags::empty(),
+        zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
+        use_storage_input_output_16: false,
+        force_loop_bounding: false,
+        ..spv::Options::default()
+    };
+    let words = spv::write_vec(&module, &info, &options, None)?;
+    Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
+}
