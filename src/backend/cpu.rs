@@ -12,7 +12,7 @@ use crate::stage::dual_mc::{Normals, contour, normals};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
-use super::{Backend, Stages, Surfaces};
+use super::{Backend, Stages, Surfaces, Work};
 
 /// All threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
@@ -47,6 +47,10 @@ impl Stages for Cpu {
 
     fn warnings(&self) -> Vec<String> {
         Vec::new()
+    }
+
+    fn on_device(&self) -> Work {
+        Work::default()
     }
 }
 

@@ -49,6 +49,18 @@ pub trait Stages: Debug + Send + Sync {
 
     /// What went wrong so far and was made good.
     fn warnings(&self) -> Vec<String>;
+
+    /// How much of the work so far a device did: all of it, unless the processor had to stand in for one, or there is none.
+    fn on_device(&self) -> Work;
+}
+
+/// An amount of work.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Bins that got their pages.
+    pub pages: usize,
+    /// Regions that got their surfaces, if they have any.
+    pub regions: usize,
 }
 
 /// What surfaces are drawn through, and how.

@@ -22,7 +22,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::backend::{Stages, Surfaces};
+use crate::backend::{Stages, Surfaces, Work};
 use crate::brick::{Bins, Block, BrickSide, DifField, InvalidParticles, SortedStore, SpilledBins};
 use crate::estimate::{Drawing, Estimate, Plan};
 use crate::grid::{CellBox, Domain, Grid};
@@ -259,6 +259,12 @@ impl Frame {
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         self.stages.warnings()
+    }
+
+    /// How much of the work so far a device did.
+    #[must_use]
+    pub fn on_device(&self) -> Work {
+        self.stages.on_device()
     }
 
     /// What the frame was made with.

@@ -30,7 +30,7 @@ use crate::stage::indicator::vulkan::{CLOUDS, INDICATE};
 use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
-use super::{Backend, Cpu, Stages, Surfaces};
+use super::{Backend, Cpu, Stages, Surfaces, Work};
 use bins::bin_bytes;
 pub use blocks::DeviceSurfaces;
 use lane::Lane;
@@ -136,6 +136,7 @@ impl Vulkan {
             resident: None,
             on_cpu: false,
             warnings: Vec::new(),
+            done: Work::default(),
         };
         let (device, kernels) = (self.device.clone(), Arc::clone(&self.kernels));
         DeviceFrame { device, kernels, state: Mutex::new(state) }
@@ -225,6 +226,8 @@ struct State {
     /// Once the device is lost or too small.
     on_cpu: bool,
     warnings: Vec<String>,
+    /// By the device.
+    done: Work,
 }
 
 /// The pages of the frame's bins in one buffer.
@@ -250,7 +253,9 @@ impl Stages for DeviceFrame {
                 pages.extend(Cpu.indicate(bins, begin..begin + 1, rule)?);
                 continue;
             }
-            match self.indicate_batches(&mut state, bins, begin..end, rule, &mut pages) {
+            let outcome = self.indicate_batches(&mut state, bins, begin..end, rule, &mut pages);
+            state.done.pages += range.start + pages.len() - begin;
+            match outcome {
                 Ok(()) => {}
                 Err(Fault::Scratch(error)) => return Err(error),
                 Err(Fault::Device(error)) => state.recover(&error),
@@ -268,8 +273,10 @@ impl Stages for DeviceFrame {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let mut meshes = Vec::with_capacity(regions.len());
         while !state.on_cpu && meshes.len() < regions.len() {
-            let left = &regions[meshes.len()..];
-            if let Err(error) = self.contour_batches(&mut state, surfaces, left, &mut meshes) {
+            let begin = meshes.len();
+            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], &mut meshes);
+            state.done.regions += meshes.len() - begin;
+            if let Err(error) = outcome {
                 state.recover(&error);
             }
         }
@@ -282,6 +289,10 @@ impl Stages for DeviceFrame {
 
     fn warnings(&self) -> Vec<String> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner).warnings.clone()
+    }
+
+    fn on_device(&self) -> Work {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).done
     }
 }
 

@@ -71,6 +71,8 @@ impl Options {
             "detail": self.detail,
             "adaptive": self.adaptive,
             "backend": frame.backend(),
+            "pages_on_device": frame.on_device().pages,
+            "regions_on_device": frame.on_device().regions,
         });
         joined(sampling_facts(census, grid, domain.as_ref()), of_dif)
     }
