@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use common::scene::Random;
-use common::{fill, splashes};
+use common::{device, fill, splashes};
 use meniscus::io::output::read_mesh;
 use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
@@ -584,15 +584,25 @@ const NO_DRIVER: [(&str, &str); 2] = [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_
 
 #[test]
 fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
-    if common::device::shared().is_none() {
-        return;
+    if let Err(why) = device::shared() {
+        return device::skip(why);
     }
     let folder = folder_with_ball();
     let run = |backend: &str, output: &str, more: &[&str]| {
         let arguments = ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
-        let run = on_vulkan(folder.path(), &[&arguments[..], more].concat(), &[]);
-        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-        assert!(!String::from_utf8_lossy(&run.stderr).contains("warning: device"));
+        let arguments = [&arguments[..], &["--stats", "stats"], more].concat();
+        let run = on_vulkan(folder.path(), &arguments, &[]);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.success(), "{arguments:?}: {errors}");
+        assert!(!errors.contains("warning"), "{arguments:?}: {errors}");
+        let stats = fs::read_to_string(folder.path().join("stats")).unwrap();
+        let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
+        if backend == "vulkan" {
+            assert!(stats["backend"].as_str().unwrap().starts_with("Vulkan"), "{arguments:?}: {stats}");
+            // The ball is around the origin: a bin and a block of every octant hold a part of it.
+            let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
+            assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did a part of it");
+        }
         fs::read(folder.path().join(output)).unwrap()
     };
     let expected = run("cpu", "cpu.ply", &[]);
@@ -630,8 +640,8 @@ fn a_device_that_is_not_there_is_exit_5_and_leaves_nothing() {
 
 #[test]
 fn devices_lists_what_the_loader_knows() {
-    if common::device::shared().is_none() {
-        return;
+    if let Err(why) = device::shared() {
+        return device::skip(why);
     }
     let folder = TempDir::new().unwrap();
     let run = meniscus(folder.path(), &["devices", "--json"]);

@@ -15,7 +15,11 @@ use meniscus::resident::{Pipeline, ResidentError, ResidentSurface, Settings};
 use meniscus::stage::detail::Detail;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
-use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, VulkanError};
+use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, ValidationLog, VulkanError};
+
+fn open() -> Option<(Device, ValidationLog)> {
+    device::open(&DeviceOptions::default()).map_err(device::skip).ok()
+}
 
 fn positions(device: &Device, particles: &[[f64; 3]]) -> DevicePositions {
     let view = device.uploaded(particles).unwrap();
@@ -55,7 +59,7 @@ fn rounded(mesh: &Mesh) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
 #[test]
 fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let particles = splashes(31);
-    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
+    let Some((device, log)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
@@ -80,7 +84,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
 
 #[test]
 fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
-    let Some((device, _)) = device::open(&DeviceOptions::default()) else { return };
+    let Some((device, _)) = open() else { return };
     // Drops of ever more particles, so that each bin would tell another mu0.
     let mut random = Random::new(23);
     let mut particles: Vec<[f64; 3]> = Vec::new();
@@ -101,7 +105,7 @@ fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
 
 #[test]
 fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
-    if device::open(&DeviceOptions::default()).is_none() {
+    if open().is_none() {
         return;
     }
     let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
@@ -113,7 +117,7 @@ fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
 
 #[test]
 fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
-    let Some((device, _)) = device::open(&DeviceOptions::default()) else { return };
+    let Some((device, _)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let kept = device.allocated();
     let scene = settings(&sampling(), &surfacing());
@@ -131,7 +135,7 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
 fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak() {
     let particles = splashes(41);
     let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
-    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
+    let Some((device, log)) = open() else { return };
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     let kept = device.allocated();

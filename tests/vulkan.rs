@@ -7,17 +7,17 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use common::device::{self, Watched};
 use common::scene::Random;
-use common::{INDICATORS, device, full_cells, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, Reconstructed, full_cells, reconstruct, sampling, splashes, surfacing, tank};
 use glam::IVec3;
-use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan};
+use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
-use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{Detail, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
-use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::recipe::{Details, Recipe};
 use meniscus::stage::blur::{self, Kernel, Smoothing};
@@ -27,13 +27,14 @@ use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLo
 
 const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Spared];
 
-/// Runs a test on a device of its own, and looks at what validation found when all of it is gone.
-fn validated(test: impl FnOnce(&Device)) {
-    let Some((device, log)) = device::open(&DeviceOptions::default()) else { return };
-    test(&device);
+/// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
+fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
+    let (device, log) = device::open(&DeviceOptions::default()).map_err(device::skip).ok()?;
+    let outcome = test(&device);
     assert_eq!(device.allocated(), 0, "buffers are left");
     drop(device);
     assert_clean(&log);
+    Some(outcome)
 }
 
 fn assert_clean(log: &ValidationLog) {
@@ -119,40 +120,55 @@ fn crowds() -> Vec<[f64; 3]> {
     particles
 }
 
-#[test]
-fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
+/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made of them, each time, and
+/// what there is to make.
+fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
     let particles = crowds();
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
         BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS).unwrap();
     let bins = plan.fill(&particles[..], &[]);
-    validated(|device| {
-        let vulkan = Vulkan::new(device.clone()).unwrap();
-        for budget in [MemoryBudget(1 << 30), MemoryBudget(200 << 20)] {
-            for indicator in INDICATORS {
-                for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
-                    let frame = vulkan.start(budget);
-                    let all = 0..bins.keys().len();
-                    let indicator = indicator.measured(particles.len(), full_cells(&bins)).unwrap();
-                    let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
-                    let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
-                    let expected = Cpu.start(budget).indicate(&bins, all, &rule).unwrap();
-                    let [pages, expected] = [&pages, &expected].map(|pages| {
-                        let all = pages
-                            .iter()
-                            .map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
-                        all.collect::<Vec<_>>()
-                    });
-                    assert!(pages == expected, "{rule:?} under {budget:?}");
-                    assert_eq!(frame.warnings(), [""; 0]);
-                }
-            }
+    let all = 0..bins.keys().len();
+    let mut made = Vec::new();
+    for indicator in INDICATORS {
+        for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+            let frame = device.start(budget);
+            let indicator = indicator.measured(particles.len(), full_cells(&bins)).unwrap();
+            let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
+            let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
+            let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule).unwrap();
+            let [pages, expected] = [&pages, &expected].map(|pages| {
+                let all =
+                    pages.iter().map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
+                all.collect::<Vec<_>>()
+            });
+            assert!(pages == expected, "{rule:?} under {budget:?}");
+            assert_eq!(frame.warnings(), [""; 0]);
+            made.push(frame.on_device());
         }
+    }
+    (made, Work { pages: all.len(), regions: 0 })
+}
+
+#[test]
+fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
+    validated(|device| {
+        same_pages_on(&Watched(Vulkan::new(device.clone()).unwrap()), MemoryBudget(1 << 30));
+    });
+}
+
+#[test]
+fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_by_the_device() {
+    validated(|device| {
+        // At most 8 MiB for a batch; the crowd in one bin takes 14.
+        let vulkan = Vulkan::new(device.clone()).unwrap();
+        let (made, all) = same_pages_on(&vulkan, MemoryBudget(64 << 20));
+        assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
     });
 }
 
 /// All ways to compute a surface, on the CPU and on a device.
-fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
+fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
     for indicator in INDICATORS {
         for walls in [false, true] {
             let mut sampling = Sampling { indicator, ..sampling() };
@@ -164,9 +180,8 @@ fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: Me
                 let mut resources = Resources::new(budget, std::env::temp_dir());
                 resources.backend = Arc::clone(vulkan) as Arc<dyn Backend>;
                 let sampling = Sampling { resources, ..sampling.clone() };
-                let (frame, surface) = reconstruct(particles, &sampling, &surfacing);
+                let (_, surface) = reconstruct(particles, &sampling, &surfacing);
                 assert!(surface.mesh == expected.mesh, "{what}: {indicator:?}, {detail:?}, walls {walls}");
-                assert_eq!(frame.warnings(), [""; 0], "{what}");
             }
         }
     }
@@ -176,7 +191,7 @@ fn assert_same_surfaces(vulkan: &Arc<Vulkan>, particles: &[[f64; 3]], budget: Me
 fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
     let particles = splashes(23);
     validated(|device| {
-        let vulkan = Arc::new(Vulkan::new(device.clone()).unwrap());
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
         // A quarter of it is the device's, half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
@@ -187,7 +202,7 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
 fn the_shared_frames_have_the_same_surfaces_on_the_device() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
     validated(|device| {
-        let vulkan = Arc::new(Vulkan::new(device.clone()).unwrap());
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
         for file in ["dambreak_small/ParticleData_Fluid_20.bgeo"] {
             let scratch = std::env::temp_dir();
             let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
@@ -231,82 +246,106 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
-        let vulkan = Vulkan::new(device.clone()).unwrap();
+        let vulkan = Watched(Vulkan::new(device.clone()).unwrap());
         // With a large share they are emitted at once, with a small one in halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.start(budget);
             assert!(frame.contour(&surfaces, &regions) == expected);
-            assert_eq!(frame.warnings(), [""; 0]);
         }
     });
 }
 
-/// The mesh of a frame on a device, and the warnings.
-fn frame_on(device: &Device) -> (Mesh, Vec<String>) {
-    let vulkan = Vulkan::new(device.clone()).unwrap();
+/// What came of a frame on a device.
+struct Outcome {
+    mesh: Mesh,
+    warnings: Vec<String>,
+    on_device: Work,
+}
+
+fn frame_on(backend: impl Backend + 'static) -> Outcome {
     let mut sampling = sampling();
     sampling.resources.budget = MemoryBudget(64 << 20);
-    sampling.resources.backend = Arc::new(vulkan);
-    let mut laps = Laps::default();
-    let frame = Frame::sample(&splashes(29)[..], &sampling, &mut laps).unwrap();
-    let mesh = frame.surface(&surfacing(), &mut laps).unwrap().mesh.to_mesh().unwrap();
-    (mesh, frame.warnings())
+    sampling.resources.backend = Arc::new(backend);
+    let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
+    Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
+}
+
+/// All of the work of [`frame_on`], if there is a device to do it.
+fn whole_work() -> Option<Work> {
+    validated(|device| frame_on(Watched(Vulkan::new(device.clone()).unwrap())).on_device)
 }
 
 /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time the mesh is right and
-/// nothing leaks. Returns how many there were, and how many a warning told of.
-fn fail_each(fault: fn(&Faults) -> &AtomicU64) -> [u64; 2] {
+/// nothing leaks. Returns what came of each.
+fn fail_each(fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
     let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
-    let (mut number, mut told) = (1, 0);
+    let mut failed = Vec::new();
     loop {
-        let mut struck = false;
-        validated(|device| {
+        let number = failed.len() as u64 + 1;
+        let run = |device: &Device| {
             fault(device.faults()).store(number, Ordering::Relaxed);
-            let (mesh, warnings) = frame_on(device);
-            struck = fault(device.faults()).load(Ordering::Relaxed) == 0;
-            assert!(mesh == expected.mesh, "call {number} failed");
-            assert!(struck || warnings.is_empty(), "call {number}: {warnings:?}");
-            told += u64::from(!warnings.is_empty());
-        });
+            let outcome = frame_on(Vulkan::new(device.clone()).unwrap());
+            (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
+        };
+        let Some((outcome, struck)) = validated(run) else { return failed };
+        assert!(outcome.mesh == expected.mesh, "call {number} failed");
         if !struck {
-            return [number - 1, told];
+            assert_eq!(outcome.warnings, [""; 0], "no call is left to fail");
+            return failed;
         }
-        number += 1;
+        failed.push(outcome);
     }
-}
-
-fn there_is_a_device() -> bool {
-    device::open(&DeviceOptions::default()).is_some()
 }
 
 #[test]
 fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_leak() {
-    let [calls, told] = fail_each(|faults| &faults.allocation);
-    assert!(calls == told && (calls > 10 || !there_is_a_device()), "{told} of {calls}");
+    let Some(whole) = whole_work() else { return };
+    let failed = fail_each(|faults| &faults.allocation);
+    assert!(failed.len() > 10, "{} calls", failed.len());
+    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+        assert_eq!(warnings.len(), 1, "call {call}: {warnings:?}");
+        assert_eq!(on_device, whole, "call {call}: the device goes on with less memory");
+    }
 }
 
 #[test]
 fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak() {
-    let [calls, told] = fail_each(|faults| &faults.submission);
-    assert!(calls == told && (calls > 5 || !there_is_a_device()), "{told} of {calls}");
+    let Some(whole) = whole_work() else { return };
+    let failed = fail_each(|faults| &faults.submission);
+    assert!(failed.len() > 5, "{} calls", failed.len());
+    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+        assert!(
+            warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
+            "call {call}: {warnings:?}"
+        );
+        assert_ne!(on_device, whole, "call {call}: a lost device did all of the work");
+    }
 }
 
 #[test]
 fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
+    let Some(whole) = whole_work() else { return };
+    let failed = fail_each(|faults| &faults.completion);
+    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(&failed) {
+        assert_eq!(warnings.is_empty(), *on_device == whole, "call {call}: {warnings:?}");
+    }
     // What is sent is followed by what is computed, and that by what is read: the last of them tells.
-    let [calls, told] = fail_each(|faults| &faults.completion);
-    assert!(told > calls / 3 || !there_is_a_device(), "{told} of {calls}");
+    let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
+    assert!(told > failed.len() / 3, "{told} of {}", failed.len());
 }
 
 #[test]
 fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
+    let Some(whole) = whole_work() else { return };
     let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
     for memory in [4096, 100_000, 1 << 20, 3 << 20] {
         let options = DeviceOptions { memory: Some(memory), ..DeviceOptions::default() };
-        let Some((device, log)) = device::open(&options) else { return };
-        let (mesh, _) = frame_on(&device);
+        let (device, log) = device::open(&options).unwrap();
+        let Outcome { mesh, on_device, warnings } = frame_on(Vulkan::new(device).unwrap());
         assert!(mesh == expected.mesh, "{memory} bytes");
-        drop(device);
+        let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
+        assert_eq!(handed_over, on_device != whole, "{memory} bytes: {warnings:?}");
+        assert!(handed_over || memory > 2 << 20, "{memory} bytes: {warnings:?}");
         assert_clean(&log);
     }
 }
@@ -317,9 +356,8 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
     let options =
         DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
     let run = || {
-        let (device, log) = device::open(&options)?;
-        let (mesh, _) = frame_on(&device);
-        drop(device);
+        let (device, log) = device::open(&options).map_err(device::skip).ok()?;
+        let Outcome { mesh, .. } = frame_on(Watched(Vulkan::new(device).unwrap()));
         assert_clean(&log);
         Some(mesh)
     };

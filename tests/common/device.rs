@@ -1,35 +1,102 @@
-//! The Vulkan device that tests run on, with everything that it does validated.
+//! The Vulkan device that tests run on, with everything that it does validated, and watched that it does it.
 
-use std::sync::{Arc, OnceLock};
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, OnceLock};
 
-use meniscus::backend::Vulkan;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, ValidationLog};
+use meniscus::backend::{Backend, Stages, Surfaces, Vulkan, Work};
+use meniscus::brick::{Bins, Pages};
+use meniscus::grid::CellBox;
+use meniscus::mesh::BlockMesh;
+use meniscus::stage::indicator::PageRule;
+use meniscus::units::MemoryBudget;
+use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, ValidationLog, VulkanError};
 
-/// A device of its own, or `None`, aloud, where there is none and `MENISCUS_REQUIRE_VULKAN` does not demand one.
-pub fn open(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
-    let opened = Instance::connect(true).and_then(|instance| {
-        let log = instance.log();
-        Ok((Device::open(&instance, &DeviceChoice::Best, options)?, log))
-    });
-    match opened {
-        Ok(opened) => Some(opened),
-        Err(error) if std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none() => {
-            eprintln!("skipped on Vulkan: {error}");
-            None
-        }
-        Err(error) => panic!("a Vulkan device is demanded: {error}"),
+/// A device whose frames fail their test if any of their work is not done on the device, or has to be made good.
+#[derive(Debug)]
+pub struct Watched(pub Vulkan);
+
+impl Backend for Watched {
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn divides(&self) -> bool {
+        self.0.divides()
+    }
+
+    fn host_bytes(&self, budget: MemoryBudget) -> u64 {
+        self.0.host_bytes(budget)
+    }
+
+    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
+        Box::new(WatchedStages { stages: self.0.start(budget), asked: Mutex::default() })
     }
 }
 
-/// One for all tests of a file. What validation has found by now fails the test that asks.
-pub fn shared() -> Option<Arc<Vulkan>> {
-    static SHARED: OnceLock<Option<(Arc<Vulkan>, ValidationLog)>> = OnceLock::new();
-    let (vulkan, log) = SHARED
-        .get_or_init(|| {
-            let (device, log) = open(&DeviceOptions::default())?;
-            Some((Arc::new(Vulkan::new(device).unwrap()), log))
-        })
-        .as_ref()?;
+#[derive(Debug)]
+struct WatchedStages {
+    stages: Box<dyn Stages>,
+    asked: Mutex<Work>,
+}
+
+impl WatchedStages {
+    /// Fails unless the device has done what was asked of it before and `more`, and nothing else has.
+    fn assert_done(&self, more: Work) {
+        let mut asked = self.asked.lock().unwrap();
+        asked.pages += more.pages;
+        asked.regions += more.regions;
+        assert_eq!(self.stages.warnings(), [""; 0], "something had to be made good");
+        assert_eq!(self.stages.on_device(), *asked, "not all of the work was done on the device");
+    }
+}
+
+impl Stages for WatchedStages {
+    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
+        let pages = self.stages.indicate(bins, range.clone(), rule)?;
+        self.assert_done(Work { pages: range.len(), regions: 0 });
+        Ok(pages)
+    }
+
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
+        let meshes = self.stages.contour(surfaces, regions);
+        self.assert_done(Work { pages: 0, regions: regions.len() });
+        meshes
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        self.stages.warnings()
+    }
+
+    fn on_device(&self) -> Work {
+        self.stages.on_device()
+    }
+}
+
+/// A device of its own.
+pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanError> {
+    let instance = Instance::connect(true)?;
+    let log = instance.log();
+    Ok((Device::open(&instance, &DeviceChoice::Best, options)?, log))
+}
+
+/// One for all tests of a file, watched. What validation has found by now fails the test that asks.
+pub fn shared() -> Result<Arc<Watched>, &'static VulkanError> {
+    static SHARED: OnceLock<Result<(Arc<Watched>, ValidationLog), VulkanError>> = OnceLock::new();
+    let open_watched = || {
+        let (device, log) = open(&DeviceOptions::default())?;
+        Ok((Arc::new(Watched(Vulkan::new(device)?)), log))
+    };
+    let (vulkan, log) = SHARED.get_or_init(open_watched).as_ref()?;
     assert_eq!(log.messages(), [""; 0]);
-    Some(Arc::clone(vulkan))
+    Ok(Arc::clone(vulkan))
+}
+
+/// Says that the test that asks is skipped for want of a device, or fails it where `MENISCUS_REQUIRE_VULKAN` demands one.
+pub fn skip(why: impl Display) {
+    assert!(std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(), "a Vulkan device is demanded: {why}");
+    let thread = std::thread::current();
+    // Past the harness, which keeps to itself what a test prints that does not fail.
+    let _ = writeln!(io::stderr(), "skipped: {}: {why}", thread.name().unwrap_or("a test"));
 }

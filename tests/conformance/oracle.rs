@@ -11,10 +11,10 @@ use meniscus::laps::Laps;
 use meniscus::stage::indicator::Indicator;
 use meniscus::units::{Isovalue, Sigma};
 
-use super::sampling;
+use crate::Place;
 
 /// Every way to compute a field that the oracle knows.
-fn variants() -> Vec<(Sampling, Surfacing)> {
+fn variants(place: &Place) -> Vec<(Sampling, Surfacing)> {
     let mut variants = Vec::new();
     for indicator in INDICATORS {
         for (sigma, detail) in [
@@ -26,7 +26,7 @@ fn variants() -> Vec<(Sampling, Surfacing)> {
             (1.5, Detail::Spared),
         ] {
             for walls in [false, true] {
-                let mut sampling = Sampling { indicator, ..sampling() };
+                let mut sampling = Sampling { indicator, ..place.sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let iso = Some(Isovalue::new(0.3).unwrap());
                 variants.push((
@@ -68,11 +68,10 @@ fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, w
     assert_eq!(cells, dense.values.len());
 }
 
-#[test]
-fn the_sparse_field_is_the_dense_one_to_the_bit() {
+pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
     for seed in 0..2 {
         let particles = splashes(seed);
-        for (sampling, surfacing) in variants() {
+        for (sampling, surfacing) in variants(place) {
             let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
             let dense = oracle(&frame, &sampling, &surfacing).integer(&particles);
             assert!(dense.values.iter().any(|&v| v > 20_000), "the scene has an inside");
@@ -91,10 +90,9 @@ fn the_sparse_field_is_the_dense_one_to_the_bit() {
     }
 }
 
-#[test]
-fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex() {
+pub fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex(place: &Place) {
     let particles = splashes(7);
-    for (sampling, surfacing) in variants() {
+    for (sampling, surfacing) in variants(place) {
         let (frame, surface) = reconstruct(&particles[..], &sampling, &surfacing);
         let field = oracle(&frame, &sampling, &surfacing).integer(&particles);
         let field =
@@ -112,10 +110,9 @@ fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex() {
     }
 }
 
-#[test]
-fn threads_particle_order_and_brick_side_change_no_byte() {
+pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
     let particles = splashes(3);
-    for (sampling, surfacing) in variants() {
+    for (sampling, surfacing) in variants(place) {
         let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
         for (threads, side) in [(1, BrickSide::Four), (2, BrickSide::Sixteen), (5, BrickSide::Eight)] {
             let mut shuffled = particles.clone();
@@ -128,15 +125,14 @@ fn threads_particle_order_and_brick_side_change_no_byte() {
     }
 }
 
-#[test]
-fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64() {
+pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place: &Place) {
     let particles = splashes(12);
     // Details are told by thresholds, and somewhere a cloud lies too near to one for integers to tell.
     let is_cloud = |sampling: &Sampling| matches!(sampling.indicator, Indicator::Cloud { .. });
     let told = |(sampling, surfacing): &(Sampling, Surfacing)| {
         !is_cloud(sampling) || surfacing.detail == Detail::Smoothed
     };
-    for (sampling, surfacing) in variants().into_iter().filter(told) {
+    for (sampling, surfacing) in variants(place).into_iter().filter(told) {
         let (frame, surface) = reconstruct(&particles[..], &sampling, &surfacing);
         let method = oracle(&frame, &sampling, &surfacing);
         let (integer, real) = (method.integer(&particles), method.real(&particles));
@@ -161,13 +157,12 @@ fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64() {
     }
 }
 
-#[test]
-fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much() {
+pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place) {
     let particles = splashes(13);
     let shift = IVec3::new(16, -32, 48);
     let moved: Vec<[f64; 3]> =
         particles.iter().map(|&p| (glam::DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
-    let (sampling, surfacing) = &variants()[0];
+    let (sampling, surfacing) = &variants(place)[0];
     let frame = |particles: &[[f64; 3]]| Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
     let (here, there) = (frame(&particles), frame(&moved));
     let (recipe, _) = here.recipe(surfacing).unwrap();
@@ -176,14 +171,13 @@ fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much() {
     assert_eq!(here.field(&recipe, cells).samples(), there.field(&recipe, elsewhere).samples());
 }
 
-#[test]
-fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved() {
+pub fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved(place: &Place) {
     // A power of two and a multiple of it: the same particles in cells, to the bit.
     let (cell, origin) = (0.25, glam::DVec3::new(-3.0, 0.5, 10.0));
     let particles = splashes(17);
     let placed: Vec<[f64; 3]> =
         particles.iter().map(|&p| (glam::DVec3::from(p) * cell + origin).to_array()).collect();
-    let (unit, surfacing) = &variants()[0];
+    let (unit, surfacing) = &variants(place)[0];
     let sampling = Sampling { grid: Grid::new(origin, cell).unwrap(), ..unit.clone() };
     let (_, expected) = reconstruct(&particles[..], unit, surfacing);
     let (_, surface) = reconstruct(&placed[..], &sampling, surfacing);

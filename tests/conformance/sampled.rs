@@ -9,16 +9,16 @@ use meniscus::laps::Laps;
 use meniscus::plateau::Plateau;
 use meniscus::stage::indicator::Indicator;
 
-use super::sampling;
+use crate::Place;
 
 /// Cells of a spacing.
 const CELLS: f64 = 1.6;
 
 /// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold little.
-fn frame(indicator: Indicator) -> (Frame, IVec3) {
+fn frame(place: &Place, indicator: Indicator) -> (Frame, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
-    let sampling = Sampling { indicator, grid, spacing: Some(1.0), ..sampling() };
+    let sampling = Sampling { indicator, grid, spacing: Some(1.0), ..place.sampling() };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
@@ -26,36 +26,34 @@ fn frame(indicator: Indicator) -> (Frame, IVec3) {
 }
 
 /// mu0 of clouds, which some bins tell, and that of counting, by all.
-fn means(particles: &[[f32; 3]], cell: f64) -> [f64; 2] {
+fn means(place: &Place, particles: &[[f32; 3]], cell: f64) -> [f64; 2] {
     [Indicator::Cloud { mean: None }, Indicator::Counting { mean: None }].map(|indicator| {
-        let sampling = Sampling { indicator, grid: Grid::new(DVec3::ZERO, cell).unwrap(), ..sampling() };
+        let sampling =
+            Sampling { indicator, grid: Grid::new(DVec3::ZERO, cell).unwrap(), ..place.sampling() };
         let frame = Frame::sample(particles, &sampling, &mut Laps::default()).unwrap();
         frame.mean_count().unwrap().particles()
     })
 }
 
-#[test]
-fn mu0_of_clouds_is_told_by_some_bins_and_near_that_of_all() {
-    let [some, all] = means(&splash(200_000, 8), 1.0 / CELLS);
+pub fn mu0_of_clouds_is_told_by_some_bins_and_near_that_of_all(place: &Place) {
+    let [some, all] = means(place, &splash(200_000, 8), 1.0 / CELLS);
     assert_ne!(some, all);
     assert!((some / all - 1.0).abs() < 0.005, "{some}, of all bins {all}");
 }
 
-#[test]
-fn spray_in_most_bins_does_not_tell_mu0_of_a_pool() {
+pub fn spray_in_most_bins_does_not_tell_mu0_of_a_pool(place: &Place) {
     // A pool of 8 particles a cell in 27 bins, and 20 000 particles alone in as many of 64 000.
     let mut random = Random::new(77);
-    let mut place = |edge: f64| [(); 3].map(|()| (edge * random.unit()) as f32);
-    let mut particles: Vec<[f32; 3]> = (0..8 * 40_i32.pow(3)).map(|_| place(40.0)).collect();
-    particles.extend((0..20_000).map(|_| place(640.0)));
-    let [some, all] = means(&particles, 1.0);
+    let mut anywhere = |edge: f64| [(); 3].map(|()| (edge * random.unit()) as f32);
+    let mut particles: Vec<[f32; 3]> = (0..8 * 40_i32.pow(3)).map(|_| anywhere(40.0)).collect();
+    particles.extend((0..20_000).map(|_| anywhere(640.0)));
+    let [some, all] = means(place, &particles, 1.0);
     assert!((some / all - 1.0).abs() < 0.01, "{some}, of all bins {all}");
 }
 
-#[test]
-fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool() {
+pub fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool(place: &Place) {
     for indicator in crate::common::INDICATORS {
-        let (frame, pool) = frame(indicator);
+        let (frame, pool) = frame(place, indicator);
         let blocks = frame.dif().regions(0, 0).len();
         assert!(blocks > 64, "all of {blocks} blocks tell the plateau");
         let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();

@@ -21,7 +21,7 @@ use meniscus::stage::indicator::Indicator;
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 
-use super::sampling;
+use crate::Place;
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
     let report = check(mesh);
@@ -39,14 +39,13 @@ const SHAPES: [Shape; 3] = [
     }),
 ];
 
-#[test]
-fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells() {
+pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells(place: &Place) {
     for (name, genus, volume, inside) in SHAPES {
         for indicator in INDICATORS {
             for jitter in [0.0, 0.3, 0.5] {
                 let particles = fill(50.0, 1.0, jitter, 5, inside);
                 let (_, surface) =
-                    reconstruct(&particles[..], &Sampling { indicator, ..sampling() }, &surfacing());
+                    reconstruct(&particles[..], &Sampling { indicator, ..place.sampling() }, &surfacing());
                 let what = format!("{name}, {indicator:?}, jitter {jitter}");
                 assert_watertight(&surface.mesh, &what);
                 let measures = measure(&surface.mesh);
@@ -61,11 +60,10 @@ fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at
     }
 }
 
-#[test]
-fn normals_point_out_of_a_sphere() {
+pub fn normals_point_out_of_a_sphere(place: &Place) {
     let particles = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let (_, surface) = reconstruct(&particles[..], &sampling(), &surfacing);
+    let (_, surface) = reconstruct(&particles[..], &place.sampling(), &surfacing);
     let normals = surface.mesh.normals.as_ref().unwrap();
     assert_eq!(normals.len(), surface.mesh.positions.len());
     for (&position, &normal) in surface.mesh.positions.iter().zip(normals) {
@@ -77,7 +75,7 @@ fn normals_point_out_of_a_sphere() {
 }
 
 /// The surface of samples that a function gives, over blocks of 32^3 cells, zero all around.
-fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Mesh {
+fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> Mesh {
     let cells = CellBox { lo: blocks.lo * BLOCK, hi: blocks.hi * BLOCK };
     let page = |bin: IVec3| {
         let rows = CellBox::cube(bin, BIN);
@@ -91,7 +89,7 @@ fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> 
     let smoothing = Smoothing::new(Indicator::Symmetry, Sigma::new(0.01).unwrap());
     let recipe = Recipe { smoothing, details: Details::Smoothed, iso };
     let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
-    let stages = sampling().resources.backend.start(MemoryBudget(8 << 30));
+    let stages = place.sampling().resources.backend.start(MemoryBudget(8 << 30));
     let meshes = stages.contour(&surfaces, &dif.regions(recipe.reach() + 1, recipe.reach()));
     assert_eq!(stages.warnings(), [""; 0]);
     let mut spool = Spool::in_memory(false, Vec::new());
@@ -100,22 +98,20 @@ fn surface_of(blocks: CellBox, iso: Isovalue, sample: impl Fn(IVec3) -> u16) -> 
     Stitched::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
 }
 
-#[test]
-fn white_noise_over_27_blocks_is_a_closed_oriented_manifold() {
+pub fn white_noise_over_27_blocks_is_a_closed_oriented_manifold(place: &Place) {
     for (seed, c) in [(1, 0.5), (2, 0.3), (3, 0.9), (4, 0.02)] {
         let noise = |cell: IVec3| {
             let key = MortonKey::of(cell).0;
             Random::new(key.wrapping_mul(31).wrapping_add(seed)).bits() as u16
         };
         let blocks = CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(2) };
-        let mesh = surface_of(blocks, Isovalue::new(c).unwrap(), noise);
+        let mesh = surface_of(place, blocks, Isovalue::new(c).unwrap(), noise);
         assert!(mesh.triangles.len() > 100_000, "{} triangles", mesh.triangles.len());
         assert_watertight(&mesh, &format!("noise cut at {c}"));
     }
 }
 
-#[test]
-fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold() {
+pub fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold(place: &Place) {
     // Two inside values and one outside: 2^12 patterns on 2 x 2 x 3 samples, far apart from each other.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
@@ -125,14 +121,17 @@ fn every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold()
             local.min_element() >= 1 && local.x < 3 && local.y < 3 && local.z < 4 && which >> bit & 1 == 1;
         if inside { 40_000 + 1000 * bit as u16 } else { 100 * bit.unsigned_abs() as u16 }
     };
-    let mesh =
-        surface_of(CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) }, Isovalue::new(0.5).unwrap(), pattern);
+    let mesh = surface_of(
+        place,
+        CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) },
+        Isovalue::new(0.5).unwrap(),
+        pattern,
+    );
     assert!(mesh.triangles.len() > 50_000);
     assert_watertight(&mesh, "all patterns");
 }
 
-#[test]
-fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_is() {
+pub fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_is(place: &Place) {
     let mut random = Random::new(6);
     let pool = fill(16.0, 1.0, 0.3, 4, |p| p.z < 0.0);
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
@@ -147,7 +146,7 @@ fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_i
     let sheet = fill(16.0, 1.0, 0.3, 9, layer).into_iter().map(|[x, y, z]| [x, y, z - 30.0]);
     let all: Vec<[f64; 3]> = pool.into_iter().chain(drops).chain(sheet).collect();
     for indicator in INDICATORS {
-        let sampling = Sampling { indicator, ..sampling() };
+        let sampling = Sampling { indicator, ..place.sampling() };
         let mesh = |detail| {
             let (_, surface) = reconstruct(&all[..], &sampling, &Surfacing { detail, ..surfacing() });
             surface.mesh
@@ -169,8 +168,7 @@ fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_i
     }
 }
 
-#[test]
-fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
+pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Place) {
     for seed in 20..24 {
         let particles = splashes(seed);
         for indicator in INDICATORS {
@@ -181,7 +179,7 @@ fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
                 (3.0, Detail::Smoothed),
             ] {
                 for walls in [false, true] {
-                    let mut sampling = Sampling { indicator, ..sampling() };
+                    let mut sampling = Sampling { indicator, ..place.sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing =
@@ -199,13 +197,12 @@ fn splashes_are_watertight_with_every_indicator_filter_and_wall() {
     }
 }
 
-#[test]
-fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume() {
+pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &Place) {
     // Walls on cell faces, and walls that cut cells in unequal parts, where the lattice fills the tank less well.
     for (lo, hi, tolerance) in [(-16.0, 16.0, 0.005), (-15.7, 16.4, 0.03)] {
         let (lo, hi) = (DVec3::splat(lo), DVec3::splat(hi));
         for indicator in INDICATORS {
-            let sampling = sampling();
+            let sampling = place.sampling();
             let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
             let particles = fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
             let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
@@ -222,11 +219,10 @@ fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume() {
     }
 }
 
-#[test]
-fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else() {
+pub fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else(place: &Place) {
     let walls = DVec3::splat(20.0);
     for indicator in INDICATORS {
-        let sampling = sampling();
+        let sampling = place.sampling();
         let domain = Domain::new(&sampling.grid, -walls, walls).unwrap();
         let particles = fill(20.0, 1.5, 0.3, 9, |p| p.abs().cmplt(walls).all());
         let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
@@ -239,14 +235,13 @@ fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else() 
     }
 }
 
-#[test]
-fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape() {
+pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place: &Place) {
     let drop = fill(10.0, 2.0, 0.3, 4, |p| p.length() < 6.0);
     let far = |shift: DVec3| drop.iter().map(move |&p| (DVec3::from(p) + shift).to_array());
     let shift = DVec3::new(1e6, -1e6, 5e5);
     let both: Vec<[f64; 3]> = far(-shift).chain(far(shift)).collect();
-    let (one_frame, one) = reconstruct(&drop[..], &sampling(), &surfacing());
-    let (two_frame, two) = reconstruct(&both[..], &sampling(), &surfacing());
+    let (one_frame, one) = reconstruct(&drop[..], &place.sampling(), &surfacing());
+    let (two_frame, two) = reconstruct(&both[..], &place.sampling(), &surfacing());
     assert_eq!(two_frame.dif().full_cells(), 2 * one_frame.dif().full_cells());
     assert!(two_frame.dif().sample_bytes() < 3 * one_frame.dif().sample_bytes());
     assert_watertight(&two.mesh, "two drops");
@@ -255,11 +250,10 @@ fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape() {
     assert!((volume(&two.mesh) / volume(&one.mesh) - 2.0).abs() < 1e-4);
 }
 
-#[test]
-fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error() {
+pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error(place: &Place) {
     let particle = [[0.3, 0.4, -0.6]];
     let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
-    let (frame, surface) = reconstruct(&particle[..], &sampling(), &spared);
+    let (frame, surface) = reconstruct(&particle[..], &place.sampling(), &spared);
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
     let error = frame.surface(&surfacing(), &mut Laps::default()).unwrap_err();
@@ -270,13 +264,12 @@ fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error()
     assert!(matches!(error, FrameError::NoSurface { iso: found } if found == iso), "{error}");
 }
 
-#[test]
-fn a_million_particles_in_one_place_are_one_drop() {
+pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
     let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
     for indicator in INDICATORS {
         let surface =
-            Frame::sample(&particles[..], &Sampling { indicator, ..sampling() }, &mut Laps::default())
+            Frame::sample(&particles[..], &Sampling { indicator, ..place.sampling() }, &mut Laps::default())
                 .and_then(|frame| frame.surface(&spared, &mut Laps::default()));
         match (indicator, surface) {
             (Indicator::Symmetry, Ok(surface)) => {
@@ -289,8 +282,7 @@ fn a_million_particles_in_one_place_are_one_drop() {
     }
 }
 
-#[test]
-fn attributes_reach_the_vertices_blurred_like_the_field() {
+pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
     struct Moving(Vec<[f64; 3]>, [AttributeInfo; 1]);
     impl Particles for Moving {
         fn len(&self) -> usize {
@@ -315,7 +307,7 @@ fn attributes_reach_the_vertices_blurred_like_the_field() {
     }
     let ball = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
     let mut moving = Moving(ball, [AttributeInfo { name: "v".into(), components: 3 }]);
-    let sampling = Sampling { carried: vec![0], ..sampling() };
+    let sampling = Sampling { carried: vec![0], ..place.sampling() };
     let (_, first) = reconstruct(&moving, &sampling, &surfacing());
     let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
