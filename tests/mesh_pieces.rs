@@ -12,14 +12,20 @@ use std::io;
 use std::ops::Range;
 
 use common::shapes::{dressed, torus};
-use meniscus::io::output::{MeshFormat, MeshOutput};
+use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, WriteFault};
+use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
 use meniscus::mesh::Mesh;
 use meniscus::mesh::source::{MeshSource, Outline, Vertices};
 
-const FORMATS: [MeshFormat; 5] =
-    [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];
+const FORMATS: [MeshFormat; 6] = [
+    MeshFormat::Ply,
+    MeshFormat::Obj,
+    MeshFormat::Vtk,
+    MeshFormat::Vtp,
+    MeshFormat::Stl,
+    MeshFormat::Usdc(UpAxis::Y),
+];
 
 /// Hands out a mesh by these ranges of vertices and triangles.
 struct Cut {
@@ -104,8 +110,8 @@ fn cuts(mesh: &Mesh) -> [Cut; 4] {
 
 #[test]
 fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
-    // More than one piece of the mesh itself.
     let bare = torus(200, 100);
+    assert!(bare.pieces() > 1, "the mesh itself is in one piece");
     for mesh in [Mesh::default(), dressed(torus(200, 100)), bare] {
         for format in FORMATS {
             for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
@@ -121,11 +127,15 @@ fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
 }
 
 #[test]
-fn a_source_without_pieces_is_an_empty_mesh() {
+fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
     let none = Cut { mesh: Mesh::default(), pieces: Vec::new(), lost: [None; 2] };
-    for format in FORMATS {
-        let empty = written(format, &Mesh::default(), CoordinateWidth::F32);
-        assert!(written(format, &none, CoordinateWidth::F32) == empty, "{format}");
+    let folder = tempfile::tempdir().unwrap();
+    // .usdc is not read.
+    for format in FORMATS.into_iter().filter(|format| !matches!(format, MeshFormat::Usdc(_))) {
+        let path = folder.path().join(format!("a{format}"));
+        fs::write(&path, written(format, &none, CoordinateWidth::F32)).unwrap();
+        let read = read_mesh(&path).unwrap_or_else(|fault| panic!("{fault}"));
+        assert_eq!(read, Mesh::default(), "{format}");
     }
 }
 
