@@ -1,0 +1,261 @@
+//! Which file of a source tree imports from which, as its syntax says.
+//!
+//! A path leads to the file in which what it names is written: a re-export is followed, and is itself no import. Neither is
+//! `mod child;`. So a `mod.rs` that only declares and re-exports imports from nobody, one that uses what is in its children
+//! imports from them, and so do they from it if they use what is written there. What only tests and comments name does not
+//! count. In macros a path is any names with `::` between them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use proc_macro2::{TokenStream, TokenTree};
+use syn::visit::{self, Visit};
+use syn::{Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
+
+/// The crate that programs under `bin` name the library by.
+const LIBRARY: &str = "meniscus";
+
+/// A module by the names of those around it: none for the library's root, `bin` and the program's name for a program's.
+type Module = Vec<String>;
+
+/// A file that names something that is written in another.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Import {
+    pub from: String,
+    /// Where what is named is written.
+    pub to: String,
+    /// The file of the module by which it is named, which may re-export it.
+    pub by: String,
+    /// As it is named.
+    pub path: String,
+}
+
+/// All imports between the files below a folder, which are named by their paths in it.
+pub fn imports(folder: &Path) -> BTreeSet<Import> {
+    let tree = Tree::read(folder);
+    let mut imports = BTreeSet::new();
+    for (module, file) in &tree.modules {
+        let mut names = Names { tree: &tree, file, module: module.clone(), imports: BTreeSet::new() };
+        names.visit_file(&file.syntax);
+        imports.append(&mut names.imports);
+    }
+    imports
+}
+
+/// The files of Rust below a folder.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        if entry.is_dir() {
+            files.extend(self::files(&entry));
+        } else if entry.extension().is_some_and(|extension| extension == "rs") {
+            files.push(entry);
+        }
+    }
+    files
+}
+
+struct File {
+    name: String,
+    syntax: syn::File,
+    /// By the name under which it is known here, the path of what is used, and whether others may use it from here.
+    uses: BTreeMap<String, (Vec<String>, bool)>,
+}
+
+struct Tree {
+    modules: BTreeMap<Module, File>,
+}
+
+impl Tree {
+    fn read(folder: &Path) -> Self {
+        let file = |path: PathBuf| {
+            let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+            let syntax = syn::parse_file(&fs::read_to_string(path).unwrap()).expect(&name);
+            let stem = name.strip_suffix(".rs").unwrap();
+            let mut module: Module = stem.split('/').map(str::to_owned).collect();
+            module.pop_if(|last| matches!(last.as_str(), "mod" | "lib" | "main"));
+            let mut uses = BTreeMap::new();
+            for item in &syntax.items {
+                if let Item::Use(item) = item {
+                    let public = !matches!(item.vis, Visibility::Inherited);
+                    for (name, path) in leaves(&item.tree) {
+                        uses.insert(name, (path, public));
+                    }
+                }
+            }
+            (module, File { name, syntax, uses })
+        };
+        Self { modules: files(folder).into_iter().map(file).collect() }
+    }
+
+    /// The module in which what a path names is written, and the one by which the path names it; `None` where it is not of
+    /// this tree.
+    fn find(&self, here: &[String], path: &[String]) -> Option<[Module; 2]> {
+        let (first, rest) = path.split_first()?;
+        let of_program = here.first().is_some_and(|first| first == "bin");
+        let start = match first.as_str() {
+            "crate" => here[..if of_program { 2 } else { 0 }].to_vec(),
+            LIBRARY if of_program => Module::new(),
+            "self" => here.to_vec(),
+            "super" => here.split_last()?.1.to_vec(),
+            child if self.modules.contains_key(&joined(here, child)) && !rest.is_empty() => {
+                joined(here, child)
+            }
+            name => {
+                let (used, _) = self.modules.get(here)?.uses.get(name)?;
+                // Of its own name is what a crate or a macro of the file is called.
+                return if used[0] == *name { None } else { self.find(here, &[used, rest].concat()) };
+            }
+        };
+        let (mut by, mut rest) = (start, rest);
+        while let Some((next, later)) = rest.split_first() {
+            if next == "super" {
+                by.pop();
+            } else if self.modules.contains_key(&joined(&by, next)) {
+                by.push(next.clone());
+            } else {
+                break;
+            }
+            rest = later;
+        }
+        // A module within a file is its file's.
+        while !self.modules.contains_key(&by) {
+            by.pop()?;
+        }
+        let written = rest.first().filter(|name| self.modules[&by].uses.contains_key(*name));
+        let written = written.and_then(|_| self.find(&by, rest)).map_or(by.clone(), |[written, _]| written);
+        Some([written, by])
+    }
+}
+
+fn joined(module: &[String], child: &str) -> Module {
+    module.iter().cloned().chain([child.to_owned()]).collect()
+}
+
+/// What a `use` names: under which name it is known then, and its path.
+fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
+    match tree {
+        UseTree::Path(path) => leaves(&path.tree)
+            .into_iter()
+            .map(|(name, rest)| {
+                let first = path.ident.to_string();
+                let name = if name == "self" { first.clone() } else { name };
+                let rest = rest.into_iter().filter(|part| part != "self");
+                (name, [first].into_iter().chain(rest).collect())
+            })
+            .collect(),
+        UseTree::Name(name) => vec![(name.ident.to_string(), vec![name.ident.to_string()])],
+        UseTree::Rename(rename) => vec![(rename.rename.to_string(), vec![rename.ident.to_string()])],
+        UseTree::Glob(_) => vec![("*".to_owned(), vec!["*".to_owned()])],
+        UseTree::Group(group) => group.items.iter().flat_map(leaves).collect(),
+    }
+}
+
+/// Gathers what a file names.
+struct Names<'a> {
+    tree: &'a Tree,
+    file: &'a File,
+    module: Module,
+    imports: BTreeSet<Import>,
+}
+
+impl Names<'_> {
+    fn name(&mut self, path: &[String]) {
+        let Some([to, by]) = self.tree.find(&self.module, path) else { return };
+        let file = |module: &Module| self.tree.modules[module].name.clone();
+        let (from, to, by) = (self.file.name.clone(), file(&to), file(&by));
+        if from != to {
+            self.imports.insert(Import { from, to, by, path: path.join("::") });
+        }
+    }
+
+    /// A path in code: what a private `use` has named already is not named again.
+    fn mention(&mut self, path: &[String]) {
+        if self.file.uses.get(&path[0]).is_none_or(|(_, public)| *public) {
+            self.name(path);
+        }
+    }
+}
+
+fn of_tests(attributes: &[Attribute]) -> bool {
+    let is_test = |attribute: &Attribute| {
+        attribute.path().is_ident("cfg")
+            && attribute.parse_args::<syn::Path>().is_ok_and(|path| path.is_ident("test"))
+    };
+    attributes.iter().any(is_test)
+}
+
+fn starts_small(name: &str) -> bool {
+    name.starts_with(|first: char| first.is_lowercase())
+}
+
+impl<'ast> Visit<'ast> for Names<'_> {
+    fn visit_item_mod(&mut self, item: &'ast ItemMod) {
+        if of_tests(&item.attrs) || item.content.is_none() {
+            return;
+        }
+        self.module.push(item.ident.to_string());
+        visit::visit_item_mod(self, item);
+        self.module.pop();
+    }
+
+    fn visit_item_use(&mut self, item: &'ast ItemUse) {
+        if matches!(item.vis, Visibility::Inherited) {
+            leaves(&item.tree).iter().for_each(|(_, path)| self.name(path));
+        }
+    }
+
+    fn visit_path(&mut self, path: &'ast syn::Path) {
+        let names: Vec<String> = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        // A small name alone is a variable, unless it is called.
+        if names.len() > 1 || !starts_small(&names[0]) {
+            self.mention(&names);
+        }
+        visit::visit_path(self, path);
+    }
+
+    fn visit_expr_call(&mut self, call: &'ast ExprCall) {
+        if let Expr::Path(ExprPath { path, .. }) = &*call.func
+            && let Some(name) = path.get_ident()
+        {
+            self.mention(&[name.to_string()]);
+        }
+        visit::visit_expr_call(self, call);
+    }
+
+    fn visit_visibility(&mut self, _: &'ast Visibility) {}
+
+    fn visit_attribute(&mut self, _: &'ast Attribute) {}
+
+    fn visit_macro(&mut self, call: &'ast Macro) {
+        visit::visit_macro(self, call);
+        for names in paths(call.tokens.clone()) {
+            if names.len() > 1 || !starts_small(&names[0]) {
+                self.mention(&names);
+            }
+        }
+    }
+}
+
+/// All names in a macro, those with `::` between them together.
+fn paths(tokens: TokenStream) -> Vec<Vec<String>> {
+    let mut paths: Vec<Vec<String>> = Vec::new();
+    let mut colons = 0;
+    for token in tokens {
+        match token {
+            TokenTree::Ident(name) if colons == 2 && !paths.is_empty() => {
+                paths.last_mut().unwrap().push(name.to_string());
+            }
+            TokenTree::Ident(name) => paths.push(vec![name.to_string()]),
+            TokenTree::Punct(punct) if punct.as_char() == ':' => {
+                colons += 1;
+                continue;
+            }
+            TokenTree::Group(group) => paths.extend(self::paths(group.stream())),
+            _ => {}
+        }
+        colons = 0;
+    }
+    paths
+}
