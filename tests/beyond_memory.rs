@@ -12,8 +12,8 @@ use common::scene::{Random, splash};
 use common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
-use meniscus::estimate::{Drawing, Estimate};
-use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::estimate::{Drawing, Estimate, Plan};
+use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
 use meniscus::stage::indicator::{PageRule, indicate};
@@ -67,8 +67,10 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };
-                let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 let what = format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
+                let plan = Counted::of(&particles, &sampling).unwrap().estimate().plan(MemoryBudget(budget));
+                assert!(matches!(plan, Plan::OutOfCore(_)), "{what}: nothing is spilled");
+                let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
                 assert_eq!(surface.iso, expected.iso, "{what}");
                 assert!(surface.mesh.positions == expected.mesh.positions, "{what}: positions");
                 assert!(surface.mesh.triangles == expected.mesh.triangles, "{what}: triangles");

@@ -107,9 +107,11 @@ fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of
     assert_eq!(found, expected);
     // Bounds are those of what is stored.
     let accessor = &json["accessors"][number(&attributes["POSITION"])];
-    for (axis, greatest) in accessor["max"].as_array().unwrap().iter().enumerate() {
-        let stored = positions.iter().map(|p| p[axis]).fold(f32::NEG_INFINITY, f32::max);
-        assert_eq!(greatest.as_f64().unwrap() as f32, stored);
+    for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
+        let said: Vec<f32> =
+            accessor[bound].as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect();
+        let stored = positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])));
+        assert_eq!(said, stored.unwrap(), "{bound}");
     }
     assert!(json["nodes"][0]["translation"].is_null() && json["extensionsRequired"].is_null());
 }
@@ -122,6 +124,7 @@ fn vertices_come_in_the_order_in_which_triangles_use_them() {
         assert!(vertex <= next, "{vertex} is used before {next}");
         next = next.max(vertex + 1);
     }
+    assert_eq!(next as usize, sphere(1.0, 5).positions.len(), "all vertices are used");
 }
 
 #[test]
@@ -142,6 +145,7 @@ fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
         .chunks_exact(2)
         .map(|b| u16::from_le_bytes(b.try_into().unwrap()))
         .collect();
+    assert_eq!(packed.len(), 4 * mesh.positions.len());
     for (position, packed) in positions.iter().zip(packed.chunks_exact(4)) {
         for axis in 0..3 {
             let origin = node["translation"][axis].as_f64().unwrap();
@@ -173,10 +177,13 @@ fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() 
     let translation: Vec<f64> =
         json["nodes"][0]["translation"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
     // Up is y; what pointed along y comes towards the viewer's back.
+    assert_eq!(translation.len(), 3);
     for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
         assert!((found - expected).abs() < 1e-3, "{translation:?}");
     }
-    assert!(floats(&elements(&json, &binary, 0)).iter().flatten().all(|x| x.abs() <= 1.01));
+    let near = floats(&elements(&json, &binary, 0));
+    assert_eq!(near.len(), mesh.positions.len());
+    assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
 }
 
 /// Only its counts are there.

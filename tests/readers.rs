@@ -494,6 +494,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
             cases.push((bi4::read_particles, bytes));
         }
     }
+    assert_eq!(cases.len(), 2 + 3 * 2 + 2 * 3, "two counts, six shapes, three arrays of either width");
     for (reader, bytes) in cases {
         let (result, largest) = meter::largest_allocation(|| reader(Bytes::Owned(bytes)));
         let fault = result.expect_err("refused");

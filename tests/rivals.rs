@@ -154,6 +154,7 @@ fn the_surfaces_are_those_of_the_dense_sums() {
             assert!(triangles.len() > 1000, "{method:?}: the scene has a surface");
             let mesh = surface(&particles[..], &sampling, method);
             assert!(mesh.triangles == triangles, "{method:?}, {spacing}, walls: {walled}");
+            assert_eq!(mesh.positions.len(), positions.len(), "{method:?}, {spacing}, walls: {walled}");
             for (a, b) in mesh.positions.iter().zip(&positions) {
                 let apart = DVec3::from(*a).distance((*b).into());
                 assert!(apart < 1e-7, "{method:?}, {spacing}: {a:?} is {apart} from {b:?}");

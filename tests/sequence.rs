@@ -680,6 +680,7 @@ fn up_turns_places_normals_and_directions_and_back() {
     let z = mesh("z.vtk", &["--up", "z"]);
     let values =
         |mesh: &Mesh, name: &str| mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone();
+    assert_eq!(y.positions.len(), z.positions.len());
     assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));
     let normals = y.normals.iter().flatten().zip(z.normals.iter().flatten());
     assert!(normals.map(|(a, b)| assert_eq!([a[0], -a[2], a[1]], *b)).count() > 1000);
@@ -690,6 +691,7 @@ fn up_turns_places_normals_and_directions_and_back() {
     // What has z up already stays, or turns the other way.
     assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
     let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
+    assert_eq!(y.positions.len(), back.positions.len());
     assert!(y.positions.iter().zip(&back.positions).all(|(a, b)| [a[0], a[2], -a[1]] == *b));
     assert!(check(&back).is_closed_oriented_manifold() && measure(&back).volume.unwrap() > 0.0);
 }
@@ -728,6 +730,7 @@ fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
         let pattern = format!("in/{prefix}_{{}}.xyz");
         run(folder.path(), &[&pattern, "-o", &format!("{prefix}/{prefix}_{{}}.ply")], 0);
         let alone = tree(&folder.path().join(prefix));
+        assert!(alone.len() > frames, "{:?}", alone.keys());
         assert!(alone.iter().all(|(name, bytes)| out[name] == *bytes), "{prefix}");
     }
     // Bad files of one fluid are no matter to the other.

@@ -103,6 +103,7 @@ fn vertices_that_are_left_keep_their_positions_and_normals() {
     let normals = whole.normals.as_ref().unwrap();
     let known: HashMap<_, _> = whole.positions.iter().map(bits).zip(normals).collect();
     let (mesh, _) = simplified(&particles, &sampling(), &within(0.25));
+    assert!((100..known.len()).contains(&mesh.positions.len()), "{} are left", mesh.positions.len());
     for (position, normal) in mesh.positions.iter().zip(mesh.normals.as_ref().unwrap()) {
         assert_eq!(known.get(&bits(position)), Some(&normal));
     }

@@ -246,8 +246,8 @@ pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place
     assert!(two_frame.dif().sample_bytes() < 3 * one_frame.dif().sample_bytes());
     assert_watertight(&two.mesh, "two drops");
     assert_eq!(two.mesh.triangles.len(), 2 * one.mesh.triangles.len());
-    let volume = |mesh: &Mesh| measure(mesh).area;
-    assert!((volume(&two.mesh) / volume(&one.mesh) - 2.0).abs() < 1e-4);
+    let area = |mesh: &Mesh| measure(mesh).area;
+    assert!((area(&two.mesh) / area(&one.mesh) - 2.0).abs() < 1e-4);
 }
 
 pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error(place: &Place) {
