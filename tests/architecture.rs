@@ -55,7 +55,7 @@ const ROOMS: [&str; 31] = [
 #[derive(Debug)]
 struct Circle {
     files: &'static [&'static str],
-    /// What ties them together.
+    /// The reason: how they are tied together.
     why: &'static str,
     /// The day until which it may stay, at most half a year from now.
     until: &'static str,

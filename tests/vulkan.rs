@@ -255,7 +255,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     });
 }
 
-/// What came of a frame on a device.
+/// A frame that was drawn on a device, as far as the device went.
 struct Outcome {
     mesh: Mesh,
     warnings: Vec<String>,

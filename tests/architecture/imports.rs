@@ -23,11 +23,11 @@ type Module = Vec<String>;
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Import {
     pub from: String,
-    /// Where what is named is written.
+    /// The file where what is named is written.
     pub to: String,
     /// The file of the module by which it is named, which may re-export it.
     pub by: String,
-    /// As it is named.
+    /// The name by which it goes there.
     pub path: String,
 }
 
@@ -133,7 +133,7 @@ fn joined(module: &[String], child: &str) -> Module {
     module.iter().cloned().chain([child.to_owned()]).collect()
 }
 
-/// What a `use` names: under which name it is known then, and its path.
+/// The leaves of a `use`: under which name each is known then, and its path.
 fn leaves(tree: &UseTree) -> Vec<(String, Vec<String>)> {
     match tree {
         UseTree::Path(path) => leaves(&path.tree)
