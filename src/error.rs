@@ -87,7 +87,12 @@ impl Error {
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame {
-                fault: FrameError::OverBudget(_) | FrameError::Kernels(_) | FrameError::TooFine(_),
+                fault:
+                    FrameError::OverBudget(_)
+                    | FrameError::NoSpacing
+                    | FrameError::Kernels(_)
+                    | FrameError::TooFine(_)
+                    | FrameError::TooManyVertices,
                 ..
             } => Cause::Request,
             Self::Frame { fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, .. } => {
@@ -109,7 +114,7 @@ impl Error {
             Self::Sequence(SequenceError::NoFrames(_)) => Cause::Input,
             Self::Sequence(SequenceError::Io { .. }) => Cause::Output,
             Self::Sequence(_) => Cause::Request,
-            Self::Vulkan(_) => Cause::Device,
+            Self::Vulkan(_) | Self::Frame { fault: FrameError::Vulkan(_), .. } => Cause::Device,
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,
                 WriteFault::Exists

@@ -1,47 +1,24 @@
 //! What a frame will take of memory and disk, known once its particles are counted by bin and before
 //! anything is stored for them; and how to share a budget that is smaller than that.
+//!
+//! Every stage says what it takes; here it is added up.
 
 use bytesize::ByteSize;
 use thiserror::Error;
 
-use crate::brick::{CountingRoom, PageInfo, PageSamples, PageShape};
-use crate::grid::{BLOCK, BLOCK_TILES};
-use crate::mesh::Tile;
-use crate::mesh::spool::vertex_bytes;
-use crate::stage::dual_mc::Normals;
-use crate::stitch::NUMBERS_BYTES;
+use crate::brick::{Bins, PageInfo, PageSamples, PageShape, SpilledBins};
+use crate::grid::BLOCK;
+use crate::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
+use crate::stage::attribute;
+use crate::stage::dual_mc::{bin_vertices, block_vertices};
+use crate::stitch::writing_bytes;
 use crate::units::MemoryBudget;
 
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
 const PROGRAM: u64 = 6 << 20;
 const THREAD: u64 = 5 << 18;
-/// As many sums more than an attribute has components are there at once while a thread smooths them.
-const SUMS: u64 = 3;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
 pub const BLOCKS_A_THREAD: usize = 2;
-/// Vertices of a block with much surface.
-const VERTICES_A_BLOCK: u64 = 6_000;
-/// The same where drops keep theirs: spray is all surface.
-const VERTICES_OF_SPRAY: u64 = 20_000;
-/// Triangles of a closed surface, nearly.
-const TRIANGLES_A_VERTEX: u64 = 2;
-/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
-const WRITTEN: u64 = 24 + 4 * 13;
-/// Bytes a bin takes in tables, however little it holds.
-const BIN_BYTES: u64 = 320;
-/// Bytes of a binned particle, without attributes.
-const RECORD: u64 = 8;
-/// Bytes of a particle in a scratch file, at the least.
-const SPILLED: u64 = 6;
-/// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
-/// more bins than a place can name.
-const MOST_PLACES: u64 = 64 << 20;
-/// Bytes of a vertex's share of a tile.
-const TILE_SHARE: u64 = 4;
-/// Vertices around a particle that is alone.
-const VERTICES_A_PARTICLE: u64 = 60;
-/// Vertices in a bin full of wrinkled surface: a plane through it has 16^2 times one to two.
-const VERTICES_A_BIN: u64 = 2000;
 
 /// The smallest budget that is worth a try.
 pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
@@ -67,15 +44,19 @@ pub struct Estimate {
     pub carried: bool,
 }
 
-/// What a surface takes while it is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Memory that drawing a surface takes, as its stages say.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawing {
-    /// Whether vertices get normals.
-    pub normals: Normals,
-    /// Whether details are recovered or spared.
-    pub details: bool,
-    /// How far from a cell the DIF decides its field.
+    /// How far from a cell its field is decided, in cells.
     pub halo: i32,
+    /// Bytes of a cell while its field is made.
+    pub cell_bytes: u64,
+    /// Whether every drop and every sheet can have a surface.
+    pub keeps_details: bool,
+    /// Whether vertices get normals.
+    pub normals: bool,
+    /// Components of each attribute on the vertices.
+    pub components: Vec<usize>,
 }
 
 /// How a frame is brought under its budget.
@@ -114,92 +95,68 @@ pub struct OverBudget {
     pub fitting_cell_size: f64,
 }
 
-/// Bytes of the surface of a block that is full of spray, given those of a vertex without its tile.
-#[must_use]
-pub fn spray_bytes(vertex_bytes: u64) -> u64 {
-    block_bytes(VERTICES_OF_SPRAY, vertex_bytes)
-}
-
-fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
-    vertices * vertex_bytes + u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
-}
-
-/// What counting may take under a budget: half of it for tables, and an eighth, or what is worth it, for places.
-#[must_use]
-pub fn counting_room(budget: MemoryBudget) -> CountingRoom {
-    let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
-    let places = (budget.0 / 8).min(MOST_PLACES) / CountingRoom::PLACE;
-    CountingRoom { bins: number(budget.0 / 2 / BIN_BYTES), places: number(places) }
-}
-
 impl Drawing {
-    fn vertex_bytes(self, components: &[usize]) -> u64 {
-        vertex_bytes(self.normals == Normals::Gradient, components)
-    }
-
-    fn vertices_a_block(self) -> u64 {
-        if self.details { VERTICES_OF_SPRAY } else { VERTICES_A_BLOCK }
+    /// Bytes of a vertex, without its tile.
+    fn vertex_bytes(&self) -> u64 {
+        vertex_bytes(self.normals, &self.components)
     }
 
     /// Bytes that each thread takes.
-    fn thread_bytes(self, components: &[usize]) -> u64 {
+    fn thread_bytes(&self) -> u64 {
         // Dual cells reach one cell up, and normals one cell each way.
         let edge = (BLOCK + 3 + 2 * self.halo) as u64;
-        let fields = if self.details { 4 } else { 2 } * size_of::<u16>() as u64;
-        let sums = |&components: &usize| (components as u64 + SUMS) * size_of::<f64>() as u64;
-        let a_cell = components.iter().map(sums).fold(fields, u64::max);
-        let meshing = edge.pow(3) * a_cell
-            + BLOCKS_A_THREAD as u64 * block_bytes(self.vertices_a_block(), self.vertex_bytes(components));
-        let writing = NUMBERS_BYTES + self.vertices_a_block() * TRIANGLES_A_VERTEX * WRITTEN;
-        THREAD + meshing.max(writing)
+        let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
+        let vertices = block_vertices(self.keeps_details);
+        let meshing = edge.pow(3) * carried.fold(self.cell_bytes, u64::max)
+            + BLOCKS_A_THREAD as u64 * block_bytes(vertices, self.vertex_bytes());
+        THREAD + meshing.max(writing_bytes(vertices))
     }
 }
 
 impl Estimate {
-    /// For particles counted by bin, with attributes of so many components carried, and an input and a backend of which
+    /// For particles counted by bin whose DIF is kept in pages of a shape, if there is one, and an input and a backend of which
     /// `in_memory` bytes are taken all the time.
     #[must_use]
     pub fn of(
         counts: impl Iterator<Item = usize>,
-        shape: PageShape,
-        components: &[usize],
-        drawing: Drawing,
+        shape: Option<PageShape>,
+        drawing: &Drawing,
         in_memory: u64,
     ) -> Self {
-        let mut estimate = Self::of_program(drawing, components, in_memory);
-        for count in counts {
+        let mut estimate = Self::of_program(drawing, in_memory);
+        let page = |count: usize, shape: PageShape| {
             let nonzero = count.saturating_mul(shape.cells_a_particle());
-            let bricks = count.min(shape.side.bricks_a_bin());
-            let field = PageSamples::most_bytes(nonzero, bricks, shape) as u64;
-            estimate.add_bin(count as u64, components, field, drawing);
+            PageSamples::most_bytes(nonzero, count.min(shape.side.bricks_a_bin()), shape) as u64
+        };
+        for count in counts {
+            estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
+            estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
+            estimate.add_bin(count as u64, shape.map_or(0, |shape| page(count, shape)), drawing);
         }
         estimate
     }
 
     /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
     #[must_use]
-    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: Drawing, in_memory: u64) -> Self {
-        let mut estimate = Self::of_program(drawing, &[], in_memory);
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing, in_memory: u64) -> Self {
+        let mut estimate = Self::of_program(drawing, in_memory);
         for page in pages {
-            estimate.add_bin(page.full_count.into(), &[], page.most_bytes(shape) as u64, drawing);
+            estimate.add_bin(page.full_count.into(), page.most_bytes(shape) as u64, drawing);
         }
-        Self { particles: 0, spilled: 0, ..estimate }
+        estimate
     }
 
-    fn of_program(drawing: Drawing, components: &[usize], in_memory: u64) -> Self {
-        let threads = drawing.thread_bytes(components) * rayon::current_num_threads() as u64;
-        Self { program: PROGRAM + threads + in_memory, carried: !components.is_empty(), ..Self::default() }
+    fn of_program(drawing: &Drawing, in_memory: u64) -> Self {
+        let threads = drawing.thread_bytes() * rayon::current_num_threads() as u64;
+        let carried = !drawing.components.is_empty();
+        Self { program: PROGRAM + threads + in_memory, carried, ..Self::default() }
     }
 
-    /// Adds a bin of so many particles, with attributes of so many components, and so many bytes of the DIF.
-    fn add_bin(&mut self, count: u64, components: &[usize], field: u64, drawing: Drawing) {
-        let attributes = (components.iter().sum::<usize>() * size_of::<f32>()) as u64;
-        self.index += BIN_BYTES;
-        self.particles += count * (RECORD + attributes);
-        self.spilled += count * (SPILLED + attributes);
+    /// Adds a bin of so many particles, and so many bytes of the DIF.
+    fn add_bin(&mut self, particles: u64, field: u64, drawing: &Drawing) {
+        self.index += Bins::TABLE_BYTES;
         self.field += field;
-        let vertices = (count * VERTICES_A_PARTICLE).min(VERTICES_A_BIN);
-        self.surface += (drawing.vertex_bytes(components) + TILE_SHARE) * vertices;
+        self.surface += (drawing.vertex_bytes() + TILE_SHARE) * bin_vertices(particles);
     }
 
     /// The peak with everything in memory.

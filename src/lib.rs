@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks              brick, stage::indicator
-//! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage
+//! DIF bricks --calibrate--> mu0, plateau, isovalue                          calibration
+//! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage, backend
 //! block surfaces --stitch--> mesh --write--> file                           stitch, io
 //! ```
 //!
@@ -16,7 +17,7 @@
 //! use meniscus::grid::Grid;
 //! use meniscus::laps::Laps;
 //! use meniscus::mesh::check::check;
-//! use meniscus::stage::indicator::Indicator;
+//! use meniscus::stage::indicator::IndicatorKind;
 //!
 //! // A ball of particles, one a cell.
 //! let steps = || (-8..8).map(|i| f64::from(i) + 0.5);
@@ -26,7 +27,7 @@
 //! let sampling = Sampling {
 //!     grid: Grid::new([0.0; 3].into(), 1.0)?,
 //!     domain: None,
-//!     indicator: Indicator::default(),
+//!     field: IndicatorKind::default().into(),
 //!     invalid: InvalidParticles::Refuse,
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),
@@ -37,12 +38,13 @@
 //!     Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
 //! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
 //! let surface = frame.surface(&surfacing, &mut Laps::default())?;
-//! assert!(check(&surface.mesh.to_mesh()?).is_closed_oriented_manifold());
+//! assert!(check(&surface.to_mesh()?).is_closed_oriented_manifold());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 pub mod backend;
 pub mod brick;
+pub mod calibration;
 pub mod error;
 pub mod estimate;
 pub mod frame;
@@ -53,10 +55,8 @@ pub mod lattice;
 pub mod memory;
 pub mod mesh;
 pub mod particles;
-pub mod plateau;
 pub mod programs;
 pub mod recipe;
-pub mod resident;
 pub mod rivals;
 pub mod scratch;
 pub mod sequence;

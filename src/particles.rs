@@ -107,6 +107,18 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
         .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
+/// The attributes on the mesh: velocity under the name that other programs read, others under their own.
+#[must_use]
+pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
+    let taken = attributes.iter().any(|info| info.name == "velocity");
+    let velocity = velocity_attribute(attributes).filter(|_| !taken);
+    let name = |&index: &usize| {
+        let info = attributes[index].clone();
+        if velocity == Some(index) { AttributeInfo { name: "velocity".into(), ..info } } else { info }
+    };
+    carried.iter().map(name).collect()
+}
+
 /// Where particles are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {

@@ -17,7 +17,7 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 31] = [
+const ROOMS: [&str; 30] = [
     "units",
     "particles",
     "grid",
@@ -37,12 +37,11 @@ const ROOMS: [&str; 31] = [
     "stage/attribute",
     "recipe",
     "backend",
-    "plateau",
+    "calibration",
     "rivals",
     "stitch",
     "simplify",
     "programs",
-    "resident",
     "estimate",
     "io",
     "frame",
@@ -62,7 +61,7 @@ struct Circle {
 }
 
 /// The circles that are still there.
-const CIRCLES: [Circle; 11] = [
+const CIRCLES: [Circle; 9] = [
     Circle {
         files: &[
             "bin/meniscus/devices.rs",
@@ -98,11 +97,6 @@ const CIRCLES: [Circle; 11] = [
         until: "2027-02-28",
     },
     Circle {
-        files: &["frame/counted.rs", "frame/mod.rs"],
-        why: "settings are in the file of the frame, which takes what was counted by them",
-        until: "2027-01-31",
-    },
-    Circle {
         files: &["io/bytes.rs", "io/columns.rs", "io/mod.rs"],
         why: "faults and the particles of a file are both in mod.rs",
         until: "2027-02-28",
@@ -131,11 +125,6 @@ const CIRCLES: [Circle; 11] = [
         files: &["simplify/collapse.rs", "simplify/surface.rs", "simplify/topology.rs"],
         why: "the surface lends collapses their adjacency by a type of theirs",
         until: "2027-01-31",
-    },
-    Circle {
-        files: &["stage/indicator/cpu.rs", "stage/indicator/mod.rs"],
-        why: "the rule asks the processor's twin for its table of counts",
-        until: "2027-02-28",
     },
 ];
 

@@ -58,7 +58,8 @@ fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
     let scratch = TempDir::new().unwrap();
     for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
-            let mut sampling = Sampling { indicator, side: indicator.brick_side(), carried, ..sampling() };
+            let mut sampling =
+                Sampling { field: indicator.into(), side: indicator.brick_side(), carried, ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
@@ -90,13 +91,19 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
         for (indicator, side) in
             INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            let indicator = indicator.with_mean(Some(MeanCount::new(2.0).unwrap()));
-            let rule = PageRule { indicator, side, walls: None };
+            let content = indicator.by(MeanCount::new(2.0).unwrap()).content();
+            let rule = PageRule { content, side, walls: None };
             let plan =
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();
-            let drawing = Drawing { normals: Normals::None, details: false, halo: 3 };
-            let estimate = Estimate::of(plan.counts(), rule.shape(), &[], drawing, 0);
+            let drawing = Drawing {
+                halo: 3,
+                cell_bytes: 4,
+                keeps_details: false,
+                normals: false,
+                components: Vec::new(),
+            };
+            let estimate = Estimate::of(plan.counts(), Some(rule.shape()), &drawing, 0);
             let bins = plan.fill(&particles[..], &[]);
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);

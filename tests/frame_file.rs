@@ -14,10 +14,9 @@ use meniscus::grid::{CellBox, Domain, Grid};
 use meniscus::io::ReadFault;
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
-use meniscus::io::mnf::{FrameFacts, FrameWriter, frame_from_file, open_frame, write_frame};
+use meniscus::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
 use meniscus::particles::Particles;
-use meniscus::recipe::gather;
-use meniscus::stage::indicator::{Indicator, PageRule, indicate};
+use meniscus::stage::indicator::{FrameFacts, Indicator, IndicatorKind, PageRule, SampledDif, indicate};
 use meniscus::units::MeanCount;
 use rayon::prelude::*;
 use tempfile::TempDir;
@@ -29,29 +28,29 @@ fn sample(
     particles: &(impl Particles + ?Sized),
     grid: Grid,
     domain: Option<Domain>,
-    indicator: Indicator,
+    indicator: IndicatorKind,
     side: BrickSide,
-) -> (FrameFacts, DifField) {
+) -> SampledDif {
     let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, CountingRoom::BINS)
         .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let indicator = indicator.measured(census.binned, full_cells(&bins)).unwrap();
-    let rule = PageRule { indicator, side, walls: domain.as_ref().map(Domain::cells) };
+    let indicator = indicator.by(MeanCount::measured(census.binned as u64, full_cells(&bins)).unwrap());
+    let facts = FrameFacts { grid, domain, census, spacing: Some(0.5) };
+    let rule = PageRule { content: indicator.content(), side, walls: facts.walls() };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
-    let field = DifField::in_memory(rule.shape(), pages);
-    (FrameFacts { grid, domain, indicator, census, spacing: Some(0.5) }, indicator.decode(field))
+    SampledDif::new(facts, indicator, DifField::in_memory(rule.shape(), pages))
 }
 
-fn encoded(facts: &FrameFacts, field: &DifField) -> Vec<u8> {
+fn encoded(frame: &SampledDif) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let written = write_frame(&mut bytes, facts, field).unwrap();
+    let written = write_frame(&mut bytes, frame).unwrap();
     assert_eq!(written, bytes.len() as u64);
     bytes
 }
 
 /// A few pages of very few particles, in a tank.
-fn small() -> (FrameFacts, DifField) {
+fn small() -> SampledDif {
     let mut particles: Vec<[f64; 3]> = splashes(5).into_iter().step_by(25).collect();
     particles.push([f64::NAN; 3]);
     let domain = tank(&sampling().grid);
@@ -77,7 +76,9 @@ fn refusal(folder: &Folder, bytes: &[u8]) -> String {
     open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
 }
 
-fn assert_same_field(found: &DifField, expected: &DifField, what: &str) {
+fn assert_same_frame(found: &SampledDif, expected: &SampledDif, what: &str) {
+    assert_eq!((found.facts, found.indicator), (expected.facts, expected.indicator), "{what}");
+    let (found, expected) = (&found.dif, &expected.dif);
     assert_eq!(found.infos(), expected.infos(), "{what}");
     assert_eq!(found.side(), expected.side(), "{what}");
     assert_eq!(found.mean_of_full(), expected.mean_of_full(), "{what}");
@@ -85,7 +86,7 @@ fn assert_same_field(found: &DifField, expected: &DifField, what: &str) {
     let blocks: Vec<_> = all.grown(3, 3).cubes(20).collect();
     blocks.par_iter().for_each(|&block| {
         let cells = CellBox::cube(block, 20).grown(5, 2);
-        assert!(gather(found, cells, None) == gather(expected, cells, None), "{what}: {cells:?}");
+        assert!(found.gather(cells) == expected.gather(cells), "{what}: {cells:?}");
     });
 }
 
@@ -97,18 +98,14 @@ fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
     for side in SIDES {
         for indicator in INDICATORS {
             for domain in [None, Some(tank(&grid))] {
-                let (facts, field) = sample(&particles[..], grid, domain, indicator, side);
-                let path = folder.file(&encoded(&facts, &field));
+                let frame = sample(&particles[..], grid, domain, indicator, side);
+                let path = folder.file(&encoded(&frame));
                 for cache_bytes in [0, 64 << 10, u64::MAX] {
                     let what = format!("{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes");
-                    let (found, mapped) = open_frame(&path, cache_bytes).unwrap();
-                    assert_eq!(found, facts, "{what}");
-                    assert_same_field(&mapped, &field, &what);
-                    let (found, scratch) =
-                        frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
-                    assert_eq!(found, facts, "{what}");
-                    assert_same_field(&scratch, &field, &what);
-                    assert!(encoded(&found, &scratch) == fs::read(&path).unwrap(), "{what}: written again");
+                    assert_same_frame(&open_frame(&path, cache_bytes).unwrap(), &frame, &what);
+                    let scratch = frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
+                    assert_same_frame(&scratch, &frame, &what);
+                    assert!(encoded(&scratch) == fs::read(&path).unwrap(), "{what}: written again");
                 }
             }
         }
@@ -118,19 +115,20 @@ fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
 #[test]
 fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
     let particles: Vec<[f64; 3]> = splashes(2).iter().map(|p| p.map(|x| 6.0 * x)).collect();
-    let (facts, field) = sample(&particles[..], sampling().grid, None, INDICATORS[0], BrickSide::Eight);
+    let frame = sample(&particles[..], sampling().grid, None, INDICATORS[0], BrickSide::Eight);
+    let field = &frame.dif;
     assert!(field.infos().len() > 200, "more than a chunk of pages");
-    let expected = encoded(&facts, &field);
+    let expected = encoded(&frame);
     for threads in [1, 2, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(pool.install(|| encoded(&facts, &field)) == expected, "{threads} threads");
+        assert!(pool.install(|| encoded(&frame)) == expected, "{threads} threads");
         let mut bytes = Vec::new();
         let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
         let pages: Vec<_> = field.infos().iter().copied().zip(0..).collect();
         for batch in pages.chunks(37 * threads) {
             pool.install(|| writer.push(batch, |&page| field.stored(page))).unwrap();
         }
-        writer.finish(&facts).unwrap();
+        writer.finish(&frame.facts, frame.indicator).unwrap();
         assert!(bytes == expected, "{} pages at a time", 37 * threads);
     }
 }
@@ -139,32 +137,33 @@ fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
 fn facts_survive_at_their_extremes() {
     let folder = Folder::new();
     let grid = Grid::new(DVec3::new(-1e300, 0.1, -0.0), 1e-300).unwrap();
-    let (mut facts, field) = small();
-    facts = FrameFacts { grid, domain: None, spacing: None, ..facts };
-    facts.census.outside = usize::MAX;
+    let mut frame = small();
+    frame.facts = FrameFacts { grid, domain: None, spacing: None, ..frame.facts };
+    frame.facts.census.outside = usize::MAX;
     for mean in [f64::MIN_POSITIVE, MeanCount::MAX] {
-        facts.indicator = Indicator::Counting { mean: Some(MeanCount::new(mean).unwrap()) };
-        let (found, _) = open_frame(&folder.file(&encoded(&facts, &field)), 0).unwrap();
-        assert_eq!(found, facts);
+        frame.indicator = Indicator::Counting(MeanCount::new(mean).unwrap());
+        let found = open_frame(&folder.file(&encoded(&frame)), 0).unwrap();
+        assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
     }
 }
 
 #[test]
 fn a_frame_without_pages_is_a_frame() {
     let folder = Folder::new();
-    let (facts, _) = small();
-    let field = DifField::in_memory(BrickSide::Eight.into(), Vec::new());
-    let (found, empty) = open_frame(&folder.file(&encoded(&facts, &field)), 0).unwrap();
-    assert_eq!((found, empty.infos().len()), (facts, 0));
-    assert_eq!(empty.gather(CellBox::cube(IVec3::ZERO, 8)).samples(), [0; 512]);
+    let SampledDif { facts, indicator, .. } = small();
+    let none = DifField::in_memory(BrickSide::Eight.into(), Vec::new());
+    let empty = SampledDif::new(facts, indicator, none);
+    let found = open_frame(&folder.file(&encoded(&empty)), 0).unwrap();
+    assert_eq!((found.facts, found.dif.infos().len()), (facts, 0));
+    assert_eq!(found.dif.gather(CellBox::cube(IVec3::ZERO, 8)).samples(), [0; 512]);
 }
 
 #[test]
 fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
     let folder = Folder::new();
-    let (facts, field) = small();
-    let good = encoded(&facts, &field);
-    assert!(field.infos().len() > 5 && good.len() < 20_000, "{} bytes", good.len());
+    let frame = small();
+    let good = encoded(&frame);
+    assert!(frame.dif.infos().len() > 5 && good.len() < 20_000, "{} bytes", good.len());
     let kind = |bytes: &[u8], what: &str| {
         let path = folder.file(bytes);
         match open_frame(&path, 1 << 20) {
@@ -218,8 +217,7 @@ impl Layout {
 #[test]
 fn damage_with_checksums_that_fit_is_refused_all_the_same() {
     let folder = Folder::new();
-    let (facts, field) = small();
-    let good = encoded(&facts, &field);
+    let good = encoded(&small());
     let layout = Layout::of(&good);
     let Layout { footer, index } = layout;
     let second = index + 44;
@@ -273,14 +271,15 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
 fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
     let folder = Folder::new();
     let particle = [[8.5; 3]];
-    let cloud = Indicator::Cloud { mean: None };
-    let (facts, field) = sample(&particle[..], sampling().grid, None, cloud, BrickSide::Sixteen);
+    let cloud = IndicatorKind::Cloud;
+    let frame = sample(&particle[..], sampling().grid, None, cloud, BrickSide::Sixteen);
+    let field = &frame.dif;
     let mut samples = field.stored(0).to_vec();
     let written = |samples: &[u16]| {
         let mut bytes = Vec::new();
         let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
         writer.push(&[(field.infos()[0], samples)], |&samples| samples.into()).unwrap();
-        writer.finish(&facts).unwrap();
+        writer.finish(&frame.facts, frame.indicator).unwrap();
         bytes
     };
     let mut whole = written(&samples);
@@ -298,8 +297,7 @@ fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
 #[test]
 fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     let folder = Folder::new();
-    let (facts, field) = small();
-    let whole = encoded(&facts, &field);
+    let whole = encoded(&small());
     let unfinished = &whole[..Layout::of(&whole).footer];
     assert!(refusal(&folder, unfinished).contains("truncated"));
     assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a frame"));
@@ -324,13 +322,13 @@ impl Write for FullDisk {
 
 #[test]
 fn a_full_disk_is_an_error_wherever_it_fills() {
-    let (facts, field) = small();
-    let whole = encoded(&facts, &field).len();
+    let frame = small();
+    let whole = encoded(&frame).len();
     for room in (0..whole).step_by(7) {
-        let fault = write_frame(FullDisk(room), &facts, &field).unwrap_err();
+        let fault = write_frame(FullDisk(room), &frame).unwrap_err();
         assert_eq!(fault.kind(), std::io::ErrorKind::StorageFull);
     }
-    write_frame(FullDisk(whole), &facts, &field).unwrap();
+    write_frame(FullDisk(whole), &frame).unwrap();
 }
 
 #[test]
@@ -345,11 +343,11 @@ fn pages_of_real_frames_compress() {
         let particles = open_particles(&data.join(name), unpacking).unwrap().particles;
         for indicator in INDICATORS {
             let grid = Grid::new(DVec3::ZERO, spacing).unwrap();
-            let (facts, field) = sample(&particles, grid, None, indicator, BrickSide::Eight);
-            let bytes = encoded(&facts, &field).len() as f64;
+            let frame = sample(&particles, grid, None, indicator, BrickSide::Eight);
+            let (field, bytes) = (&frame.dif, encoded(&frame).len() as f64);
             let ratio = field.sample_bytes() as f64 / bytes;
             println!("{name}, {indicator:?}: {} pages, {ratio:.2} times smaller", field.infos().len());
-            let least = if matches!(indicator, Indicator::Counting { .. }) { 5.0 } else { 1.5 };
+            let least = if matches!(indicator, IndicatorKind::Counting) { 5.0 } else { 1.5 };
             assert!(ratio > least, "{name}, {indicator:?}: {ratio}");
         }
     }

@@ -8,23 +8,25 @@ use std::collections::HashMap;
 
 use common::dense::Method;
 use common::scene::Random;
-use common::{INDICATORS, fill, sampling, surfacing};
+use common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::frame::{Detail, Frame, FrameError, KernelFrame, Normals, Sampling, Shortfall, Surfacing};
+use meniscus::calibration::{
+    COARSEST_STEP, Calibrated, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine, step_cells,
+};
+use meniscus::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
 use meniscus::grid::{CellBox, Domain};
 use meniscus::laps::Laps;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::source::MeshSource;
-use meniscus::plateau::{COARSEST_STEP, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine, step_cells};
 use meniscus::rivals::Method as Rival;
-use meniscus::stage::blur::Smoothing;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::blur::{Filter, Smoothing};
+use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, MeanCount, Sigma};
 use rayon::prelude::*;
 
-const CLOUD: Indicator = Indicator::Cloud { mean: None };
-const COUNTING: Indicator = Indicator::Counting { mean: None };
+const CLOUD: IndicatorKind = IndicatorKind::Cloud;
+const COUNTING: IndicatorKind = IndicatorKind::Counting;
 
 /// How particles stand in a box.
 #[derive(Debug, Clone, Copy)]
@@ -64,13 +66,15 @@ fn cube(edge: f64, density: f64, disorder: Disorder, seed: u64) -> Vec<[f64; 3]>
 }
 
 /// In cells of edge 1, of particles `spacing` of them apart.
-fn sampling_at(spacing: f64, indicator: Indicator) -> Sampling {
-    Sampling { indicator, spacing: Some(spacing), side: indicator.brick_side(), ..sampling() }
+fn sampling_at(spacing: f64, indicator: impl Into<IndicatorRequest>) -> Sampling {
+    let indicator = indicator.into();
+    let side = indicator.kind.brick_side();
+    Sampling { field: indicator.into(), spacing: Some(spacing), side, ..sampling() }
 }
 
 /// Whether such cells are refused before there is a DIF.
-fn asked(surfacing: &Surfacing, spacing: f64, indicator: Indicator) -> Result<(), TooFine> {
-    surfacing.refuse_too_fine(indicator, Some(spacing), &sampling().grid)
+fn asked(surfacing: &Surfacing, spacing: f64, indicator: impl Into<IndicatorRequest>) -> Result<(), TooFine> {
+    surfacing.refuse_too_fine(indicator.into(), Some(spacing), &sampling().grid)
 }
 
 fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
@@ -82,16 +86,23 @@ fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Frame {
     Frame::sample(particles, sampling, &mut Laps::default()).unwrap()
 }
 
+/// The indicator of a frame, by the same mu0.
+fn again(frame: &Frame) -> IndicatorRequest {
+    let indicator = dif(frame).indicator;
+    IndicatorRequest { kind: indicator.kind(), mean: indicator.mean() }
+}
+
 fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
-    frame.surface(surfacing, &mut Laps::default()).unwrap().mesh
+    frame.surface(surfacing, &mut Laps::default()).unwrap()
 }
 
 /// The median of the smoothed DIF in f64, over the cells that lie deeper in a cube than the filters reach.
 fn oracle(particles: &[[f64; 3]], frame: &Frame, edge: f64) -> f64 {
-    let (sigma, indicator) = (frame.sigma(None), frame.facts().indicator);
+    let (indicator, facts) = (dif(frame).indicator, frame.facts());
+    let sigma = surfacing().width(indicator.kind(), facts.spacing, facts.grid.cell_size());
     let method = Method { indicator, sigma: sigma.cells(), detail: Detail::Smoothed, iso: 1.0, walls: None };
     let field = method.real(particles);
-    let depth = Smoothing::new(indicator, sigma).reach() + 1;
+    let depth = Smoothing::new(indicator.kind(), sigma).reach() + 1;
     let deep = CellBox { lo: IVec3::splat(depth), hi: IVec3::splat(edge as i32 - depth) };
     let mut deep: Vec<f64> = field.iter().filter(|(cell, _)| deep.contains(*cell)).map(|(_, x)| x).collect();
     let middle = deep.len() / 2;
@@ -131,7 +142,7 @@ fn the_isovalue_is_its_share_of_the_plateau_that_a_dense_oracle_finds_in_cells_o
         let clump = particles[particles.len() / 2];
         particles.extend([clump; 10]);
         let frame = sample(&particles, &sampling_at(1.0 / cell, indicator));
-        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
+        let (recipe, Calibrated { plateau, .. }) = recipe(&frame, &surfacing());
         let share = recipe.iso.value() / oracle(&particles, &frame, edge / cell);
         let off = share / 0.47 - 1.0;
         let what =
@@ -191,7 +202,7 @@ fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
 
 #[test]
 fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
-    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
+    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
     for (name, body, place) in bodies() {
         for (cell, indicator) in
             [(1.0 / 1.5, CLOUD), (1.0 / 3.0, CLOUD), (1.0 / 1.5, COUNTING), (0.4, COUNTING)]
@@ -200,8 +211,8 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
             let particles = scaled(&body, spacing);
             // Detail is drawn by the isovalue whatever that is, so it is looked at too, as particles in a cell.
             let isovalue = |frame: &Frame| {
-                let (recipe, _) = frame.recipe(&surfacing()).unwrap();
-                recipe.iso.value() * frame.mean_count().unwrap().particles()
+                let Calibration { mean, iso } = recipe(frame, &surfacing()).1.calibration;
+                iso.value() * mean.unwrap().particles()
             };
             let of_clean = sample(&particles, &sampling_at(spacing, indicator));
             let clean = draw(&of_clean, &spared);
@@ -240,20 +251,20 @@ fn without_an_interior_the_plateau_is_that_of_a_fluid_of_this_spacing() {
         for indicator in INDICATORS {
             let spacing = 1.0 / cell;
             if asked(&surfacing(), spacing, indicator).is_err() {
-                assert!(indicator == Indicator::Symmetry && cell <= FINEST_OF_SYMMETRY);
+                assert!(indicator == IndicatorKind::Symmetry && cell <= FINEST_OF_SYMMETRY);
                 continue;
             }
             let of_pool = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
-            let (_, deep) = of_pool.recipe(&surfacing()).unwrap();
+            let deep = recipe(&of_pool, &surfacing()).1.plateau;
             let Plateau::Interior { median, .. } = deep else { panic!("a pool of {cell}: {deep:?}") };
             // Of the same mu0, which fewer particles in a cell would make another.
-            let sampling = sampling_at(spacing, of_pool.facts().indicator);
+            let sampling = sampling_at(spacing, again(&of_pool));
             for (name, body, _) in &bodies()[2..] {
                 let frame = sample(&scaled(body, spacing), &sampling);
-                let (_, plateau) = frame.recipe(&surfacing()).unwrap();
+                let plateau = recipe(&frame, &surfacing()).1.plateau;
                 let Plateau::Shallow { expected } = plateau else { panic!("{name} in {cell}: {plateau:?}") };
                 let ratio = f64::from(expected) / f64::from(median);
-                let within = if matches!(indicator, Indicator::Cloud { .. }) { 0.02 } else { 0.1 };
+                let within = if matches!(indicator, IndicatorKind::Cloud) { 0.02 } else { 0.1 };
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} {name} in {cell}: {ratio}");
             }
         }
@@ -265,10 +276,10 @@ fn a_shallow_layer_is_counted_by_the_disorder_that_it_is_in() {
     for disorder in [Disorder::Jittered(0.3), Disorder::Jittered(0.5), Disorder::Clumped] {
         let particles = scaled(&cube(48.0, 1.0, disorder, 6), 1.5);
         let deep = sample(&particles, &sampling_at(1.5, COUNTING));
-        let (_, Plateau::Interior { median, .. }) = deep.recipe(&surfacing()).unwrap() else { panic!() };
+        let Plateau::Interior { median, .. } = recipe(&deep, &surfacing()).1.plateau else { panic!() };
         let layer: Vec<_> = particles.into_iter().filter(|p| p[1] < 4.0 * 1.5).collect();
-        let layer = sample(&layer, &sampling_at(1.5, deep.facts().indicator));
-        let (_, Plateau::Shallow { expected }) = layer.recipe(&surfacing()).unwrap() else { panic!() };
+        let layer = sample(&layer, &sampling_at(1.5, again(&deep)));
+        let Plateau::Shallow { expected } = recipe(&layer, &surfacing()).1.plateau else { panic!() };
         let ratio = f64::from(expected) / f64::from(median);
         assert!((ratio - 1.0).abs() < 0.05, "{disorder:?}: {ratio}");
     }
@@ -280,7 +291,7 @@ fn mist_is_no_fluid_however_much_there_is_of_it() {
     let mist: Vec<[f64; 3]> = (0..8000).map(|_| [(); 3].map(|()| 40.0 * random.unit())).collect();
     for indicator in [CLOUD, COUNTING] {
         let frame = sample(&scaled(&mist, 1.5), &sampling_at(1.5, indicator));
-        let (_, plateau) = frame.recipe(&surfacing()).unwrap();
+        let plateau = recipe(&frame, &surfacing()).1.plateau;
         assert!(matches!(plateau, Plateau::Shallow { .. }), "{indicator:?}: {plateau:?}");
     }
 }
@@ -326,13 +337,11 @@ fn the_volume_of_a_surface_is_that_of_its_mesh_as_far_as_columns_tell() {
         tank.domain = Domain::new(&tank.grid, DVec3::splat(-8.0), DVec3::splat(8.0)).ok();
         close(&draw(&sample(&ball, &tank), &surfacing()), 0.01, "a full tank");
         // Triangles cut off what bends within a cell, which is much of a drop.
-        let splashes = sample(&common::splashes(3), &Sampling { indicator, ..sampling() });
+        let splashes = sample(&common::splashes(3), &Sampling { field: indicator.into(), ..sampling() });
         close(&draw(&splashes, &surfacing()), 0.06, "drops");
     }
-    let sampling = Sampling { spacing: Some(1.0), ..sampling() };
-    let laps = &mut Laps::default();
-    let kernels = KernelFrame::sample(&ball[..], &sampling, Rival::ZhuBridson, laps).unwrap();
-    close(&kernels.surface(Normals::None, laps).unwrap(), 0.01, "kernels");
+    let sampling = Sampling { field: Rival::ZhuBridson.into(), spacing: Some(1.0), ..sampling() };
+    close(&draw(&sample(&ball, &sampling), &surfacing()), 0.01, "kernels");
 }
 
 #[test]
@@ -358,8 +367,10 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
     for (cell, indicator) in [(0.25, CLOUD), (0.2, CLOUD), (0.2, COUNTING)] {
         let spacing = 1.0 / cell;
         let frame = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
-        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
-        let told = step_cells(f64::from(plateau.value()), recipe.smoothing.width(indicator));
+        let (recipe, measured) = recipe(&frame, &surfacing());
+        let told = measured.step_cells;
+        let plateau = f64::from(measured.plateau.value());
+        assert_eq!(told, step_cells(plateau, recipe.filters.smoothing.width(indicator)));
         assert!(told < COARSEST_STEP);
         // Where vertices lie on the cube's upper face, away from its edges.
         let steps = 8;
@@ -380,7 +391,7 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
 }
 
 /// What becomes of a pool's surface in such cells: the same whether it is asked before there is a DIF or after.
-fn refused(indicator: Indicator, cell: f64) -> Result<(), TooFine> {
+fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let spacing = 1.0 / cell;
     let sampling = sampling_at(spacing, indicator);
     let before = asked(&surfacing(), spacing, indicator);
@@ -416,15 +427,15 @@ fn cells_in_which_sixteen_bits_do_not_tell_where_the_surface_is_are_refused_with
 
 #[test]
 fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
-    assert_eq!(refused(Indicator::Symmetry, 2.0 / 3.0), Ok(()));
-    assert!(refused(Indicator::Symmetry, FINEST_OF_SYMMETRY).is_err());
-    let found = refused(Indicator::Symmetry, 0.4).unwrap_err();
+    assert_eq!(refused(IndicatorKind::Symmetry, 2.0 / 3.0), Ok(()));
+    assert!(refused(IndicatorKind::Symmetry, FINEST_OF_SYMMETRY).is_err());
+    let found = refused(IndicatorKind::Symmetry, 0.4).unwrap_err();
     assert_eq!(found, TooFine::Symmetry { cell_size: 1.0, spacing: 2.5 });
 }
 
 #[test]
 fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
-    let indicator = CLOUD.with_mean(MeanCount::new(60.0).ok());
+    let indicator = IndicatorRequest { kind: CLOUD, mean: MeanCount::new(60.0).ok() };
     let refused = asked(&surfacing(), 3.0, indicator).unwrap_err();
     assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 30.0), "{refused}");
     assert_eq!(asked(&surfacing(), 3.0, CLOUD), Ok(()));

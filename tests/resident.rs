@@ -6,14 +6,14 @@ mod common;
 mod example;
 
 use common::scene::Random;
-use common::{INDICATORS, device, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::frame::{Sampling, Surfacing};
+use meniscus::frame::resident::{Pipeline, ResidentSurface, Settings};
+use meniscus::frame::{FrameError, Sampling, Surfacing};
 use meniscus::mesh::Mesh;
-use meniscus::resident::{Pipeline, ResidentError, ResidentSurface, Settings};
-use meniscus::stage::detail::Detail;
-use meniscus::stage::indicator::Indicator;
+use meniscus::recipe::Detail;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::{Isovalue, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, ValidationLog, VulkanError};
 
@@ -43,7 +43,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
     Settings {
         grid: sampling.grid,
         domain: sampling.domain,
-        indicator: sampling.indicator,
+        indicator: sampling.field.indicator().unwrap(),
         invalid: InvalidParticles::Refuse,
         spacing: sampling.spacing,
         sigma: surfacing.sigma.unwrap_or(Sigma::at_least_a_cell(None)),
@@ -63,9 +63,9 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Spared, 1.0)] {
+        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Adaptive, 1.0)] {
             for walls in [false, true] {
-                let mut sampling = Sampling { indicator, spacing: Some(0.8), ..sampling() };
+                let mut sampling = Sampling { field: indicator.into(), spacing: Some(0.8), ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let surfacing = Surfacing { detail, sigma: Some(Sigma::new(sigma).unwrap()), ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
@@ -93,9 +93,9 @@ fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
         let place = |random: &mut Random| centre.map(|c| c + 4.0 * random.unit());
         particles.extend(std::iter::repeat_with(|| place(&mut random)).take(20 + drop));
     }
-    let sampling = Sampling { indicator: Indicator::Cloud { mean: None }, ..sampling() };
+    let sampling = Sampling { field: IndicatorKind::Cloud.into(), ..sampling() };
     let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-    assert!(frame.dif().infos().len() > 300, "all of so few bins tell mu0");
+    assert!(dif(&frame).dif.infos().len() > 300, "all of so few bins tell mu0");
     let surface = Pipeline::new(&device)
         .unwrap()
         .surface(&[positions(&device, &particles)], &settings(&sampling, &surfacing()))
@@ -124,10 +124,10 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     let surface = |particles: &[[f64; 3]], settings: &Settings| {
         pipeline.surface(&[positions(&device, particles)], settings).unwrap_err()
     };
-    assert!(matches!(surface(&[], &scene), ResidentError::NoParticles(_)));
-    assert!(matches!(surface(&[[f64::NAN; 3]], &scene), ResidentError::Bin(_)));
+    assert!(matches!(surface(&[], &scene), FrameError::NoParticles(_)));
+    assert!(matches!(surface(&[[f64::NAN; 3]], &scene), FrameError::Bin(_)));
     let above = Settings { iso: Some(Isovalue::new(0.9).unwrap()), ..scene };
-    assert!(matches!(surface(&[[0.0; 3]], &above), ResidentError::NoSurface(_)));
+    assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     assert_eq!(device.allocated(), kept);
 }
 
@@ -146,7 +146,7 @@ fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak()
         let struck = device.faults().allocation.swap(0, std::sync::atomic::Ordering::Relaxed) == 0;
         match outcome {
             Ok(surface) => assert!(read(&device, &surface) == rounded(&expected.mesh), "number {number}"),
-            Err(ResidentError::Vulkan(VulkanError::OutOfMemory { .. })) => failures += 1,
+            Err(FrameError::Vulkan(VulkanError::OutOfMemory { .. })) => failures += 1,
             Err(other) => panic!("number {number}: {other}"),
         }
         assert_eq!(device.allocated(), kept, "number {number}");

@@ -9,7 +9,7 @@ use common::dense::{Dense, mesh as dense_mesh};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, splashes, tank};
 use glam::{DMat3, DVec3};
-use meniscus::frame::{FrameError, KernelFrame, Normals, Resources, Sampling};
+use meniscus::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
@@ -22,8 +22,10 @@ const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, 
 
 fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: Method) -> Mesh {
     let laps = &mut Laps::default();
-    let frame = KernelFrame::sample(particles, sampling, method, laps).unwrap();
-    frame.surface(Normals::Gradient, laps).unwrap().to_mesh().unwrap()
+    let sampling = Sampling { field: method.into(), ..sampling.clone() };
+    let frame = Frame::sample(particles, &sampling, laps).unwrap();
+    let surfacing = Surfacing { normals: Normals::Gradient, ..Surfacing::PLAIN };
+    frame.surface(&surfacing, laps).unwrap().to_mesh().unwrap()
 }
 
 fn spaced(spacing: f64) -> Sampling {
@@ -248,9 +250,18 @@ fn attributes_reach_the_vertices_and_normals_point_out() {
 }
 
 #[test]
-fn cells_much_smaller_than_the_spacing_are_refused() {
-    let fine = Sampling { grid: Grid::new(DVec3::ZERO, 1.0 / 17.0).unwrap(), ..spaced(1.0) };
+fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
     let particles = [[0.0_f64; 3]];
-    let refused = KernelFrame::sample(&particles[..], &fine, Method::ZhuBridson, &mut Laps::default());
-    assert!(matches!(refused, Err(FrameError::Kernels(_))));
+    for (cell, spacing) in [(1.0 / 17.0, Some(1.0)), (1.0, None)] {
+        let (grid, field) = (Grid::new(DVec3::ZERO, cell).unwrap(), Method::ZhuBridson.into());
+        let sampling = Sampling { grid, field, spacing, ..sampling() };
+        let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
+        let refused = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap_err();
+        for error in [before, refused] {
+            match spacing {
+                Some(_) => assert!(matches!(error, FrameError::Kernels(_)), "{error}"),
+                None => assert!(matches!(error, FrameError::NoSpacing), "{error}"),
+            }
+        }
+    }
 }

@@ -15,14 +15,14 @@ use meniscus::mesh::compare::compare;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::source::MeshSource;
 use meniscus::simplify::{Reduction, simplify};
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::stitch::Stitched;
 use meniscus::units::Tolerance;
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
     let frame = Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
-    frame.surface(&surfacing, &mut Laps::default()).unwrap().mesh
+    frame.surface(&surfacing, &mut Laps::default()).unwrap()
 }
 
 fn within(cells: f64) -> Reduction {
@@ -56,7 +56,7 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
 fn a_simplified_surface_is_manifold_and_within_the_distance_both_ways_and_loses_no_component_or_handle() {
     for indicator in INDICATORS {
         for seed in [1, 2] {
-            let (particles, sampling) = (splashes(seed), Sampling { indicator, ..sampling() });
+            let (particles, sampling) = (splashes(seed), Sampling { field: indicator.into(), ..sampling() });
             let whole = surface(&particles, &sampling).to_mesh().unwrap();
             for cells in [0.05, 0.1, 0.25, 0.5, 2.0] {
                 let (mesh, _) = simplified(&particles, &sampling, &within(cells));
@@ -83,12 +83,12 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
     let slivers = |mesh: &Mesh| measure(mesh).quality.least_angles[..2].iter().sum::<usize>();
     for (what, particles, share) in [("splashes", splashes(5), 8), ("pool", pool(), 2)] {
         for indicator in INDICATORS {
-            let sampling = Sampling { indicator, ..sampling() };
+            let sampling = Sampling { field: indicator.into(), ..sampling() };
             let whole = slivers(&surface(&particles, &sampling).to_mesh().unwrap());
             for cells in [0.05, 0.1, 0.5] {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
                 // Of clouds there are fewer to begin with.
-                let share = if matches!(indicator, Indicator::Cloud { .. }) { share.min(6) } else { share };
+                let share = if matches!(indicator, IndicatorKind::Cloud) { share.min(6) } else { share };
                 assert!(left <= whole / share, "{what}, {indicator:?}, {cells} cells: {left} of {whole}");
             }
         }

@@ -9,7 +9,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use common::device::{self, Watched};
 use common::scene::Random;
-use common::{INDICATORS, Reconstructed, full_cells, reconstruct, sampling, splashes, surfacing, tank};
+use common::{
+    INDICATORS, Reconstructed, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+};
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
@@ -19,13 +21,13 @@ use meniscus::grid::{CellBox, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::mesh::Mesh;
-use meniscus::recipe::{Details, Recipe};
-use meniscus::stage::blur::{self, Kernel, Smoothing};
-use meniscus::stage::indicator::{Indicator, PageRule};
-use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::recipe::{Filters, Recipe};
+use meniscus::stage::blur::{self, Kernel};
+use meniscus::stage::indicator::{Indicator, IndicatorKind, PageRule};
+use meniscus::units::{Isovalue, MeanCount, MemoryBudget, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
-const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Spared];
+const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Adaptive];
 
 /// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
@@ -133,8 +135,12 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
     for indicator in INDICATORS {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
             let frame = device.start(budget);
-            let indicator = indicator.measured(particles.len(), full_cells(&bins)).unwrap();
-            let rule = PageRule { indicator, side, walls: Some(CellBox::cube(IVec3::ZERO, 9)) };
+            let mean = MeanCount::measured(particles.len() as u64, full_cells(&bins)).unwrap();
+            let rule = PageRule {
+                content: indicator.by(mean).content(),
+                side,
+                walls: Some(CellBox::cube(IVec3::ZERO, 9)),
+            };
             let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
             let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule).unwrap();
             let [pages, expected] = [&pages, &expected].map(|pages| {
@@ -171,7 +177,7 @@ fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_b
 fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
     for indicator in INDICATORS {
         for walls in [false, true] {
-            let mut sampling = Sampling { indicator, ..sampling() };
+            let mut sampling = Sampling { field: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[2], 0.8)] {
                 let sigma = Some(Sigma::new(sigma).unwrap());
@@ -210,7 +216,7 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
             let grid = Grid::new(glam::DVec3::ZERO, 0.05).unwrap();
             for indicator in INDICATORS {
                 for detail in DETAILS {
-                    let mut sampling = Sampling { indicator, grid, ..sampling() };
+                    let mut sampling = Sampling { field: indicator.into(), grid, ..sampling() };
                     let surfacing = Surfacing { detail, ..surfacing() };
                     let (_, expected) = reconstruct(&file.particles, &sampling, &surfacing);
                     sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
@@ -234,13 +240,10 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let mut pages: Vec<_> = pages.collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    let recipe = Recipe {
-        smoothing: Smoothing::new(Indicator::Symmetry, Sigma::new(0.2).unwrap()),
-        details: Details::Smoothed,
-        iso: Isovalue::new(0.5).unwrap(),
-    };
-    let regions: Vec<CellBox> = dif.regions(recipe.reach() + 1, recipe.reach());
-    let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
+    let filters = Filters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
+    let recipe = Recipe::new(filters, Indicator::Symmetry, Isovalue::new(0.5).unwrap());
+    let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
+    let regions = surfaces.regions();
     let budget = MemoryBudget(8 << 30);
     let expected = Cpu.start(budget).contour(&surfaces, &regions);
     let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();

@@ -3,19 +3,19 @@
 mod cpu;
 mod vulkan;
 
-pub use cpu::Cpu;
+pub use cpu::{Cpu, field};
 pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
 
 use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
 
-use crate::brick::{Bins, DifField, Pages};
-use crate::grid::{CellBox, Domain};
+use crate::brick::{Bins, Pages};
+use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
 use crate::recipe::Recipe;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::PageRule;
+use crate::stage::indicator::{PageRule, SampledDif};
 use crate::units::MemoryBudget;
 
 /// Something that stages run on.
@@ -39,9 +39,6 @@ pub trait Stages: Debug + Send + Sync {
     ///
     /// # Errors
     /// Where particles are in a scratch file that cannot be read.
-    ///
-    /// # Panics
-    /// If the indicator [waits for its mean](crate::stage::indicator::Indicator::waits_for_mean).
     fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages>;
 
     /// The surfaces through some regions of blocks, each `None` where there is none.
@@ -66,12 +63,10 @@ pub struct Work {
 /// What surfaces are drawn through, and how.
 #[derive(Debug, Clone, Copy)]
 pub struct Surfaces<'a> {
-    /// The frame's DIF.
-    pub dif: &'a DifField,
-    /// From there to the field.
+    /// The frame.
+    pub sampled: &'a SampledDif,
+    /// From its DIF to the field.
     pub recipe: &'a Recipe,
-    /// Walls, if there are any.
-    pub domain: Option<&'a Domain>,
     /// Whether vertices get normals.
     pub normals: Normals,
 }
@@ -81,27 +76,15 @@ impl Surfaces<'_> {
     #[must_use]
     pub fn regions(&self) -> Vec<CellBox> {
         // A dual cell reaches one cell up from its lowest corner.
-        let reach = self.dif.reach() + self.recipe.reach();
+        let dif = &self.sampled.dif;
+        let reach = dif.reach() + self.recipe.filters.reach();
         let within = self.walls().map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        let regions = self.dif.regions(reach + 1, reach).into_iter().map(cut);
+        let regions = dif.regions(reach + 1, reach).into_iter().map(cut);
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 
-    /// The cells that stand around the dual cells of a region.
-    fn dual(&self, region: CellBox) -> CellBox {
-        region.tiled().grown(0, 1)
-    }
-
-    /// The cells whose field is needed for a region.
-    fn field(&self, region: CellBox) -> CellBox {
-        match self.normals {
-            Normals::None => self.dual(region),
-            Normals::Gradient => self.dual(region).grown(1, 1),
-        }
-    }
-
     fn walls(&self) -> Option<CellBox> {
-        self.domain.map(Domain::cells)
+        self.sampled.facts.walls()
     }
 }

@@ -5,6 +5,7 @@
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
+use std::fmt;
 use std::hash::BuildHasher;
 use std::io;
 use std::ops::Range;
@@ -20,9 +21,9 @@ use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::memory::empty_in_huge_pages;
 use crate::particles::Particles;
 
-use super::bins::{Bins, RECORD_BITS, Record, Slots};
+use super::bins::{Bins, RECORD_BITS, Record, Slots, tuple_bytes};
 use super::place::{Address, BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
-use super::spill::{SpilledBins, tuple_bytes};
+use super::spill::SpilledBins;
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
@@ -39,9 +40,21 @@ pub struct CountingRoom {
     pub places: usize,
 }
 
+/// Bytes of places that are kept from the first reading to the second, at the most: frames that have more mostly touch
+/// more bins than a place can name.
+const MOST_PLACES: u64 = 64 << 20;
+
 impl CountingRoom {
     /// Bytes of a place that is kept.
     pub const PLACE: u64 = size_of::<Record>() as u64;
+
+    /// The room that suits a budget of so many bytes: half of it for tables, and an eighth, or less if that is enough, for places.
+    #[must_use]
+    pub fn within(budget: u64) -> Self {
+        let number = |bytes: u64| usize::try_from(bytes).unwrap_or(usize::MAX);
+        let places = (budget / 8).min(MOST_PLACES) / Self::PLACE;
+        Self { bins: number(budget / 2 / Bins::TABLE_BYTES), places: number(places) }
+    }
 
     /// For any number of bins, and no place.
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
@@ -103,6 +116,19 @@ pub struct Census {
     pub too_far: usize,
     /// Outside of the domain's walls; not counted by the method.
     pub outside: usize,
+}
+
+/// Why particles are in no bin.
+impl fmt::Display for Census {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self { not_finite: 0, too_far: 0, outside: 0, .. } => write!(f, "there are none"),
+            Self { not_finite, too_far, outside, .. } => write!(
+                f,
+                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain"
+            ),
+        }
+    }
 }
 
 /// The first of two readings: how many particles each bin will hold.

@@ -106,6 +106,11 @@ pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
     (0..len).step_by(len.div_ceil(most) | 1)
 }
 
+/// Bytes of a particle with attributes of so many components.
+pub(super) fn tuple_bytes(components: &[usize]) -> usize {
+    size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
+}
+
 /// The particles of one bin.
 #[derive(Debug)]
 pub struct BinContents<'a> {
@@ -131,6 +136,15 @@ impl BinContents<'_> {
 }
 
 impl Bins {
+    /// Bytes that a bin takes in tables until the surface is done, however little it holds.
+    pub const TABLE_BYTES: u64 = 320;
+
+    /// Bytes of a binned particle with attributes of so many components.
+    #[must_use]
+    pub fn particle_bytes(components: &[usize]) -> u64 {
+        tuple_bytes(components) as u64
+    }
+
     /// The bins that hold particles, in Morton order.
     #[must_use]
     pub fn keys(&self) -> &[MortonKey] {

@@ -124,7 +124,17 @@ impl DifField {
         }
     }
 
-    /// The same by what `value` makes of what is there already and of what another brick has stored.
+    /// Cuts `cells` out of the DIF; beyond `walls` their edge cells are repeated.
+    #[must_use]
+    pub fn gather_within(&self, cells: CellBox, walls: Option<CellBox>) -> Block {
+        let mut block = self.gather(cells);
+        if let Some(walls) = walls {
+            block.repeat_edges(walls);
+        }
+        block
+    }
+
+    /// Cuts out the samples by what `value` makes of what is there already and of what another brick has stored.
     fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
         let PageShape { side, rim } = self.shape;
         let edge = side.cells();

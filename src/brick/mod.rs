@@ -1,6 +1,7 @@
 //! Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
 
 mod bin;
+mod binned;
 mod bins;
 mod block;
 mod elias_fano;
@@ -14,6 +15,7 @@ mod sums;
 pub mod vulkan;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
+pub use binned::BinnedParticles;
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, sampled_bins, unpack};
 pub use block::Block;
 pub use field::DifField;

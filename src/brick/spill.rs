@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::grid::MortonKey;
 use crate::scratch::Scratch;
 
-use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, sampled_bins};
+use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, sampled_bins, tuple_bytes};
 use super::elias_fano::EliasFano;
 
 /// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
@@ -47,7 +47,16 @@ struct Piece {
     particles: usize,
 }
 
+/// Bytes that coding leaves of a packed particle, at the least.
+const CODED: usize = 6;
+
 impl SpilledBins {
+    /// Bytes that a particle with attributes of so many components takes in the scratch file, at the least.
+    #[must_use]
+    pub fn least_particle_bytes(components: &[usize]) -> u64 {
+        (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
+    }
+
     pub(super) fn new(
         keys: Vec<MortonKey>,
         first: Vec<usize>,
@@ -153,11 +162,6 @@ impl SpilledBins {
         };
         Ok(SortedStore { bins, written: 0 })
     }
-}
-
-/// Bytes of a particle with attributes of so many components.
-pub(super) fn tuple_bytes(components: &[usize]) -> usize {
-    size_of::<Record>() + size_of::<f32>() * components.iter().sum::<usize>()
 }
 
 /// Sorted bins on their way into a scratch file.

@@ -1,12 +1,11 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
-use crate::estimate::{Estimate, OverBudget, counting_room};
+use crate::estimate::{Estimate, OverBudget};
 use crate::grid::Grid;
 use crate::particles::Particles;
-use crate::rivals::Method;
 
-use super::{FrameError, Sampling, Surfacing};
+use super::{FieldRequest, FrameError, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
@@ -14,7 +13,6 @@ pub struct Counted<'a, P: ?Sized> {
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan<'a>,
     surfacing: Surfacing,
-    kernels: Option<Method>,
 }
 
 impl<'a, P: Particles + ?Sized> Counted<'a, P> {
@@ -24,7 +22,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         let Sampling { grid, domain, invalid, resources, .. } = sampling;
-        let room = counting_room(resources.budget);
+        let room = CountingRoom::within(resources.budget.0);
         let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, room) {
             Err(BinError::TooManyBins { .. }) => {
                 return Err(FrameError::OverBudget(OverBudget {
@@ -38,19 +36,21 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         if plan.census().binned == 0 {
             return Err(FrameError::NoParticles(plan.census()));
         }
-        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN, kernels: None })
+        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN })
     }
 
-    /// The same for a surface that takes as much as this one, instead of a plain one.
-    #[must_use]
-    pub fn for_surface(self, surfacing: Surfacing) -> Self {
-        Self { surfacing, ..self }
-    }
-
-    /// The same for a kernel method instead of a DIF.
-    #[must_use]
-    pub fn for_kernels(self, method: Method) -> Self {
-        Self { kernels: Some(method), ..self }
+    /// Counts the particles for a surface that is drawn like this, instead of a plain one; before, refuses what it cannot be drawn
+    /// through.
+    ///
+    /// # Errors
+    /// Those of [`Sampling::refuse_unfit`] and of [`of`](Self::of).
+    pub fn for_surface(
+        particles: &'a P,
+        sampling: &'a Sampling,
+        surfacing: &Surfacing,
+    ) -> Result<Self, FrameError> {
+        sampling.refuse_unfit(surfacing)?;
+        Ok(Self { surfacing: *surfacing, ..Self::of(particles, sampling)? })
     }
 
     /// What became of the particles.
@@ -62,18 +62,22 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// What the frame will take.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
-        let Sampling { grid, indicator, side, carried, spacing, resources, .. } = self.sampling;
+        let Sampling { grid, field, side, carried, spacing, resources, .. } = self.sampling;
         let attributes = self.particles.attributes();
-        let components: Vec<usize> = carried.iter().map(|&index| attributes[index].components).collect();
-        let drawing = self.surfacing.drawing(*indicator, *spacing, grid);
+        let components = carried.iter().map(|&index| attributes[index].components).collect();
+        let drawing = field.drawing(&self.surfacing, *spacing, grid, components);
         let in_memory = self.particles.resident_bytes() + resources.host_bytes();
-        let shape = indicator.shape(*side);
-        let estimate = Estimate::of(self.plan.counts(), shape, &components, drawing, in_memory);
+        let shape = field.indicator().map(|asked| asked.kind.shape(*side));
+        let estimate = Estimate::of(self.plan.counts(), shape, &drawing, in_memory);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
-        let Some(method) = self.kernels else { return estimate };
-        // Kernels are kept until the surface is done, as attributes are.
-        let kernels = self.census().binned as u64 * method.kernel_bytes();
-        Estimate { particles: estimate.particles + kernels, field: 0, carried: true, ..estimate }
+        match *field {
+            FieldRequest::Indicator(_) => estimate,
+            // Kernels are kept until the surface is done, as attributes are.
+            FieldRequest::Kernels(method) => {
+                let kernels = self.census().binned as u64 * method.bytes()[0];
+                Estimate { particles: estimate.particles + kernels, carried: true, ..estimate }
+            }
+        }
     }
 }
 

@@ -6,17 +6,19 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use thiserror::Error;
 
+use crate::brick::vulkan::DeviceBinError;
 use crate::brick::{BinError, Census};
+use crate::calibration::{NoMeanCount, TooFine};
 use crate::estimate::OverBudget;
-use crate::plateau::TooFine;
 use crate::rivals::TooManyCells;
-use crate::units::{Isovalue, UnitError};
+use crate::units::Isovalue;
+use crate::vulkan::VulkanError;
 
 /// A frame that cannot be reconstructed.
 #[derive(Debug, Error)]
 pub enum FrameError {
     /// There is nothing to build a surface from.
-    #[error("no particles to reconstruct: {}", explain(.0))]
+    #[error("no particles to reconstruct: {0}")]
     NoParticles(Census),
     /// A particle that the grid cannot hold.
     #[error(transparent)]
@@ -25,8 +27,8 @@ pub enum FrameError {
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
     /// mu0 could not be measured.
-    #[error("cannot measure mu0 on this frame: {0}")]
-    MeanCount(#[source] UnitError),
+    #[error(transparent)]
+    MeanCount(#[from] NoMeanCount),
     /// The field does not tell finely enough where the surface is.
     #[error(transparent)]
     TooFine(#[from] TooFine),
@@ -41,6 +43,9 @@ pub enum FrameError {
         /// What was asked for, or measured.
         iso: Isovalue,
     },
+    /// Kernels are as wide as the spacing says.
+    #[error("kernel methods have to know the spacing of the particles")]
+    NoSpacing,
     /// Kernels cannot be drawn on so fine a grid.
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
@@ -67,6 +72,12 @@ pub enum FrameError {
         /// How many there were.
         dropped: u64,
     },
+    /// A mesh on a device has vertices that 32 bits cannot number.
+    #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
+    TooManyVertices,
+    /// A device that keeps the particles and the mesh failed, or has not enough memory.
+    #[error(transparent)]
+    Vulkan(#[from] VulkanError),
     /// What exceeds the memory budget could not be put into scratch files.
     #[error("scratch files in {}: {fault}", folder.display())]
     Scratch {
@@ -77,11 +88,11 @@ pub enum FrameError {
     },
 }
 
-fn explain(census: &Census) -> String {
-    match *census {
-        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
-        Census { not_finite, too_far, outside, .. } => {
-            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
+impl From<DeviceBinError> for FrameError {
+    fn from(error: DeviceBinError) -> Self {
+        match error {
+            DeviceBinError::Bin(error) => Self::Bin(error),
+            DeviceBinError::Vulkan(error) => Self::Vulkan(error),
         }
     }
 }

@@ -6,9 +6,9 @@ use std::path::Path;
 
 use crate::backend::Stages;
 use crate::brick::{Bins, DifField, PageShape, Pages};
-use crate::estimate::{Estimate, Plan, Shares};
-use crate::io::mnf::{FrameFacts, FrameWriter, frame_from_file};
-use crate::stage::indicator::PageRule;
+use crate::estimate::{Estimate, Plan};
+use crate::io::mnf::{FrameWriter, frame_from_file};
+use crate::stage::indicator::{FrameFacts, Indicator, PageRule, SampledDif};
 
 /// Samples of the bins whose pages are made at once, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;
@@ -16,7 +16,7 @@ const BATCH_SAMPLES: usize = 1 << 22;
 /// Where the DIF goes as it is made.
 pub(super) enum FieldSink {
     Memory(Pages),
-    File { file: File, writer: FrameWriter<File>, full_cells: u64 },
+    File { file: File, writer: FrameWriter<File>, full_cells: u64, cache_bytes: u64 },
 }
 
 impl FieldSink {
@@ -26,7 +26,7 @@ impl FieldSink {
             Plan::OutOfCore(shares) if estimate.field > shares.field => {
                 let file = tempfile::tempfile_in(folder)?;
                 let writer = FrameWriter::create(file.try_clone()?, shape)?;
-                Ok(Self::File { file, writer, full_cells: 0 })
+                Ok(Self::File { file, writer, full_cells: 0, cache_bytes: shares.field })
             }
             _ => Ok(Self::Memory(Vec::new())),
         }
@@ -57,16 +57,19 @@ impl FieldSink {
         }
     }
 
-    /// The DIF, whose indicator is known by now; of a file as much in memory as a plan allows.
-    pub(super) fn finish(self, facts: &FrameFacts, shape: PageShape, plan: Plan) -> io::Result<DifField> {
-        match (self, plan) {
-            (Self::File { file, writer, .. }, Plan::OutOfCore(Shares { field, .. })) => {
-                writer.finish(facts)?;
-                let (_, dif) = frame_from_file(&file, field).map_err(io::Error::other)?;
-                Ok(dif)
+    /// The DIF, whose indicator is known by now; of a file as much in memory as its share allows.
+    pub(super) fn finish(
+        self,
+        facts: FrameFacts,
+        indicator: Indicator,
+        shape: PageShape,
+    ) -> io::Result<SampledDif> {
+        match self {
+            Self::Memory(pages) => Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages))),
+            Self::File { file, writer, cache_bytes, .. } => {
+                writer.finish(&facts, indicator)?;
+                frame_from_file(&file, cache_bytes).map_err(io::Error::other)
             }
-            (Self::File { .. }, Plan::InCore) => unreachable!("a frame in core has no file"),
-            (Self::Memory(pages), _) => Ok(facts.indicator.decode(DifField::in_memory(shape, pages))),
         }
     }
 }

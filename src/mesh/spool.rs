@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::IVec3;
 
-use crate::grid::MortonKey;
+use crate::grid::{BLOCK_TILES, MortonKey};
 use crate::scratch::Scratch;
 
 use super::{BlockMesh, Tile};
@@ -48,6 +48,15 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
     let attributes = components.iter().sum::<usize>() * size_of::<f32>();
     (size_of::<[u16; 2]>() + normal + attributes) as u64
+}
+
+/// Bytes of a vertex's share of a tile.
+pub const TILE_SHARE: u64 = 4;
+
+/// Bytes of a block's surface of so many vertices, each of so many bytes without its tile.
+#[must_use]
+pub fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
+    vertices * vertex_bytes + u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 impl Spool {

@@ -26,7 +26,7 @@ use crate::brick::{Bins, Block};
 use crate::grid::{BIN, BLOCK, CellBox, block_parts};
 use crate::mesh::BlockMesh;
 use crate::scratch::Lists;
-use crate::stage::dual_mc::{Crossings, Normals, Zero, contour, normals};
+use crate::stage::dual_mc::{Normals, Zero, block_mesh};
 
 use mueller::Mueller;
 use neighbours::{Neighbours, places};
@@ -59,15 +59,26 @@ impl Method {
     /// The isovalue half-way between inside and outside.
     pub const HALF: f64 = 0.5;
 
-    /// Bytes of a particle's kernel.
+    /// Where the surface is, if it is not where the method says.
     #[must_use]
-    pub fn kernel_bytes(self) -> u64 {
-        let bytes = match self {
-            Self::Mueller { .. } => size_of::<<Mueller as Scheme>::Kernel>(),
-            Self::ZhuBridson => size_of::<<ZhuBridson as Scheme>::Kernel>(),
-            Self::YuTurk { .. } => size_of::<<YuTurk as Scheme>::Kernel>(),
-        };
-        bytes as u64
+    pub fn iso(self) -> Option<f64> {
+        match self {
+            Self::Mueller { iso } | Self::YuTurk { iso } => Some(iso),
+            Self::ZhuBridson => None,
+        }
+    }
+
+    /// Bytes of a particle's kernel, which is kept until the surface is done, and of a cell while its field is made.
+    #[must_use]
+    pub fn bytes(self) -> [u64; 2] {
+        fn of<S: Scheme>() -> [u64; 2] {
+            [size_of::<S::Kernel>(), size_of::<S::Sum>() + size_of::<f64>()].map(|bytes| bytes as u64)
+        }
+        match self {
+            Self::Mueller { .. } => of::<Mueller>(),
+            Self::ZhuBridson => of::<ZhuBridson>(),
+            Self::YuTurk { .. } => of::<YuTurk>(),
+        }
     }
 }
 
@@ -84,16 +95,24 @@ impl Spacing {
     /// Kernels of more cells would take more memory than a thread has.
     pub const MAX: f64 = 16.0;
 
+    /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
+    pub const SUPPORT: f64 = 2.0;
+
     /// # Errors
     /// [`TooManyCells`] above [`MAX`](Self::MAX).
     pub fn new(cells: f64) -> Result<Self, TooManyCells> {
         if cells <= Self::MAX { Ok(Self(cells)) } else { Err(TooManyCells(cells)) }
     }
 
-    /// How far an isotropic kernel reaches: two spacings, four times the particles' radius.
+    /// In cells.
     #[must_use]
-    pub fn support(self) -> f64 {
-        2.0 * self.0
+    pub fn cells(self) -> f64 {
+        self.0
+    }
+
+    /// How far an isotropic kernel reaches.
+    fn support(self) -> f64 {
+        Self::SUPPORT * self.0
     }
 
     fn radius(self) -> f64 {
@@ -136,11 +155,16 @@ pub trait KernelField: Debug + Send + Sync {
     /// The parts of blocks that the surface can pass through, in Morton order.
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
-    /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost points.
+    /// The surfaces through some regions, each `None` where there is none. Cells outside of `walls` are ghost points.
     ///
     /// # Errors
     /// Where kernels are in a scratch file that cannot be read.
-    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>>;
+    fn contour(
+        &self,
+        regions: &[CellBox],
+        with: Normals,
+        walls: Option<CellBox>,
+    ) -> io::Result<Vec<Option<BlockMesh>>>;
 }
 
 /// Works out the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Those beyond `bytes` go
@@ -286,20 +310,19 @@ impl<S: Scheme> KernelField for Kernels<S> {
         block_parts(reached.filter(|cells| !cells.is_empty()))
     }
 
-    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>> {
-        let dual = region.tiled().grown(0, 1);
-        let cells = match with {
-            Normals::None => dual,
-            Normals::Gradient => dual.grown(1, 1),
+    fn contour(
+        &self,
+        regions: &[CellBox],
+        with: Normals,
+        walls: Option<CellBox>,
+    ) -> io::Result<Vec<Option<BlockMesh>>> {
+        let mesh = |&region: &CellBox| {
+            let mut field = self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
+            if let Some(walls) = walls {
+                field.repeat_edges(walls);
+            }
+            Ok(block_mesh(&field, region, Zero, with, walls))
         };
-        let mut field = self.field(cells, region.lo.div_euclid(IVec3::splat(BLOCK)))?;
-        if let Some(walls) = walls {
-            field.repeat_edges(walls);
-        }
-        let mut mesh = contour(&field, region, Zero, walls);
-        if with == Normals::Gradient {
-            mesh.normals = normals(&field, &mesh, Crossings::Fractions, walls);
-        }
-        Ok((!mesh.tiles.is_empty()).then_some(mesh))
+        regions.par_iter().map(mesh).collect()
     }
 }

@@ -1,4 +1,4 @@
-//! What is measured once and holds for every frame: mu0, the isovalue, and the grid.
+//! Grid and calibration, measured once and the same for every frame.
 
 use std::io;
 use std::path::Path;
@@ -7,15 +7,15 @@ use std::time::UNIX_EPOCH;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::frame::{Frame, FrameError, Sampling, Surfacing};
+use crate::calibration::{Calibrated, Calibration, Plateau, TooFine};
+use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
 use crate::grid::{Domain, Grid};
 use crate::io::input::file_and_step;
 use crate::laps::Laps;
 use crate::lattice::sound_origin;
 use crate::particles::Particles;
-use crate::plateau::Plateau;
-use crate::stage::indicator::Indicator;
-use crate::units::{Isovalue, MeanCount, UnitError};
+use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::units::UnitError;
 
 /// What tells an input from what it was before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,10 +53,38 @@ pub struct Frozen {
     pub cell_size: f64,
     /// Of the grid.
     pub origin: [f64; 3],
-    /// Where the indicator counts.
-    pub mu0: Option<f64>,
-    /// As a fraction of 1, for DIFs.
-    pub isovalue: Option<f64>,
+    /// Makes the frames alike; `None` for kernels, which have nothing to measure.
+    #[serde(flatten, with = "as_numbers")]
+    pub calibration: Option<Calibration>,
+}
+
+/// A calibration as the state file has it: mu0 where the indicator counts, and the isovalue as a fraction of 1.
+mod as_numbers {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::calibration::Calibration;
+    use crate::units::{Isovalue, MeanCount, UnitError};
+
+    #[derive(Serialize, Deserialize)]
+    struct Numbers {
+        mu0: Option<f64>,
+        isovalue: Option<f64>,
+    }
+
+    pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
+        let mu0 = known.and_then(|known| known.mean).map(MeanCount::particles);
+        Numbers { mu0, isovalue: known.map(|known| known.iso.value()) }.serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
+        let Numbers { mu0, isovalue } = Numbers::deserialize(from)?;
+        let calibration = |iso| {
+            let mean = mu0.map(MeanCount::new).transpose()?;
+            Ok::<_, UnitError>(Calibration { mean, iso: Isovalue::new(iso)? })
+        };
+        isovalue.map(calibration).transpose().map_err(D::Error::custom)
+    }
 }
 
 /// Whether the grid may be moved to suit the particles.
@@ -73,10 +101,8 @@ pub enum Origin {
 pub struct Measured {
     /// Of the grid for all frames.
     pub grid: Grid,
-    /// Where the indicator counts.
-    pub mean: Option<MeanCount>,
-    /// Given, or a share of the plateau.
-    pub iso: Isovalue,
+    /// Measured, or given; `None` for kernels, which have nothing to measure.
+    pub calibration: Option<Calibration>,
     /// Whether a later frame would know better.
     pub trust: Trust,
 }
@@ -100,30 +126,44 @@ pub enum Trust {
 /// the same wherever they fall.
 ///
 /// # Errors
-/// Those of [`Frame::sample`], and [`FrameError::TooFine`].
+/// Those of [`Sampling::refuse_unfit`] and of [`Frame::sample`], and [`FrameError::TooFine`].
 pub fn measure(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
     origin: Origin,
     surfacing: &Surfacing,
 ) -> Result<Measured, FrameError> {
-    surfacing.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid)?;
+    sampling.refuse_unfit(surfacing)?;
     let given = sampling.grid;
     let lattice = of_lattice(particles, sampling);
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
-    let frame =
-        Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound.clone() }, &mut Laps::default())?;
-    let (recipe, plateau) = frame.recipe(surfacing)?;
-    Ok(Measured {
-        grid: if origin == Origin::Free { sound.grid } else { given },
-        mean: frame.mean_count(),
-        iso: recipe.iso,
-        trust: match (plateau, sampling.indicator) {
-            (Plateau::Shallow { .. }, _) => Trust::Shallow,
-            (Plateau::Interior { .. }, Indicator::Counting { .. }) if lattice.is_some() => Trust::Lattice,
-            (Plateau::Interior { .. }, _) => Trust::Sound,
-        },
-    })
+    let grid = if origin == Origin::Free { sound.grid } else { given };
+    let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
+    if sampling.field.indicator().is_none() {
+        return Ok(nothing);
+    }
+    let sampling = Sampling { carried: Vec::new(), ..sound };
+    let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
+    let measured = frame.dif().map(|sampled| measure_sampled(sampled, surfacing, lattice.is_some()));
+    Ok(Measured { grid, ..measured.transpose()?.unwrap_or(nothing) })
+}
+
+/// Measures a sampled frame for its whole sequence, by whether its particles stand on a lattice.
+///
+/// # Errors
+/// [`TooFine`].
+pub fn measure_sampled(
+    frame: &SampledDif,
+    surfacing: &Surfacing,
+    lattice: bool,
+) -> Result<Measured, TooFine> {
+    let Calibrated { calibration, plateau, .. } = surfacing.calibrate(frame)?;
+    let trust = match (plateau, frame.indicator.kind()) {
+        (Plateau::Shallow { .. }, _) => Trust::Shallow,
+        (Plateau::Interior { .. }, IndicatorKind::Counting) if lattice => Trust::Lattice,
+        (Plateau::Interior { .. }, _) => Trust::Sound,
+    };
+    Ok(Measured { grid: frame.facts.grid, calibration: Some(calibration), trust })
 }
 
 /// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
@@ -135,9 +175,11 @@ pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) 
 
 /// Where the grid should be for a lattice, if there is one and it matters.
 fn of_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
-    match sampling.indicator {
-        Indicator::Cloud { .. } => None,
-        _ => sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size()),
+    match sampling.field.indicator()?.kind {
+        IndicatorKind::Cloud => None,
+        IndicatorKind::Symmetry | IndicatorKind::Counting => {
+            sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
+        }
     }
 }
 
@@ -163,19 +205,14 @@ impl Frozen {
         Grid::new(self.origin.into(), self.cell_size)
     }
 
-    /// `indicator` with the mean count of all frames.
-    ///
-    /// # Errors
-    /// [`UnitError`] for a number that cannot have been measured.
-    pub fn indicator(&self, indicator: Indicator) -> Result<Indicator, UnitError> {
-        Ok(indicator.with_mean(self.mu0.map(MeanCount::new).transpose()?))
-    }
-
-    /// The isovalue of all frames.
-    ///
-    /// # Errors
-    /// [`UnitError`] for a number that cannot have been measured, or none.
-    pub fn iso(&self) -> Result<Isovalue, UnitError> {
-        Isovalue::new(self.isovalue.unwrap_or(f64::NAN))
+    /// How the field of all frames is made: an indicator by the mu0 that was measured.
+    #[must_use]
+    pub fn field(&self, asked: FieldRequest) -> FieldRequest {
+        match (asked, &self.calibration) {
+            (FieldRequest::Indicator(asked), Some(known)) => {
+                FieldRequest::Indicator(IndicatorRequest { mean: known.mean, ..asked })
+            }
+            _ => asked,
+        }
     }
 }

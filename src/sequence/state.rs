@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::io::whole::replace_small;
-use crate::units::MeanCount;
 
 use super::SequenceError;
 use super::frozen::Frozen;
@@ -96,13 +95,10 @@ impl Store {
         };
         let state: State = serde_json::from_slice(&bytes)
             .map_err(|e| SequenceError::State { path: path.clone(), what: e.to_string() })?;
-        let Frozen { cell_size, isovalue, mu0, .. } = state.frozen;
-        let sound = state.frozen.grid().is_ok() && (isovalue.is_none() || state.frozen.iso().is_ok());
-        if !sound || mu0.is_some_and(|mu0| MeanCount::new(mu0).is_err()) {
-            let what = format!("cells of {cell_size} and isovalue {isovalue:?} cannot have been measured");
-            return Err(SequenceError::State { path, what });
+        match state.frozen.grid() {
+            Ok(_) => Ok(Some(state)),
+            Err(fault) => Err(SequenceError::State { path, what: fault.to_string() }),
         }
-        Ok(Some(state))
     }
 
     /// Keeps a state in place of any other.
@@ -134,10 +130,12 @@ fn json(value: &impl Serialize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::Calibration;
     use crate::sequence::frozen::Stamp;
-    use crate::units::Isovalue;
+    use crate::units::{Isovalue, MeanCount};
 
-    fn frozen(isovalue: f64) -> Frozen {
+    fn frozen(iso: Isovalue) -> Frozen {
+        let mean = Some(MeanCount::new(7.0 / 3.0).unwrap());
         Frozen {
             frame: 1,
             input: Stamp { bytes: 1, modified: u64::MAX },
@@ -145,8 +143,7 @@ mod tests {
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,
             origin: [1e-17, -0.1, 1.0 / 3.0],
-            mu0: Some(7.0 / 3.0),
-            isovalue: Some(isovalue),
+            calibration: Some(Calibration { mean, iso }),
         }
     }
 
@@ -157,12 +154,11 @@ mod tests {
         assert_eq!(store.load().unwrap(), None);
         for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
             let iso = Isovalue::of_plateau(theta);
-            let state = State::new(Settings::new(), frozen(iso.value()));
+            let state = State::new(Settings::new(), frozen(iso));
             store.save(&state).unwrap();
             let loaded = store.load().unwrap().unwrap();
             assert_eq!(loaded, state);
             assert_eq!(loaded.fingerprint(), state.fingerprint());
-            assert_eq!(loaded.frozen.iso().unwrap(), iso);
         }
         fs::write(store.state_path(), "{").unwrap();
         assert!(matches!(store.load(), Err(SequenceError::State { .. })));

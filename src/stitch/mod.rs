@@ -24,8 +24,8 @@ use crate::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::particles::AttributeInfo;
 use crate::stage::dual_mc::Crossings;
 
-pub use numbers::NUMBERS_BYTES;
 use numbers::Numbers;
+pub use numbers::writing_bytes;
 
 /// Why a surface cannot be brought into memory as one indexed mesh.
 #[derive(Debug, Error)]

@@ -12,8 +12,17 @@ use crate::stage::dual_mc::table::{Edge, TABLE};
 /// Cells along each axis: a block's, and one layer of the blocks above.
 const EDGE: usize = BLOCK as usize + 1;
 
-/// Bytes that each thread keeps for [`Numbers`].
-pub const NUMBERS_BYTES: u64 = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
+/// Triangles of a closed surface, nearly.
+const TRIANGLES_A_VERTEX: u64 = 2;
+/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
+const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
+
+/// Bytes that each thread takes while the triangles of a block of so many vertices are numbered and written.
+#[must_use]
+pub fn writing_bytes(vertices: u64) -> u64 {
+    let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
+    numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
+}
 
 /// The numbers of the vertices on the edges that a block's triangles join. Of edges without a vertex nothing is known.
 pub(super) struct Numbers {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec3, IVec3};
 use meniscus::grid::CellBox;
-use meniscus::stage::detail::Detail;
+use meniscus::recipe::Detail;
 use meniscus::stage::dual_mc::table::TABLE;
 use meniscus::stage::indicator::Indicator;
 
@@ -139,15 +139,15 @@ impl Method {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0.0 };
             let n = offsets.len() as f64;
             match self.indicator {
-                Indicator::Counting { .. } => n.min(self.mu0()) / self.mu0(),
+                Indicator::Counting(_) => n.min(self.mu0()) / self.mu0(),
                 Indicator::Symmetry => {
                     let centroid = offsets.iter().sum::<DVec3>() / n;
                     1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
                 }
-                Indicator::Cloud { .. } => 0.0,
+                Indicator::Cloud(_) => 0.0,
             }
         });
-        if let Indicator::Cloud { .. } = self.indicator {
+        if let Indicator::Cloud(_) = self.indicator {
             for (cell, offset) in
                 by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
             {
@@ -170,13 +170,13 @@ impl Method {
             })
         };
         let mut smooth = blur(&theta, &gaussian(self.sigma));
-        if let Indicator::Counting { .. } = self.indicator {
+        if let Indicator::Counting(_) = self.indicator {
             smooth = blur(&smooth, &[1.0 / 3.0; 2]);
         }
         let c = self.iso / 65535.0;
         // A thirtieth of a particle.
         let least =
-            if let Indicator::Cloud { .. } = self.indicator { 1.0 / 30.0 / (2.0 * self.mu0()) } else { 0.0 };
+            if let Indicator::Cloud(_) = self.indicator { 1.0 / 30.0 / (2.0 * self.mu0()) } else { 0.0 };
         let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
         let dense = |value: &dyn Fn(IVec3) -> f64| Dense::new(cells, value);
         match self.detail {
@@ -186,7 +186,7 @@ impl Method {
                 let details = blur(&lost, &gaussian(self.sigma / 2.0));
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
-            Detail::Spared => {
+            Detail::Adaptive => {
                 let occupancy = dense(&|cell| if theta(cell) > least { 1.0 } else { 0.0 });
                 let blurred = blur(&occupancy, &gaussian((self.sigma / 2.0).min(0.5)));
                 let near = self.near(&dense(&smooth));
@@ -207,8 +207,8 @@ impl Method {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
             match self.indicator {
-                Indicator::Cloud { .. } => 0,
-                Indicator::Counting { .. } => {
+                Indicator::Cloud(_) => 0,
+                Indicator::Counting(_) => {
                     (((n as f64).min(self.mu0()) / self.mu0()) * 65535.0).round() as u16
                 }
                 Indicator::Symmetry => {
@@ -226,7 +226,7 @@ impl Method {
             }
         });
         let amount = ((65535.0 / (2.0 * self.mu0())).round() as u64).max(4);
-        if let Indicator::Cloud { .. } = self.indicator {
+        if let Indicator::Cloud(_) = self.indicator {
             let mut sums = Dense::new(cells, |_| 0);
             for (cell, offset) in
                 by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
@@ -254,7 +254,7 @@ impl Method {
             }
             theta = Dense::new(cells, |cell| sums.at(cell, None).min(65535) as u16);
         }
-        let least = if let Indicator::Cloud { .. } = self.indicator { (amount / 30).max(1) } else { 1 };
+        let least = if let Indicator::Cloud(_) = self.indicator { (amount / 30).max(1) } else { 1 };
         let blur = |field: &Dense<u16>, half: &[u64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
@@ -268,7 +268,7 @@ impl Method {
             })
         };
         let mut smooth = blur(&theta, &integer_weights(&gaussian(self.sigma)));
-        if let Indicator::Counting { .. } = self.indicator {
+        if let Indicator::Counting(_) = self.indicator {
             smooth = blur(&smooth, &[21846, 21845]);
         }
         let t = self.iso.floor() as u64;
@@ -281,7 +281,7 @@ impl Method {
                 let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
-            Detail::Spared => {
+            Detail::Adaptive => {
                 let occupancy = dense(&|cell| if u64::from(theta(cell)) >= least { 65535 } else { 0 });
                 let blurred = blur(&occupancy, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
                 let near = self.near(&dense(&smooth));

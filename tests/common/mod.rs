@@ -7,25 +7,27 @@ pub mod device;
 pub mod scene;
 
 use glam::{DVec3, IVec3};
-use meniscus::brick::{Bins, BrickSide, InvalidParticles};
+use meniscus::brick::{Bins, BrickSide, Census, DifField, InvalidParticles};
+use meniscus::calibration::Calibrated;
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, Grid};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
-use meniscus::stage::indicator::Indicator;
+use meniscus::recipe::Recipe;
+use meniscus::stage::indicator::{FrameFacts, Indicator, IndicatorKind, SampledDif};
 use meniscus::units::{Isovalue, MemoryBudget};
 use scene::Random;
 
-pub const INDICATORS: [Indicator; 3] =
-    [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::Cloud { mean: None }];
+pub const INDICATORS: [IndicatorKind; 3] =
+    [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud];
 
 /// Settings that tests start from: cells of edge 1 at the origin, symmetry.
 pub fn sampling() -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
         domain: None,
-        indicator: Indicator::Symmetry,
+        field: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
@@ -44,6 +46,23 @@ pub struct Reconstructed {
     pub iso: Isovalue,
 }
 
+/// The frame's DIF, which an indicator makes.
+pub fn dif(frame: &Frame) -> &SampledDif {
+    frame.dif().expect("an indicator makes the field")
+}
+
+/// A frame of so much DIF, in cells of edge 1, and no particles.
+pub fn sampled(dif: DifField) -> SampledDif {
+    let (grid, census) = (sampling().grid, Census::default());
+    SampledDif::new(FrameFacts { grid, domain: None, census, spacing: None }, Indicator::Symmetry, dif)
+}
+
+/// A frame's recipe, and what it was calibrated by.
+pub fn recipe(frame: &Frame, surfacing: &Surfacing) -> (Recipe, Calibrated) {
+    let measured = surfacing.calibrate(dif(frame)).unwrap();
+    (surfacing.recipe(dif(frame), &measured.calibration), measured)
+}
+
 pub fn reconstruct(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
@@ -51,9 +70,11 @@ pub fn reconstruct(
 ) -> (Frame, Reconstructed) {
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).unwrap();
-    let surface = frame.surface(surfacing, &mut laps).unwrap();
-    let mesh = surface.mesh.to_mesh().unwrap();
-    (frame, Reconstructed { mesh, iso: surface.iso })
+    let calibrated = frame.calibrate(surfacing, None, &mut laps).unwrap();
+    let iso = calibrated.measured().unwrap().calibration.iso;
+    let mesh = calibrated.surface(&mut laps).unwrap().to_mesh().unwrap();
+    drop(calibrated);
+    (frame, Reconstructed { mesh, iso })
 }
 
 /// Cells that hold particles.

@@ -2,13 +2,14 @@
 
 use crate::common::dense::{self, Dense, Method};
 use crate::common::scene::Random;
-use crate::common::{INDICATORS, reconstruct, shuffle, splashes, surfacing, tank};
+use crate::common::{INDICATORS, dif, recipe, reconstruct, shuffle, splashes, surfacing, tank};
 use glam::IVec3;
+use meniscus::backend::field;
 use meniscus::brick::BrickSide;
 use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
 use meniscus::grid::{BLOCK, CellBox, Grid};
 use meniscus::laps::Laps;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::{Isovalue, Sigma};
 
 use crate::Place;
@@ -22,11 +23,11 @@ fn variants(place: &Place) -> Vec<(Sampling, Surfacing)> {
             (0.8, Detail::Recovered),
             (1.5, Detail::Recovered),
             (2.0, Detail::Smoothed),
-            (0.7, Detail::Spared),
-            (1.5, Detail::Spared),
+            (0.7, Detail::Adaptive),
+            (1.5, Detail::Adaptive),
         ] {
             for walls in [false, true] {
-                let mut sampling = Sampling { indicator, ..place.sampling() };
+                let mut sampling = Sampling { field: indicator.into(), ..place.sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
                 let iso = Some(Isovalue::new(0.3).unwrap());
                 variants.push((
@@ -42,7 +43,7 @@ fn variants(place: &Place) -> Vec<(Sampling, Surfacing)> {
 fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
     let iso = surfacing.iso.unwrap();
     Method {
-        indicator: frame.facts().indicator,
+        indicator: dif(frame).indicator,
         sigma: surfacing.sigma.map_or(1.0, Sigma::cells),
         detail: surfacing.detail,
         iso: f64::from(iso.threshold()) + 0.5,
@@ -52,11 +53,11 @@ fn oracle(frame: &Frame, sampling: &Sampling, surfacing: &Surfacing) -> Method {
 
 /// The sparse field, block by block as it is meshed, is the dense one; beyond, both are 0.
 fn assert_same_field(frame: &Frame, surfacing: &Surfacing, dense: &Dense<u16>, what: &str) {
-    let (recipe, _) = frame.recipe(surfacing).unwrap();
+    let (recipe, _) = recipe(frame, surfacing);
     let mut cells = 0;
     for block in dense.cells.cubes(BLOCK) {
         let part = dense.cells.intersection(&CellBox::cube(block, BLOCK));
-        let field = frame.field(&recipe, part);
+        let field = field(&recipe, dif(frame), part);
         for (([y, z], row), x) in field.rows(part).zip(std::iter::repeat(part.lo.x)) {
             for (x, &sample) in (x..).zip(row) {
                 let cell = IVec3::new(x, y, z);
@@ -83,7 +84,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let frame =
                     pool.install(|| Frame::sample(&shuffled[..], &sampling, &mut Laps::default())).unwrap();
-                let what = format!("seed {seed}, {side:?}, {:?}, {surfacing:?}", sampling.indicator);
+                let what = format!("seed {seed}, {side:?}, {:?}, {surfacing:?}", sampling.field);
                 assert_same_field(&frame, &surfacing, &dense, &what);
             }
         }
@@ -128,7 +129,7 @@ pub fn threads_particle_order_and_brick_side_change_no_byte(place: &Place) {
 pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place: &Place) {
     let particles = splashes(12);
     // Details are told by thresholds, and somewhere a cloud lies too near to one for integers to tell.
-    let is_cloud = |sampling: &Sampling| matches!(sampling.indicator, Indicator::Cloud { .. });
+    let is_cloud = |sampling: &Sampling| sampling.field == IndicatorKind::Cloud.into();
     let told = |(sampling, surfacing): &(Sampling, Surfacing)| {
         !is_cloud(sampling) || surfacing.detail == Detail::Smoothed
     };
@@ -143,7 +144,7 @@ pub fn the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64(place:
         let errors = scaled.values.iter().zip(&real.values).map(|(i, r)| (i - r).abs());
         let worst = errors.fold(0.0, f64::max);
         // Where both of its fields are mixed, an adaptive blur multiplies what their shares are off by.
-        let bound = if surfacing.detail == Detail::Spared { 5e-4 } else { 1e-4 };
+        let bound = if surfacing.detail == Detail::Adaptive { 5e-4 } else { 1e-4 };
         assert!(worst < bound, "{surfacing:?}: a cell is off by {worst}");
 
         let c = surface.iso.value();
@@ -165,12 +166,12 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
     let (sampling, surfacing) = &variants(place)[0];
     let frame = |particles: &[[f64; 3]]| Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
     let (here, there) = (frame(&particles), frame(&moved));
-    let (recipe, _) = here.recipe(surfacing).unwrap();
+    let (recipe, _) = recipe(&here, surfacing);
     let cells = CellBox { lo: IVec3::splat(-20), hi: IVec3::splat(20) };
     let elsewhere = CellBox { lo: cells.lo + shift, hi: cells.hi + shift };
-    let field = here.field(&recipe, cells);
-    assert!(field.samples().iter().any(|&sample| sample > 20_000), "the scene has an inside");
-    assert_eq!(field.samples(), there.field(&recipe, elsewhere).samples());
+    let here = field(&recipe, dif(&here), cells);
+    assert!(here.samples().iter().any(|&sample| sample > 20_000), "the scene has an inside");
+    assert_eq!(here.samples(), field(&recipe, dif(&there), elsewhere).samples());
 }
 
 pub fn cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved(place: &Place) {

@@ -1,13 +1,14 @@
 //! What a part of a large frame tells of all of it.
 
 use crate::common::scene::{Random, splash};
-use crate::common::surfacing;
+use crate::common::{dif, recipe, surfacing};
 use glam::{DVec3, IVec3};
+use meniscus::backend::field;
+use meniscus::calibration::{Calibrated, Plateau};
 use meniscus::frame::{Frame, Sampling};
 use meniscus::grid::{BIN, CellBox, Grid};
 use meniscus::laps::Laps;
-use meniscus::plateau::Plateau;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 
 use crate::Place;
 
@@ -15,10 +16,10 @@ use crate::Place;
 const CELLS: f64 = 1.6;
 
 /// A pool with waves, a sphere above it, a sheet and spray: some 400 bins, half of which hold little.
-fn frame(place: &Place, indicator: Indicator) -> (Frame, IVec3) {
+fn frame(place: &Place, indicator: IndicatorKind) -> (Frame, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
-    let sampling = Sampling { indicator, grid, spacing: Some(1.0), ..place.sampling() };
+    let sampling = Sampling { field: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
@@ -27,11 +28,14 @@ fn frame(place: &Place, indicator: Indicator) -> (Frame, IVec3) {
 
 /// mu0 of clouds, which some bins tell, and that of counting, by all.
 fn means(place: &Place, particles: &[[f32; 3]], cell: f64) -> [f64; 2] {
-    [Indicator::Cloud { mean: None }, Indicator::Counting { mean: None }].map(|indicator| {
-        let sampling =
-            Sampling { indicator, grid: Grid::new(DVec3::ZERO, cell).unwrap(), ..place.sampling() };
+    [IndicatorKind::Cloud, IndicatorKind::Counting].map(|indicator| {
+        let sampling = Sampling {
+            field: indicator.into(),
+            grid: Grid::new(DVec3::ZERO, cell).unwrap(),
+            ..place.sampling()
+        };
         let frame = Frame::sample(particles, &sampling, &mut Laps::default()).unwrap();
-        frame.mean_count().unwrap().particles()
+        dif(&frame).indicator.mean().unwrap().particles()
     })
 }
 
@@ -54,14 +58,14 @@ pub fn spray_in_most_bins_does_not_tell_mu0_of_a_pool(place: &Place) {
 pub fn the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool(place: &Place) {
     for indicator in crate::common::INDICATORS {
         let (frame, pool) = frame(place, indicator);
-        let blocks = frame.dif().regions(0, 0).len();
+        let blocks = dif(&frame).dif.regions(0, 0).len();
         assert!(blocks > 64, "all of {blocks} blocks tell the plateau");
-        let (recipe, plateau) = frame.recipe(&surfacing()).unwrap();
+        let (recipe, Calibrated { plateau, .. }) = recipe(&frame, &surfacing());
         let inside = CellBox { lo: IVec3::splat(BIN / 2), hi: pool - BIN / 2 };
         let mut deep = Vec::new();
         for cells in inside.cubes(BIN) {
             let cells = CellBox::cube(cells, BIN).intersection(&inside);
-            deep.extend_from_slice(frame.field(&recipe, cells).samples());
+            deep.extend_from_slice(field(&recipe, dif(&frame), cells).samples());
         }
         let (_, median, _) = {
             let middle = deep.len() / 2;

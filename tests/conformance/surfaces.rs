@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use crate::common::scene::Random;
-use crate::common::{INDICATORS, Reconstructed, fill, reconstruct, splashes, surfacing, tank};
+use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
 use meniscus::backend::Surfaces;
 use meniscus::brick::{BrickSide, DifField, PageInfo};
@@ -15,9 +15,8 @@ use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::spool::Spool;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::recipe::{Details, Recipe};
-use meniscus::stage::blur::Smoothing;
-use meniscus::stage::indicator::Indicator;
+use meniscus::recipe::{Filters, Recipe};
+use meniscus::stage::indicator::{Indicator, IndicatorKind};
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 
@@ -44,8 +43,11 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
         for indicator in INDICATORS {
             for jitter in [0.0, 0.3, 0.5] {
                 let particles = fill(50.0, 1.0, jitter, 5, inside);
-                let (_, surface) =
-                    reconstruct(&particles[..], &Sampling { indicator, ..place.sampling() }, &surfacing());
+                let (_, surface) = reconstruct(
+                    &particles[..],
+                    &Sampling { field: indicator.into(), ..place.sampling() },
+                    &surfacing(),
+                );
                 let what = format!("{name}, {indicator:?}, jitter {jitter}");
                 assert_watertight(&surface.mesh, &what);
                 let measures = measure(&surface.mesh);
@@ -53,7 +55,7 @@ pub fn sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percen
                 let error = measures.volume.unwrap() / volume - 1.0;
                 // A filter of variance v shrinks a sphere of radius R by 3 v / R^2. The box after the
                 // Gaussian makes v 1.6 cells^2 for counting: 1.9 % of this sphere.
-                let curved = name == "sphere" && indicator != Indicator::Symmetry;
+                let curved = name == "sphere" && indicator != IndicatorKind::Symmetry;
                 assert!(error.abs() < if curved { 0.019 } else { 0.01 }, "{what}: volume off by {error}");
             }
         }
@@ -86,11 +88,11 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     // So narrow a filter changes nothing.
-    let smoothing = Smoothing::new(Indicator::Symmetry, Sigma::new(0.01).unwrap());
-    let recipe = Recipe { smoothing, details: Details::Smoothed, iso };
-    let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain: None, normals: Normals::None };
+    let filters = Filters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
+    let recipe = Recipe::new(filters, Indicator::Symmetry, iso);
+    let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
     let stages = place.sampling().resources.backend.start(MemoryBudget(8 << 30));
-    let meshes = stages.contour(&surfaces, &dif.regions(recipe.reach() + 1, recipe.reach()));
+    let meshes = stages.contour(&surfaces, &surfaces.regions());
     assert_eq!(stages.warnings(), [""; 0]);
     let mut spool = Spool::in_memory(false, Vec::new());
     meshes.into_iter().flatten().for_each(|mesh| spool.push(mesh).unwrap());
@@ -146,18 +148,18 @@ pub fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_
     let sheet = fill(16.0, 1.0, 0.3, 9, layer).into_iter().map(|[x, y, z]| [x, y, z - 30.0]);
     let all: Vec<[f64; 3]> = pool.into_iter().chain(drops).chain(sheet).collect();
     for indicator in INDICATORS {
-        let sampling = Sampling { indicator, ..place.sampling() };
+        let sampling = Sampling { field: indicator.into(), ..place.sampling() };
         let mesh = |detail| {
             let (_, surface) = reconstruct(&all[..], &sampling, &Surfacing { detail, ..surfacing() });
             surface.mesh
         };
         let (plain, recovered, spared) =
-            (mesh(Detail::Smoothed), mesh(Detail::Recovered), mesh(Detail::Spared));
+            (mesh(Detail::Smoothed), mesh(Detail::Recovered), mesh(Detail::Adaptive));
         assert_watertight(&spared, &format!("{indicator:?}"));
         let found = measure(&spared);
         assert_eq!((found.components, found.genus), (1 + 27 + 1, Some(0)), "{indicator:?}");
         assert!(measure(&plain).components < 3, "{indicator:?}: without, they are lost");
-        if indicator == Indicator::Symmetry {
+        if indicator == IndicatorKind::Symmetry {
             assert_ne!(measure(&recovered).components, 29, "section 6.2 loses some, or tears the sheet");
         }
         let top = |mesh: &Mesh| -> Vec<[f64; 3]> {
@@ -175,11 +177,11 @@ pub fn splashes_are_watertight_with_every_indicator_filter_and_wall(place: &Plac
             for (sigma, detail) in [
                 (0.8, Detail::Smoothed),
                 (1.0, Detail::Recovered),
-                (1.2, Detail::Spared),
+                (1.2, Detail::Adaptive),
                 (3.0, Detail::Smoothed),
             ] {
                 for walls in [false, true] {
-                    let mut sampling = Sampling { indicator, ..place.sampling() };
+                    let mut sampling = Sampling { field: indicator.into(), ..place.sampling() };
                     sampling.domain = walls.then(|| tank(&sampling.grid));
                     for iso in [None, Some(Isovalue::new(0.1).unwrap())] {
                         let surfacing =
@@ -205,7 +207,7 @@ pub fn a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume(place: &P
             let sampling = place.sampling();
             let domain = Domain::new(&sampling.grid, lo, hi).unwrap();
             let particles = fill(20.0, 1.0, 0.3, 9, |p| p.y < 0.0 && p.cmpgt(lo).all() && p.cmplt(hi).all());
-            let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
+            let sampling = Sampling { field: indicator.into(), domain: Some(domain), ..sampling };
             let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
             assert_watertight(&mesh, "a tank");
             let measures = measure(&mesh);
@@ -225,7 +227,7 @@ pub fn a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_els
         let sampling = place.sampling();
         let domain = Domain::new(&sampling.grid, -walls, walls).unwrap();
         let particles = fill(20.0, 1.5, 0.3, 9, |p| p.abs().cmplt(walls).all());
-        let sampling = Sampling { indicator, domain: Some(domain), ..sampling };
+        let sampling = Sampling { field: indicator.into(), domain: Some(domain), ..sampling };
         let (_, Reconstructed { mesh, .. }) = reconstruct(&particles[..], &sampling, &surfacing());
         assert_watertight(&mesh, "a full tank");
         let measures = measure(&mesh);
@@ -242,8 +244,8 @@ pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place
     let both: Vec<[f64; 3]> = far(-shift).chain(far(shift)).collect();
     let (one_frame, one) = reconstruct(&drop[..], &place.sampling(), &surfacing());
     let (two_frame, two) = reconstruct(&both[..], &place.sampling(), &surfacing());
-    assert_eq!(two_frame.dif().full_cells(), 2 * one_frame.dif().full_cells());
-    assert!(two_frame.dif().sample_bytes() < 3 * one_frame.dif().sample_bytes());
+    assert_eq!(dif(&two_frame).dif.full_cells(), 2 * dif(&one_frame).dif.full_cells());
+    assert!(dif(&two_frame).dif.sample_bytes() < 3 * dif(&one_frame).dif.sample_bytes());
     assert_watertight(&two.mesh, "two drops");
     assert_eq!(two.mesh.triangles.len(), 2 * one.mesh.triangles.len());
     let area = |mesh: &Mesh| measure(mesh).area;
@@ -252,7 +254,7 @@ pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place
 
 pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error(place: &Place) {
     let particle = [[0.3, 0.4, -0.6]];
-    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
+    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
     let (frame, surface) = reconstruct(&particle[..], &place.sampling(), &spared);
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
@@ -266,17 +268,20 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
 
 pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
-    let spared = Surfacing { detail: Detail::Spared, ..surfacing() };
+    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
     for indicator in INDICATORS {
-        let surface =
-            Frame::sample(&particles[..], &Sampling { indicator, ..place.sampling() }, &mut Laps::default())
-                .and_then(|frame| frame.surface(&spared, &mut Laps::default()));
+        let surface = Frame::sample(
+            &particles[..],
+            &Sampling { field: indicator.into(), ..place.sampling() },
+            &mut Laps::default(),
+        )
+        .and_then(|frame| frame.surface(&spared, &mut Laps::default()));
         match (indicator, surface) {
-            (Indicator::Symmetry, Ok(surface)) => {
-                assert_watertight(&surface.mesh.to_mesh().unwrap(), "one place")
+            (IndicatorKind::Symmetry, Ok(surface)) => {
+                assert_watertight(&surface.to_mesh().unwrap(), "one place")
             }
             // Sixteen bits hold no mean of a million.
-            (Indicator::Counting { .. } | Indicator::Cloud { .. }, Err(FrameError::MeanCount(_))) => {}
+            (IndicatorKind::Counting | IndicatorKind::Cloud, Err(FrameError::MeanCount(_))) => {}
             (indicator, other) => panic!("{indicator:?} gave {other:?}"),
         }
     }

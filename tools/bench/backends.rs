@@ -16,7 +16,7 @@ use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::MemoryBudget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
 
@@ -96,7 +96,7 @@ fn sampling(cell: f64) -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, cell).expect("a valid grid"),
         domain: None,
-        indicator: Indicator::Symmetry,
+        field: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
@@ -113,10 +113,10 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
     let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
     assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
     let mut sum = crc32fast::Hasher::new();
-    for piece in 0..surface.mesh.pieces() {
-        let vertices = surface.mesh.vertices(piece).expect("in memory");
+    for piece in 0..surface.pieces() {
+        let vertices = surface.vertices(piece).expect("in memory");
         sum.update(bytemuck::cast_slice(&vertices.positions));
-        sum.update(bytemuck::cast_slice(&surface.mesh.triangles(piece).expect("in memory")));
+        sum.update(bytemuck::cast_slice(&surface.triangles(piece).expect("in memory")));
     }
     (laps, sum.finalize())
 }

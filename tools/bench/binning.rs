@@ -12,13 +12,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{
     BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
+use meniscus::brick::{BrickSide, InvalidParticles};
 use meniscus::grid::{BIN, Grid, MortonKey};
-use meniscus::stage::indicator::Indicator;
-use meniscus::stage::indicator::vulkan::{BinEntry, INDICATE, indicate};
+use meniscus::stage::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
+use meniscus::stage::indicator::{Content, PageRule};
 use meniscus::vulkan::{
     Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
 };
@@ -120,12 +120,14 @@ fn main() -> Result<(), compile::Fault> {
     let entries: Vec<BinEntry> = bins.keys.iter().zip(bins.first.windows(2)).map(entry).collect();
     let entries_view = upload(&device, &entries)?;
     let pages = device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
-    let indicator = Arc::new(device.kernel(&INDICATE)?);
+    let [indicate_kernel, clouds] = [&INDICATE, &CLOUDS].map(|program| device.kernel(program).map(Arc::new));
+    let kernels = Kernels { indicate: indicate_kernel?, clouds: clouds? };
+    let rule = PageRule { content: Content::Symmetry, side: BrickSide::default(), walls: None };
     let [(_, records)] = &bins.runs[..] else { return Err("too many particles for one run".into()) };
     let seconds = best(|| {
         run(&device, |batch| {
             let views = [&entries_view, &records.whole(), &pages];
-            indicate(batch, &indicator, entries.len() as u32, Indicator::Symmetry, views)
+            indicate(batch, &kernels, entries.len() as u32, &rule, views)
         })
     })?;
     row("sums in shared memory, and the DIF", count, seconds);

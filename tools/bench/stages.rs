@@ -8,6 +8,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use glam::DVec3;
+use meniscus::backend::field;
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
@@ -16,9 +17,9 @@ use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::spool::Spool;
 use meniscus::stage::blur::{Kernel, blur};
 use meniscus::stage::dual_mc::contour;
-use meniscus::stage::indicator::{Indicator, PageRule, indicate};
+use meniscus::stage::indicator::{IndicatorKind, PageRule, indicate};
 use meniscus::stitch::Stitched;
-use meniscus::units::{MemoryBudget, Sigma};
+use meniscus::units::{MeanCount, MemoryBudget, Sigma};
 use rayon::prelude::*;
 
 /// The best of a few runs: what the machine can do when nobody disturbs it.
@@ -61,13 +62,13 @@ fn main() {
     };
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
-    for indicator in [Indicator::Symmetry, Indicator::Counting { mean: None }, Indicator::default()] {
+    for kind in [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud] {
         let full_cells =
             (0..bins.keys().len()).map(|bin| bins.full_cells(bin).expect("bins in memory")).sum();
-        let indicator = indicator.measured(particles.len(), full_cells).expect("a mean count");
-        let rule = PageRule { indicator, side: BrickSide::Eight, walls: None };
+        let mean = MeanCount::measured(particles.len() as u64, full_cells).expect("a mean count");
+        let rule = PageRule { content: kind.by(mean).content(), side: BrickSide::Eight, walls: None };
         let (seconds, _) = best_seconds(3, || indicate(&bins, 0..bins.keys().len(), &rule));
-        let name = indicator.name();
+        let name = kind.name();
         row(&format!("accumulate, {name}"), count, "M particles/s", seconds);
         row(&format!("bin and accumulate, {name}"), count, "M particles/s", bin_seconds + seconds);
     }
@@ -89,7 +90,7 @@ fn main() {
     let sampling = Sampling {
         grid,
         domain: None,
-        indicator: Indicator::Symmetry,
+        field: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
         carried: Vec::new(),
@@ -98,19 +99,21 @@ fn main() {
     };
     let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
-    let (recipe, _) = frame.recipe(&surfacing).expect("cells of a spacing");
-    let blocks = frame.dif().regions(0, 0);
-    let halo = recipe.halo();
+    let sampled = frame.dif().expect("an indicator makes the field");
+    let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
+    let recipe = surfacing.recipe(sampled, &measured.calibration);
+    let blocks = sampled.dif.regions(0, 0);
+    let (halo, reach) = (recipe.filters.halo(), recipe.filters.reach());
     let (seconds, samples) = best_seconds(3, || {
-        let gathered = blocks.par_iter().map(|cells| frame.dif().gather(cells.grown(halo, halo)));
+        let gathered = blocks.par_iter().map(|cells| sampled.dif.gather(cells.grown(halo, halo)));
         gathered.map(|block| block.samples().len()).sum::<usize>()
     });
     row("gather, halo 2, blocks of 32^3", samples as f64, "M cells/s", seconds);
-    let fields: Vec<(CellBox, Block)> = frame
-        .dif()
-        .regions(recipe.reach() + 1, recipe.reach())
+    let fields: Vec<(CellBox, Block)> = sampled
+        .dif
+        .regions(reach + 1, reach)
         .into_par_iter()
-        .map(|cells| (cells, frame.field(&recipe, cells.tiled().grown(0, 1))))
+        .map(|cells| (cells, field(&recipe, sampled, Normals::None.cells(cells))))
         .collect();
     let (seconds, mesh) = best_seconds(3, || {
         let surfaces: Vec<_> =
@@ -132,5 +135,5 @@ fn main() {
     for (stage, seconds) in laps.seconds() {
         println!("  {stage:<32} {:>35.1} ms", seconds * 1e3);
     }
-    println!("  {} vertices, {} triangles", surface.mesh.vertex_count(), surface.mesh.triangle_count());
+    println!("  {} vertices, {} triangles", surface.vertex_count(), surface.triangle_count());
 }

@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
+use meniscus::calibration::FINEST_OF_SYMMETRY;
 use meniscus::frame::Normals;
 use meniscus::laps::Laps;
-use meniscus::plateau::FINEST_OF_SYMMETRY;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
 use crate::methods::{Iso, Method, grid, held};

@@ -4,12 +4,14 @@
 //! cells' centres to 0 on their corners.
 
 use glam::{DQuat, DVec3, IVec3};
+use meniscus::backend::field;
+use meniscus::calibration::Calibrated;
 use meniscus::frame::{Frame, FrameError};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::lattice::sound_origin;
 use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::{IndicatorKind, SampledDif};
 use meniscus::units::{FULL, Isovalue};
 use rayon::prelude::*;
 
@@ -73,7 +75,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     let mut averages = table(&["indicator", "sampling", "cell / spacing", "lattices"]);
     let mut along = table(&["indicator", "cell / spacing", "place", "plateau"]);
     let cells = options.choose(&CELLS[..], &CELLS[2..3]);
-    for indicator in [CLOUD, Indicator::Symmetry, COUNTING] {
+    for indicator in [CLOUD, IndicatorKind::Symmetry, COUNTING] {
         for (sampling, jitter) in SAMPLINGS {
             for &cell in cells {
                 let measure = |lattices: &[Lattice]| -> Outcome<Vec<Vec<Found>>> {
@@ -136,16 +138,17 @@ fn per_rule(found: &[&Found]) -> Vec<String> {
     (0..RULES.len()).map(text).collect()
 }
 
-fn found(solid: &Solid, indicator: Indicator, cell: f64, lattice: &Lattice) -> Outcome<Found> {
+fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) -> Outcome<Found> {
     let particles = fill(solid, lattice);
     let sample =
         |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
     let frame = sample(grid(cell)?)?;
-    let Ok((recipe, plateau)) = frame.recipe(&surfacing(None, None)) else {
+    let (asked, sampled) = (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
+    let Ok(Calibrated { calibration, plateau, .. }) = asked.calibrate(sampled) else {
         return Ok(Found { plateau: f64::NAN, errors: vec![None; RULES.len()] });
     };
     let median = f64::from(plateau.value()) / f64::from(FULL);
-    let values = Values::of(&frame, &recipe, solid);
+    let values = Values::of(sampled, &asked.recipe(sampled, &calibration), solid);
     let error = |rule: &Rule| match *rule {
         Rule::Median(share) => error_at(solid, &frame, Some(share * median)),
         Rule::Mean(share) => match values.interior_mean {
@@ -166,7 +169,7 @@ fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Erro
     let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
     match frame.surface(&surfacing(None, iso), &mut Laps::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
-        surface => Errors::of(solid, &surface?.mesh.to_mesh()?).map(Some),
+        surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),
     }
 }
 
@@ -179,13 +182,13 @@ struct Values {
 }
 
 impl Values {
-    fn of(frame: &Frame, recipe: &Recipe, solid: &Solid) -> Self {
-        let grid = frame.facts().grid;
-        let reach = recipe.reach();
+    fn of(sampled: &SampledDif, recipe: &Recipe, solid: &Solid) -> Self {
+        let grid = sampled.facts.grid;
+        let reach = recipe.filters.reach();
         let deep = (f64::from(reach) + 0.5) * grid.cell_size() * 3_f64.sqrt();
         let (mut sorted, mut interior) = (Vec::new(), Vec::new());
-        for cells in frame.dif().regions(reach, reach) {
-            let field = frame.field(recipe, cells);
+        for cells in sampled.dif.regions(reach, reach) {
+            let field = field(recipe, sampled, cells);
             sorted.extend_from_slice(field.samples());
             // A part of the cells tells enough.
             for ([y, z], row) in field.rows(cells).filter(|([y, z], _)| y % 2 == 0 && z % 2 == 0) {

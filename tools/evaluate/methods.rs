@@ -1,15 +1,15 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
-use meniscus::brick::InvalidParticles;
+use meniscus::brick::{BrickSide, InvalidParticles};
 use meniscus::frame::{
-    Detail, Frame, FrameError, KernelFrame, Normals, Resources, Sampling, Shortfall, Surfacing,
+    Detail, FieldRequest, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 use meniscus::rivals::Method as Rival;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 
@@ -19,7 +19,7 @@ use crate::Outcome;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// By a discrete indicator function.
-    Dif { indicator: Indicator, sigma: Sigmas, iso: Iso, detail: Detail },
+    Dif { indicator: IndicatorKind, sigma: Sigmas, iso: Iso, detail: Detail },
     /// By kernels.
     Rival(Rival),
 }
@@ -42,11 +42,11 @@ pub enum Iso {
     At(f64),
 }
 
-pub const COUNTING: Indicator = Indicator::Counting { mean: None };
-pub const CLOUD: Indicator = Indicator::Cloud { mean: None };
+pub const COUNTING: IndicatorKind = IndicatorKind::Counting;
+pub const CLOUD: IndicatorKind = IndicatorKind::Cloud;
 
 impl Method {
-    pub const SYMMETRY: Self = Self::by_default(Indicator::Symmetry, Detail::Smoothed);
+    pub const SYMMETRY: Self = Self::by_default(IndicatorKind::Symmetry, Detail::Smoothed);
     pub const COUNTING: Self = Self::by_default(COUNTING, Detail::Smoothed);
     pub const CLOUD: Self = Self::by_default(CLOUD, Detail::Smoothed);
     pub const MUELLER: Self = Self::Rival(Rival::Mueller { iso: Rival::HALF });
@@ -71,7 +71,7 @@ impl Method {
 
     pub const fn symmetry(sigma: f64, iso: Iso) -> Self {
         Self::Dif {
-            indicator: Indicator::Symmetry,
+            indicator: IndicatorKind::Symmetry,
             sigma: Sigmas::Cells(sigma),
             iso,
             detail: Detail::Smoothed,
@@ -84,10 +84,10 @@ impl Method {
 
     /// By default, with what smoothing loses treated otherwise.
     pub fn detailed(detail: Detail) -> [Self; 3] {
-        [Indicator::Symmetry, COUNTING, CLOUD].map(|indicator| Self::by_default(indicator, detail))
+        [IndicatorKind::Symmetry, COUNTING, CLOUD].map(|indicator| Self::by_default(indicator, detail))
     }
 
-    const fn by_default(indicator: Indicator, detail: Detail) -> Self {
+    const fn by_default(indicator: IndicatorKind, detail: Detail) -> Self {
         Self::Dif { indicator, sigma: Sigmas::Auto, iso: Iso::Auto, detail }
     }
 
@@ -106,7 +106,7 @@ impl Method {
                 let detail = match detail {
                     Detail::Smoothed => "",
                     Detail::Recovered => ", details recovered",
-                    Detail::Spared => ", details spared",
+                    Detail::Adaptive => ", adaptive",
                 };
                 format!("{}{filter}{at}{detail}", indicator.name())
             }
@@ -130,17 +130,14 @@ impl Method {
         normals: Normals,
         laps: &mut Laps,
     ) -> Result<Stitched, FrameError> {
-        match *self {
+        let (field, surfacing): (FieldRequest, _) = match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
-                let frame = Frame::sample(particles, &sampling(grid, spacing, indicator), laps)?;
-                let surfacing = Surfacing { detail, normals, ..surfacing(sigma.value(), iso.value()) };
-                Ok(frame.surface(&surfacing, laps)?.mesh)
+                (indicator.into(), Surfacing { detail, ..surfacing(sigma.value(), iso.value()) })
             }
-            Self::Rival(rival) => {
-                let sampling = sampling(grid, spacing, COUNTING);
-                KernelFrame::sample(particles, &sampling, rival, laps)?.surface(normals, laps)
-            }
-        }
+            Self::Rival(rival) => (rival.into(), Surfacing::PLAIN),
+        };
+        let frame = Frame::sample(particles, &sampling(grid, spacing, field), laps)?;
+        frame.surface(&Surfacing { normals, ..surfacing }, laps)
     }
 }
 
@@ -175,13 +172,14 @@ pub fn grid(cell: f64) -> Outcome<Grid> {
 }
 
 /// Everything in memory, on the processor.
-pub fn sampling(grid: Grid, spacing: f64, indicator: Indicator) -> Sampling {
+pub fn sampling(grid: Grid, spacing: f64, field: impl Into<FieldRequest>) -> Sampling {
+    let field = field.into();
     Sampling {
         grid,
         domain: None,
-        indicator,
+        field,
         invalid: InvalidParticles::Refuse,
-        side: indicator.brick_side(),
+        side: field.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side()),
         carried: Vec::new(),
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),

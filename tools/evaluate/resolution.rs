@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use meniscus::backend::{Surfaces, Vulkan};
+use meniscus::backend::{Surfaces, Vulkan, field};
 use meniscus::frame::{Detail, Frame, Normals, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::mesh::measure::measure;
@@ -83,17 +83,17 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let start = Instant::now();
     let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
     let dif = start.elapsed().as_secs_f64();
-    let stitched = frame.surface(&surfacing, &mut Laps::default())?.mesh;
+    let stitched = frame.surface(&surfacing, &mut Laps::default())?;
     let surface = stitched.to_mesh()?;
     let whole = start.elapsed().as_secs_f64();
     held(&stitched, particles.len(), 1.0)?;
 
     let start = Instant::now();
-    let (recipe, _) = frame.recipe(&surfacing)?;
-    let surfaces = Surfaces { dif: frame.dif(), recipe: &recipe, domain: None, normals: Normals::None };
-    let regions = surfaces.regions();
-    let field = |&cells: &_| frame.field(&recipe, meniscus::grid::CellBox::tiled(&cells).grown(0, 1));
-    let fields: Vec<_> = regions.par_iter().map(field).collect();
+    let sampled = frame.dif().ok_or("an indicator makes the field")?;
+    let recipe = surfacing.recipe(sampled, &surfacing.calibrate(sampled)?.calibration);
+    let regions = Surfaces { sampled, recipe: &recipe, normals: Normals::None }.regions();
+    let fields: Vec<_> =
+        regions.par_iter().map(|&cells| field(&recipe, sampled, Normals::None.cells(cells))).collect();
     let smoothing = start.elapsed().as_secs_f64();
 
     let start = Instant::now();
@@ -117,7 +117,7 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
         let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
-        let mesh = frame.surface(&surfacing, &mut Laps::default())?.mesh;
+        let mesh = frame.surface(&surfacing, &mut Laps::default())?;
         mesh.to_mesh()?;
         let seconds = start.elapsed().as_secs_f64();
         held(&mesh, particles.len(), 1.0)?;
@@ -140,7 +140,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let kinds = [
         ("smoothed", Detail::Smoothed),
         ("details recovered", Detail::Recovered),
-        ("details spared", Detail::Spared),
+        ("adaptive", Detail::Adaptive),
     ];
     let all =
         [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)].into_iter().flat_map(|c| kinds.map(|kind| (c, kind)));
@@ -149,7 +149,7 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         let run = || -> Outcome<_> {
             let start = Instant::now();
             let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
-            let mesh = frame.surface(&surfacing, &mut Laps::default())?.mesh.to_mesh()?;
+            let mesh = frame.surface(&surfacing, &mut Laps::default())?.to_mesh()?;
             Ok((start.elapsed().as_secs_f64(), mesh))
         };
         run()?;

@@ -2,12 +2,12 @@
 //! grid, mu0 and isovalue are those of the first.
 
 use glam::{DVec3, IVec3};
+use meniscus::calibration::FINEST_OF_SYMMETRY;
 use meniscus::frame::{Frame, Sampling};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
-use meniscus::plateau::{FINEST_OF_SYMMETRY, recipe_at};
 use meniscus::sequence::frozen::{Measured, Origin, measure};
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
 
 use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::roughness::{WIDTH, is_central};
@@ -27,9 +27,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     let head: Vec<&str> =
         ["indicator", "cell / spacing"].into_iter().chain(jitters.iter().map(String::as_str)).collect();
     let mut table = Table::new(&head);
-    for indicator in [CLOUD, COUNTING, Indicator::Symmetry] {
+    for indicator in [CLOUD, COUNTING, IndicatorKind::Symmetry] {
         for &cell in options.choose(&CELLS[..], &CELLS[2..]) {
-            if indicator == Indicator::Symmetry && cell <= FINEST_OF_SYMMETRY {
+            if indicator == IndicatorKind::Symmetry && cell <= FINEST_OF_SYMMETRY {
                 continue;
             }
             let moves = JITTERS.into_iter().map(|jitter| greatest_move(indicator, cell, jitter));
@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     Ok(())
 }
 
-fn greatest_move(indicator: Indicator, cell: f64, jitter: f64) -> Outcome<f64> {
+fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f64> {
     let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), jitter, &mut Random::new(5));
     let rise = |step: u32| cell * f64::from(step) / f64::from(STEPS);
     let raised =
@@ -52,14 +52,14 @@ fn greatest_move(indicator: Indicator, cell: f64, jitter: f64) -> Outcome<f64> {
 
     let asked = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
-    let Measured { grid, mean: mu0, iso, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
-    let frozen = Sampling { grid, indicator: indicator.with_mean(mu0), ..free };
+    let Measured { grid, calibration, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
+    let mean = calibration.and_then(|known| known.mean);
+    let frozen = Sampling { grid, field: IndicatorRequest { kind: indicator, mean }.into(), ..free };
 
     let height = |step: u32| -> Outcome<f64> {
         let laps = &mut Laps::default();
         let frame = Frame::sample(&raised(step)[..], &frozen, laps)?;
-        let recipe = recipe_at(frame.facts().indicator, frame.sigma(None), asked.detail, iso);
-        let mesh = frame.surface_by(&recipe, asked.normals, laps)?.to_mesh()?;
+        let mesh = frame.calibrate(&asked, calibration.as_ref(), laps)?.surface(laps)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;

@@ -8,10 +8,10 @@ use std::error::Error;
 use ash::vk;
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::frame::Detail;
+use meniscus::frame::resident::{Pipeline, Settings};
 use meniscus::grid::Grid;
-use meniscus::resident::{Pipeline, Settings};
-use meniscus::stage::detail::Detail;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::Sigma;
 use meniscus::vulkan::{Device, DeviceOptions, Foreign, Place, Queue};
 
@@ -118,7 +118,7 @@ unsafe fn mesh(
     let settings = Settings {
         grid: Grid::new([0.0; 3].into(), cell)?,
         domain: None,
-        indicator: Indicator::Symmetry,
+        indicator: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         spacing: Some(cell),
         sigma: Sigma::new(1.0)?,

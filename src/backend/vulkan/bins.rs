@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use crate::brick::vulkan::DeviceBins;
 use crate::brick::{Bins, PageInfo, PageShape, Pages};
 use crate::grid::MortonKey;
-use crate::stage::indicator::vulkan::{BinEntry, clouds, indicate};
-use crate::stage::indicator::{Indicator, PageRule};
+use crate::stage::indicator::PageRule;
+use crate::stage::indicator::vulkan::{BinEntry, indicate};
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
@@ -107,10 +107,7 @@ impl DeviceFrame {
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
         let (views, count) = ([entries, records, &pages], bins.len() as u32);
-        match rule.indicator {
-            Indicator::Cloud { .. } => clouds(&mut lane.compute, &self.kernels.clouds, count, rule, views),
-            _ => indicate(&mut lane.compute, &self.kernels.indicate, count, rule.indicator, views),
-        }?;
+        indicate(&mut lane.compute, &self.kernels.indicate, count, rule, views)?;
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
     }

@@ -11,7 +11,6 @@ use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::mesh::{BlockMesh, Tile};
-use crate::recipe::Details;
 use crate::stage::blur::Kernel;
 use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
@@ -149,20 +148,19 @@ struct Constants {
 
 impl Constants {
     fn new(device: &Device, surfaces: &Surfaces<'_>) -> Result<Self, VulkanError> {
-        let recipe = surfaces.recipe;
-        let detail = match &recipe.details {
-            Details::Smoothed => None,
-            Details::Recovered(kernel) => Some(kernel),
-            Details::Spared(adaptive) => Some(&adaptive.fine),
-        };
-        let theta: Vec<u32> =
-            surfaces.dif.decode_table().unwrap_or_default().iter().map(|&theta| theta.into()).collect();
+        let theta: Vec<u32> = surfaces
+            .sampled
+            .dif
+            .decode_table()
+            .unwrap_or_default()
+            .iter()
+            .map(|&theta| theta.into())
+            .collect();
         Ok(Self {
-            weights: recipe
-                .smoothing
-                .filters()
-                .iter()
-                .chain(detail)
+            weights: surfaces
+                .recipe
+                .filters
+                .kernels()
                 .map(|kernel| Ok((kernel.clone(), device.uploaded(kernel.half())?)))
                 .collect::<Result<_, VulkanError>>()?,
             theta: device.uploaded(&theta)?,
@@ -198,13 +196,12 @@ impl BlockBatch {
             room: MOST_VERTICES,
         };
         let limit = work.frame.device.limits().storage_range;
-        let halo = work.surfaces.recipe.halo();
-        let page_bytes = page_bytes(work.surfaces.dif.shape());
+        let (dif, halo) = (&work.surfaces.sampled.dif, work.surfaces.recipe.filters.halo());
+        let page_bytes = page_bytes(dif.shape());
         let mut numbers: HashMap<IVec3, u32> = HashMap::new();
         let mut taken = batch.room * work.vertex_bytes() * 2;
         for &region in regions.iter().take(BLOCK_BATCH) {
-            let dif = work.surfaces.dif;
-            let cells = work.surfaces.field(region).grown(halo, halo);
+            let cells = work.surfaces.normals.cells(region).grown(halo, halo);
             let mut block = DeviceBlock::new(cells, region.tiled());
             let bins: Vec<IVec3> = block.bins(dif.shape().rim).collect();
             let unknown = |bin: &&IVec3| dif.has_page(**bin) && !numbers.contains_key(*bin);
@@ -259,11 +256,7 @@ impl Contouring<'_> {
     }
 
     fn fields(&self) -> u64 {
-        match self.surfaces.recipe.details {
-            Details::Smoothed => 2,
-            Details::Recovered(_) => 3,
-            Details::Spared(_) => 4,
-        }
+        self.surfaces.recipe.filters.fields().device
     }
 
     /// Bytes of a block, on the device and staged.
@@ -296,7 +289,7 @@ impl Contouring<'_> {
     fn start(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
         let device = &self.frame.device;
         let kernels = &self.frame.kernels;
-        let dif = self.surfaces.dif;
+        let dif = &self.surfaces.sampled.dif;
         let page_bytes = page_bytes(dif.shape());
         let mut layout = Layout::default();
         let blocks_at = layout.place(size_of_val(&batch.blocks[..]) as u64);

@@ -26,7 +26,7 @@ use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::stage::indicator::PageRule;
-use crate::stage::indicator::vulkan::{CLOUDS, INDICATE};
+use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
 use crate::units::MemoryBudget;
 use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
@@ -56,9 +56,8 @@ pub struct Vulkan {
 
 #[derive(Debug)]
 struct Kernels {
-    indicate: Arc<Kernel>,
+    indicate: Indicators,
     gather: Arc<Kernel>,
-    clouds: Arc<Kernel>,
     blur: Arc<Kernel>,
     lost: Arc<Kernel>,
     greater: Arc<Kernel>,
@@ -87,9 +86,8 @@ impl Vulkan {
     pub fn new(device: Device) -> Result<Self, VulkanError> {
         let kernel = |program| device.kernel(program).map(Arc::new);
         let kernels = Kernels {
-            indicate: kernel(&INDICATE)?,
+            indicate: Indicators { indicate: kernel(&INDICATE)?, clouds: kernel(&CLOUDS)? },
             gather: kernel(&GATHER)?,
-            clouds: kernel(&CLOUDS)?,
             blur: kernel(&BLUR)?,
             lost: kernel(&LOST)?,
             greater: kernel(&GREATER)?,

@@ -19,7 +19,7 @@ use meniscus::mesh::VertexAttribute;
 use meniscus::mesh::measure::measure;
 use meniscus::particles::{Particles, bounds};
 use meniscus::spacing;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::{IndicatorKind, SampledDif};
 use meniscus::units::{MeanCount, MemoryBudget};
 use serde::Serialize;
 
@@ -108,8 +108,7 @@ fn inspect(path: &Path) -> Result<Info, Error> {
 }
 
 fn inspect_frame(path: &Path) -> Result<Info, Error> {
-    let (facts, dif) = open_frame(path, 0)?;
-    let mu0 = facts.indicator.mean().map(MeanCount::particles);
+    let SampledDif { facts, indicator, dif } = open_frame(path, 0)?;
     let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
     let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
     Ok(Info::Frame {
@@ -121,8 +120,8 @@ fn inspect_frame(path: &Path) -> Result<Info, Error> {
         cell_size: facts.grid.cell_size(),
         origin: facts.grid.origin().to_array(),
         domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-        indicator: facts.indicator.name(),
-        mu0,
+        indicator: indicator.kind().name(),
+        mu0: indicator.mean().map(MeanCount::particles),
     })
 }
 
@@ -177,9 +176,9 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
     let sampling = Sampling {
         grid: Grid::new(DVec3::ZERO, CELL * spacing).ok()?,
         domain: None,
-        indicator: Indicator::default(),
+        field: IndicatorKind::default().into(),
         invalid: InvalidParticles::Skip,
-        side: Indicator::default().brick_side(),
+        side: IndicatorKind::default().brick_side(),
         carried: Vec::new(),
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), PathBuf::new()),

@@ -7,6 +7,7 @@ use clap::Args;
 use meniscus::error::Error;
 use meniscus::frame::{Frame, FrameError, Surfacing};
 use meniscus::io::input::open_particles;
+use meniscus::io::mnf::write_frame;
 use meniscus::io::whole::{Replace, WholeFile};
 use meniscus::laps::Laps;
 use meniscus::particles::Particles;
@@ -51,19 +52,19 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
     laps.lap("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
-    let fine = Surfacing::PLAIN.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid);
-    fine.map_err(|e| in_file(e.into()))?;
+    sampling.refuse_unfit(&Surfacing::PLAIN).map_err(in_file)?;
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
     report_warnings(&frame, &notes);
     report_frame(&frame, &notes);
-    let bytes = output.write(|out| frame.pack(out))?;
+    let sampled = frame.dif().ok_or_else(|| Error::Request("kernels cannot be packed".into()))?;
+    let bytes = output.write(|out| write_frame(out, sampled).map(drop))?;
     drop(unfinished);
     laps.lap("write");
     notes.say(format!(
         "{}: {} cells in {} bricks, {} in {:.2} s",
         options.output.display(),
-        frame.dif().full_cells(),
-        frame.dif().bricks(),
+        sampled.dif.full_cells(),
+        sampled.dif.bricks(),
         ByteSize(bytes),
         laps.total(),
     ));

@@ -8,7 +8,7 @@ use clap::Args;
 use meniscus::backend::Cpu;
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
-use meniscus::frame::{Detail, Frame, FrameError, Normals, Resources, Surfacing};
+use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Surfacing};
 use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -28,10 +28,8 @@ use serde_json::json;
 
 use crate::Verdict;
 use crate::interrupt;
-use crate::method::{MethodName, Sampled};
-use crate::report::{
-    advice, report_census, report_frame, report_isovalue, report_laps, report_simplified, report_warnings,
-};
+use crate::method::MethodName;
+use crate::report::{advice, report_frame, report_isovalue, report_laps, report_simplified, report_warnings};
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
 use crate::sequence::{self, SequenceOptions};
@@ -63,7 +61,7 @@ pub struct Options {
     /// Recover details that smoothing loses, such as drops.
     #[arg(long)]
     pub detail: bool,
-    /// Spare details: smooth less where there is no bulk. Keeps every drop and thin sheet, and surfaces as smooth.
+    /// Smooth adaptively: less where there is no bulk. Keeps every drop and thin sheet, and surfaces as smooth.
     #[arg(long, conflicts_with = "detail")]
     pub adaptive: bool,
     /// Use fewer triangles, as long as no part of the surface moves farther than this.
@@ -147,7 +145,7 @@ impl Options {
             },
             detail: match (self.detail, self.adaptive) {
                 (true, _) => Detail::Recovered,
-                (_, true) => Detail::Spared,
+                (_, true) => Detail::Adaptive,
                 _ => Detail::Smoothed,
             },
             normals: if self.normals { Normals::Gradient } else { Normals::None },
@@ -285,18 +283,19 @@ impl Options {
         resources: Resources,
         laps: &mut Laps,
         notes: &Notes,
-    ) -> Result<Option<Sampled>, Error> {
+    ) -> Result<Option<Frame>, Error> {
         let in_file = |fault: FrameError| Error::Frame { path: input.to_owned(), fault };
         if is_frame(input) {
-            let (facts, dif) = open_frame(input, resources.budget.0 / 4)?;
+            let sampled = open_frame(input, resources.budget.0 / 4)?;
             laps.lap("open");
-            notes.say(format!("{}: {} particles, packed frame", input.display(), facts.census.binned));
+            let particles = sampled.facts.census.binned;
+            notes.say(format!("{}: {particles} particles, packed frame", input.display()));
             if self.dry_run {
                 let output = self.output.display();
-                crate::print(&format!("would reconstruct {} particles into {output}", facts.census.binned))?;
+                crate::print(&format!("would reconstruct {particles} particles into {output}"))?;
                 return Ok(None);
             }
-            return Ok(Some(Sampled::Dif(Frame::from_parts(facts, dif, surfacing, resources))));
+            return Ok(Some(Frame::from_sampled(sampled, surfacing, resources)));
         }
         let file = open_particles(input, unpacking(&resources))?;
         laps.lap("open");
@@ -304,7 +303,7 @@ impl Options {
         let carried = self.carried(input, &file, format)?;
         let sampling = request.sampling(input, &file, carried, resources, notes)?;
         laps.lap("spacing");
-        let counted = request.counted(&file.particles, &sampling, surfacing).map_err(in_file)?;
+        let counted = Counted::for_surface(&file.particles, &sampling, surfacing).map_err(in_file)?;
         laps.lap("count");
         if self.dry_run {
             let (estimate, budget) = (counted.estimate(), sampling.resources.budget);
@@ -324,8 +323,7 @@ impl Options {
             ))?;
             return Ok(None);
         }
-        let budget = sampling.resources.budget;
-        Sampled::of(counted, request.rival(), budget, laps).map(Some).map_err(in_file)
+        Frame::sample_counted(counted, sampling.resources.budget, laps).map(Some).map_err(in_file)
     }
 }
 
@@ -374,29 +372,21 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let mut laps = Laps::default();
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
     let made = options.frame(input, (&request, &surfacing), format, resources, &mut laps, &notes)?;
-    let Some(sampled) = made else { return Ok(Verdict::Good) };
-    let (mesh, iso) = match &sampled {
-        Sampled::Dif(frame) => {
-            report_frame(frame, &notes);
-            let surface = frame.surface(&surfacing, &mut laps).map_err(in_file)?;
-            report_warnings(frame, &notes);
-            report_isovalue(frame, &surface, surfacing.iso, &notes);
-            (surface.mesh, Some(surface.iso))
-        }
-        Sampled::Kernels(frame) => {
-            report_census(frame.census(), &notes);
-            (frame.surface(surfacing.normals, &mut laps).map_err(in_file)?, None)
-        }
-    };
-
-    if let Some(shortfall) = sampled.shortfall(&mesh).map_err(in_file)? {
+    let Some(frame) = made else { return Ok(Verdict::Good) };
+    report_frame(&frame, &notes);
+    let calibrated = frame.calibrate(&surfacing, None, &mut laps).map_err(in_file)?;
+    let mesh = calibrated.surface(&mut laps).map_err(in_file)?;
+    report_warnings(&frame, &notes);
+    let measured = calibrated.measured();
+    measured.iter().for_each(|measured| report_isovalue(&frame, measured, surfacing.iso, &notes));
+    if let Some(shortfall) = frame.shortfall(&mesh).map_err(in_file)? {
         notes.say(format!("warning: {shortfall}{}", advice(options, None)));
     }
     let width = coordinate_width(&mesh, mesh.grid().cell_size(), format, &notes)?;
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {
         Box::new(mesh)
     } else {
-        let simplified = sampled.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
+        let simplified = frame.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
@@ -413,7 +403,8 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     ));
     report_laps(&laps, &notes);
     if options.stats.is_some() {
-        let record = options.record([input, &options.output], &sampled, iso, &*mesh, bytes, &laps);
+        let iso = measured.map(|measured| measured.calibration.iso);
+        let record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }
     Ok(Verdict::Good)

@@ -3,12 +3,12 @@
 use std::fmt::Write;
 
 use meniscus::brick::Census;
-use meniscus::frame::{Frame, Surface};
+use meniscus::calibration::{Calibrated, ON_CORNERS, Plateau};
+use meniscus::frame::Frame;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
-use meniscus::plateau::{ON_CORNERS, Plateau};
 use meniscus::simplify::{Reduction, Simplified};
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::{FULL, Isovalue};
 
 use crate::method::MethodName;
@@ -20,8 +20,9 @@ pub fn report_warnings(frame: &Frame, notes: &Notes) {
     frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
 }
 
-/// Says what became of the particles.
-pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes: &Notes) {
+/// Says what became of the particles, and warns of a lattice on the corners of cells.
+pub fn report_frame(frame: &Frame, notes: &Notes) {
+    let Census { not_finite, too_far, outside, .. } = frame.facts().census;
     for (count, what) in [
         (not_finite, "dropped: a coordinate is not finite"),
         (too_far, "dropped: beyond the addressable grid"),
@@ -31,15 +32,9 @@ pub fn report_census(Census { not_finite, too_far, outside, .. }: Census, notes:
             notes.say(format!("{count} particles {what}"));
         }
     }
-}
-
-/// Says what became of the particles, and warns of a lattice on the corners of cells.
-pub fn report_frame(frame: &Frame, notes: &Notes) {
-    report_census(frame.facts().census, notes);
-    if frame.facts().indicator != Indicator::Symmetry {
-        return;
-    }
-    let mean = frame.dif().mean_of_full();
+    let symmetric = frame.dif().filter(|sampled| sampled.indicator.kind() == IndicatorKind::Symmetry);
+    let Some(sampled) = symmetric else { return };
+    let mean = sampled.dif.mean_of_full();
     if mean < ON_CORNERS {
         let grid = frame.facts().grid;
         let shifted = (grid.origin() + grid.cell_size() / 2.0).to_array().map(|x| x.to_string()).join(",");
@@ -66,11 +61,11 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
 }
 
 /// Says where the surface is drawn, and how finely the field tells it.
-pub fn report_isovalue(frame: &Frame, surface: &Surface, given: Option<Isovalue>, notes: &Notes) {
-    let &Surface { iso, plateau, step_cells, .. } = surface;
+pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isovalue>, notes: &Notes) {
+    let &Calibrated { calibration, plateau, step_cells } = measured;
     notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
-    let (iso, share) = (iso.value(), f64::from(Isovalue::PLATEAU_PERCENT) / 100.0);
+    let (iso, share) = (calibration.iso.value(), f64::from(Isovalue::PLATEAU_PERCENT) / 100.0);
     match (plateau, given) {
         (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
             "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",

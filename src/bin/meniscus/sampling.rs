@@ -4,17 +4,16 @@ use std::path::Path;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use meniscus::brick::{Census, InvalidParticles};
+use meniscus::brick::{BrickSide, Census, InvalidParticles};
 use meniscus::error::Error;
-use meniscus::frame::{Counted, FrameError, Resources, Sampling, Surfacing};
+use meniscus::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::Particles;
-use meniscus::rivals::Method;
 use meniscus::sequence::frozen::on_sound_grid;
 use meniscus::spacing;
-use meniscus::stage::indicator::Indicator;
+use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::units::{MeanCount, positive_length};
 
 use crate::run::Notes;
@@ -65,22 +64,13 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 
 /// What the options ask for, as far as it can be known without the particles.
 pub struct SamplingRequest {
-    field: FieldRequest,
+    pub field: FieldRequest,
     invalid: InvalidParticles,
     /// The grid's origin, where it is given.
     origin: Option<DVec3>,
     walls: Option<[DVec3; 2]>,
     spacing: Option<f64>,
     cell: Cell,
-}
-
-/// What is made of the particles.
-#[derive(Clone, Copy)]
-enum FieldRequest {
-    /// By an indicator.
-    Dif(Indicator),
-    /// By kernels as wide as the spacing says.
-    Kernels(Method),
 }
 
 /// How the edge of a cell is given.
@@ -149,19 +139,15 @@ impl SamplingOptions {
 
     /// Refuses what is wrong whatever the particles are.
     pub fn validate(&self) -> Result<SamplingRequest, Error> {
-        let indicator = match (self.indicator, self.mu0) {
-            (Some(IndicatorName::Symmetry), Some(_)) => {
-                return Err(Error::Request("--mu0 has no meaning for --indicator symmetry".into()));
-            }
-            (name, mu0) => {
-                let named = match name {
-                    None | Some(IndicatorName::Cloud) => Indicator::Cloud { mean: None },
-                    Some(IndicatorName::Counting) => Indicator::Counting { mean: None },
-                    Some(IndicatorName::Symmetry) => Indicator::Symmetry,
-                };
-                named.with_mean(mu0.map(MeanCount::new).transpose()?)
-            }
+        let kind = match self.indicator {
+            None | Some(IndicatorName::Cloud) => IndicatorKind::Cloud,
+            Some(IndicatorName::Counting) => IndicatorKind::Counting,
+            Some(IndicatorName::Symmetry) => IndicatorKind::Symmetry,
         };
+        if self.mu0.is_some() && !kind.counts() {
+            return Err(Error::Request("--mu0 has no meaning for --indicator symmetry".into()));
+        }
+        let field = IndicatorRequest { kind, mean: self.mu0.map(MeanCount::new).transpose()? }.into();
         let spacing = match (self.spacing, self.radius) {
             (Some(spacing), _) => Some(positive_length("--spacing", spacing)?),
             (None, Some(radius)) => Some(2.0 * positive_length("--radius", radius)?),
@@ -182,7 +168,6 @@ impl SamplingOptions {
             return Err(error.into());
         }
         let invalid = if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse };
-        let field = FieldRequest::Dif(indicator);
         Ok(SamplingRequest { field, invalid, origin, walls, spacing, cell })
     }
 }
@@ -210,44 +195,6 @@ impl Cells {
 pub const CELL: f64 = 2.0 / 3.0;
 
 impl SamplingRequest {
-    /// The same for a kernel method instead of a DIF.
-    pub fn for_kernels(self, method: Method) -> Self {
-        Self { field: FieldRequest::Kernels(method), ..self }
-    }
-
-    /// The kernel method that was asked for, if it was one.
-    pub fn rival(&self) -> Option<Method> {
-        match self.field {
-            FieldRequest::Dif(_) => None,
-            FieldRequest::Kernels(method) => Some(method),
-        }
-    }
-
-    /// Counts particles for what is to be made of them, and drawn of that.
-    pub fn counted<'a, P: Particles + ?Sized>(
-        &self,
-        particles: &'a P,
-        sampling: &'a Sampling,
-        surfacing: &Surfacing,
-    ) -> Result<Counted<'a, P>, FrameError> {
-        if self.rival().is_none() {
-            surfacing.refuse_too_fine(sampling.indicator, sampling.spacing, &sampling.grid)?;
-        }
-        let counted = Counted::of(particles, sampling)?.for_surface(*surfacing);
-        Ok(match self.rival() {
-            None => counted,
-            Some(method) => counted.for_kernels(method),
-        })
-    }
-
-    /// The indicator. Kernels have no use for it.
-    pub fn indicator(&self) -> Indicator {
-        match self.field {
-            FieldRequest::Dif(indicator) => indicator,
-            FieldRequest::Kernels(_) => Indicator::default(),
-        }
-    }
-
     /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices. A grid that nobody asked to
     /// be where it is may be moved to suit a lattice, as for the first frame of a simulation.
     pub fn sampling(
@@ -259,15 +206,12 @@ impl SamplingRequest {
         notes: &Notes,
     ) -> Result<Sampling, Error> {
         let cells = self.cells(path, file)?;
-        let indicator = self.indicator();
-        let by = match self.field {
-            FieldRequest::Kernels(_) => String::new(),
-            FieldRequest::Dif(_) => format!(", indicator {}", indicator.name()),
-        };
+        let indicator = self.field.indicator();
+        let by = indicator.map_or(String::new(), |asked| format!(", indicator {}", asked.kind.name()));
         notes.say(format!("{}{by}", cells.describe()));
         let grid = self.grid(cells.size)?;
-        let sampling = self.sampling_on(grid, indicator, cells.spacing, carried, resources)?;
-        if self.origin.is_some() || self.rival().is_some() {
+        let sampling = self.sampling_on(grid, self.field, cells.spacing, carried, resources)?;
+        if self.origin.is_some() {
             return Ok(sampling);
         }
         let sound = on_sound_grid(&file.particles, sampling);
@@ -282,7 +226,7 @@ impl SamplingRequest {
     pub fn sampling_on(
         &self,
         grid: Grid,
-        indicator: Indicator,
+        field: FieldRequest,
         spacing: Option<f64>,
         carried: Vec<usize>,
         resources: Resources,
@@ -290,9 +234,9 @@ impl SamplingRequest {
         Ok(Sampling {
             grid,
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
-            indicator,
+            field,
             invalid: self.invalid,
-            side: indicator.brick_side(),
+            side: field.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side()),
             carried,
             spacing,
             resources,
@@ -319,11 +263,11 @@ impl SamplingRequest {
         } else {
             let estimate = spacing::estimate(&file.particles);
             let estimate = match (self.cell, self.field) {
-                (Cell::Size(size), FieldRequest::Dif(indicator)) => {
+                (Cell::Size(size), FieldRequest::Indicator(asked)) => {
                     // Nobody asks for cells that are refused: then it was spray that was estimated.
                     let grid = self.grid(size)?;
                     let fits = |&spacing: &f64| {
-                        Surfacing::PLAIN.refuse_too_fine(indicator, Some(spacing), &grid).is_ok()
+                        Surfacing::PLAIN.refuse_too_fine(asked, Some(spacing), &grid).is_ok()
                     };
                     let Some(spacing) = estimate.filter(fits) else {
                         return Ok(Cells { size, spacing: None, source: None });

@@ -9,7 +9,6 @@ mod tally;
 mod watch;
 
 use std::fmt::Write;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use meniscus::error::{Cause, Error};
@@ -18,20 +17,16 @@ use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::io::whole::sweep;
 use meniscus::io::{ParticleFile, WriteError, WriteFault};
-use meniscus::laps::Laps;
-use meniscus::plateau::recipe_at;
 use meniscus::sequence::SequenceError;
 use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::{FrameFile, Inputs};
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::{State, Store};
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
-use meniscus::stitch::Stitched;
 
 use crate::Verdict;
 use crate::interrupt;
 use crate::lanes::Division;
-use crate::method::Sampled;
 use crate::reconstruct::Options;
 use crate::run::Notes;
 use crate::sampling::SamplingRequest;
@@ -202,27 +197,8 @@ impl Setup<'_> {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
-        let indicator = frozen.indicator(self.request.indicator())?;
-        self.request.sampling_on(frozen.grid()?, indicator, frozen.spacing, carried, resources)
-    }
-
-    /// The surface of a frame by what all have in common.
-    fn surface(
-        &self,
-        path: &Path,
-        sampled: &Sampled,
-        frozen: &Frozen,
-        laps: &mut Laps,
-    ) -> Result<Stitched, Error> {
-        let Surfacing { sigma, detail, normals, .. } = self.surfacing;
-        let surface = match sampled {
-            Sampled::Dif(frame) => {
-                let recipe = recipe_at(frame.facts().indicator, frame.sigma(sigma), detail, frozen.iso()?);
-                frame.surface_by(&recipe, normals, laps)
-            }
-            Sampled::Kernels(frame) => frame.surface(normals, laps),
-        };
-        surface.map_err(|fault| Error::Frame { path: path.to_owned(), fault })
+        let field = frozen.field(self.request.field);
+        self.request.sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
     }
 
     /// How the machine is divided among so many frames.
@@ -264,6 +240,11 @@ impl Setup<'_> {
             found => found?,
         };
         let Some(state) = state else { return Ok(None) };
+        if state.frozen.calibration.is_none() && self.request.field.indicator().is_some() {
+            let what = "the isovalue is missing".into();
+            let damaged = SequenceError::State { path: store.state_path(), what };
+            return if anew { Ok(None) } else { Err(damaged.into()) };
+        }
         let mut differing = state.differing(&self.options.settings());
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
         if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)

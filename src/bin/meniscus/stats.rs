@@ -4,20 +4,17 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
-use meniscus::brick::Census;
 use meniscus::error::Error;
-use meniscus::frame::{Frame, KernelFrame, Sampling};
-use meniscus::grid::{Domain, Grid};
+use meniscus::frame::{Frame, Surfacing};
 use meniscus::io::WriteError;
-use meniscus::io::mnf::FrameFacts;
 use meniscus::laps::Laps;
 use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::rivals::Method;
+use meniscus::stage::indicator::{FrameFacts, SampledDif};
 use meniscus::units::{Isovalue, MeanCount};
 use serde_json::{Value, json};
 
-use crate::method::Sampled;
 use crate::reconstruct::Options;
 
 impl Options {
@@ -25,7 +22,7 @@ impl Options {
     pub fn record(
         &self,
         [input, output]: [&Path; 2],
-        sampled: &Sampled,
+        frame: &Frame,
         iso: Option<Isovalue>,
         mesh: &dyn MeshSource,
         bytes: u64,
@@ -46,11 +43,15 @@ impl Options {
             "threads": rayon::current_num_threads(),
             "peak_resident_bytes": peak_resident(),
         });
-        let of_frame = match sampled {
-            Sampled::Dif(frame) => self.dif_facts(frame, iso),
-            Sampled::Kernels(frame) => kernel_facts(frame),
+        let of_field = match frame.dif() {
+            Some(sampled) => self.dif_facts(frame, sampled, iso),
+            None => json!({
+                "spacing": frame.facts().spacing,
+                "isovalue": frame.kernels().and_then(Method::iso),
+                "backend": frame.backend(),
+            }),
         };
-        joined(of_frame, of_run)
+        joined(joined(facts(frame.facts()), of_field), of_run)
     }
 
     /// Appends a line to the statistics, if they are asked for.
@@ -61,34 +62,25 @@ impl Options {
         Ok(written.map_err(|e| WriteError::new(path, e))?)
     }
 
-    fn dif_facts(&self, frame: &Frame, iso: Option<Isovalue>) -> Value {
-        let FrameFacts { grid, domain, indicator, census, .. } = frame.facts();
-        let of_dif = json!({
-            "indicator": indicator.name(),
-            "mu0": frame.mean_count().map(MeanCount::particles),
-            "sigma": self.sigma.unwrap_or(frame.sigma(None).cells()),
+    fn dif_facts(&self, frame: &Frame, sampled: &SampledDif, iso: Option<Isovalue>) -> Value {
+        let SampledDif { facts, indicator, .. } = sampled;
+        let sigma =
+            || Surfacing::PLAIN.width(indicator.kind(), facts.spacing, facts.grid.cell_size()).cells();
+        json!({
+            "indicator": indicator.kind().name(),
+            "mu0": indicator.mean().map(MeanCount::particles),
+            "sigma": self.sigma.unwrap_or_else(sigma),
             "isovalue": iso.map(Isovalue::value),
             "detail": self.detail,
             "adaptive": self.adaptive,
             "backend": frame.backend(),
             "pages_on_device": frame.on_device().pages,
             "regions_on_device": frame.on_device().regions,
-        });
-        joined(sampling_facts(census, grid, domain.as_ref()), of_dif)
+        })
     }
 }
 
-fn kernel_facts(frame: &KernelFrame) -> Value {
-    let Sampling { grid, domain, spacing, .. } = frame.sampling();
-    let iso = match frame.method() {
-        Method::Mueller { iso } | Method::YuTurk { iso } => Some(iso),
-        Method::ZhuBridson => None,
-    };
-    let of_kernels = json!({ "spacing": spacing, "isovalue": iso, "backend": "CPU" });
-    joined(sampling_facts(&frame.census(), grid, domain.as_ref()), of_kernels)
-}
-
-fn sampling_facts(census: &Census, grid: &Grid, domain: Option<&Domain>) -> Value {
+fn facts(FrameFacts { census, grid, domain, .. }: &FrameFacts) -> Value {
     json!({
         "particles": census.binned,
         "not_finite": census.not_finite,

@@ -42,10 +42,6 @@ mod write;
 pub use read::{frame_from_file, open_frame};
 pub use write::{FrameWriter, write_frame};
 
-use crate::brick::Census;
-use crate::grid::{Domain, Grid};
-use crate::stage::indicator::Indicator;
-
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 1;
@@ -58,21 +54,6 @@ const FACTS: usize = 144;
 const ENTRY: usize = 44;
 /// Bytes of the tail.
 const TAIL: usize = 20;
-
-/// What a frame is besides its samples.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FrameFacts {
-    /// Where the cells are.
-    pub grid: Grid,
-    /// Walls, if the fluid is in a tank.
-    pub domain: Option<Domain>,
-    /// What the DIF was computed by, with its mu0 where it counts.
-    pub indicator: Indicator,
-    /// What became of the particles.
-    pub census: Census,
-    /// The particles' spacing in the unit of the grid, where it is known.
-    pub spacing: Option<f64>,
-}
 
 /// The low bytes of `samples`, then the high bytes: alike stands beside alike, and no machine's order shows.
 fn planes_from_samples(samples: &[u16]) -> Vec<u8> {

@@ -15,10 +15,10 @@ use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::{FrameFacts, Indicator, SampledDif};
 use crate::units::{MeanCount, positive_length};
 
-use super::{END_MAGIC, ENTRY, FACTS, FrameFacts, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
+use super::{END_MAGIC, ENTRY, FACTS, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
 
 /// Bytes of the map that are looked at before all of it is given back.
 const RELEASED: u64 = 4 << 20;
@@ -36,20 +36,20 @@ const CHUNK: usize = 1 << 20;
 /// # Errors
 /// Whatever the system refuses; [`ReadFault::Truncated`], [`ReadFault::Malformed`] and [`ReadFault::Compression`]
 /// for what is no frame, or a damaged one, and [`ReadFault::Unsupported`] for a frame of another version.
-pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<(FrameFacts, DifField), ReadError> {
+pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let (facts, infos, pages) = read_index(open_bytes(path)?).map_err(fail)?;
+    let Index { facts, indicator, infos, pages } = read_index(open_bytes(path)?).map_err(fail)?;
     pages.check(&infos).map_err(fail)?;
-    Ok((facts, pages.into_field(infos, &facts, cache_bytes)))
+    Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
 /// The same for a file that this process wrote and that nobody else can reach: its samples are taken on trust.
 ///
 /// # Errors
 /// As [`open_frame`], as far as the index tells.
-pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<(FrameFacts, DifField), ReadFault> {
-    let (facts, infos, pages) = read_index(Bytes::map(file)?)?;
-    Ok((facts, pages.into_field(infos, &facts, cache_bytes)))
+pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
+    let Index { facts, indicator, infos, pages } = read_index(Bytes::map(file)?)?;
+    Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
 /// A map whose memory is given back again and again.
@@ -128,9 +128,9 @@ impl MappedPages {
         fault.map_or(Ok(()), Err)
     }
 
-    fn into_field(mut self, infos: Vec<PageInfo>, facts: &FrameFacts, cache_bytes: u64) -> DifField {
+    fn into_dif(mut self, infos: Vec<PageInfo>, cache_bytes: u64) -> DifField {
         self.checksums = Vec::new();
-        facts.indicator.decode(DifField::paged(self.shape, infos, Box::new(self), cache_bytes))
+        DifField::paged(self.shape, infos, Box::new(self), cache_bytes)
     }
 }
 
@@ -143,12 +143,19 @@ impl PageSource for MappedPages {
 }
 
 /// Everything but the pages, and where they are.
-fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), ReadFault> {
+struct Index {
+    facts: FrameFacts,
+    indicator: Indicator,
+    infos: Vec<PageInfo>,
+    pages: MappedPages,
+}
+
+fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
     let side = read_header(&bytes)?;
     let window = Window { bytes, looked_at: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(&window.bytes, footer, Endian::Little);
-    let (facts, count) = read_facts(&mut cursor)?;
+    let (facts, indicator, count) = read_facts(&mut cursor)?;
     let index = window.bytes.len() - TAIL - cursor.at();
     if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
         let what = format!("an index of {index} bytes cannot be that of {count} pages");
@@ -182,11 +189,12 @@ fn read_index(bytes: Bytes) -> Result<(FrameFacts, Vec<PageInfo>, MappedPages), 
         return Err(malformed(end as usize, "there is something between the last page and the footer"));
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
-    let shape = facts.indicator.shape(side);
+    let shape = indicator.kind().shape(side);
     if full_cells > (shape.cells_a_particle() as u64).saturating_mul(facts.census.binned as u64) {
         return Err(malformed(footer, format!("more full cells than particles make: {full_cells}")));
     }
-    Ok((facts, infos, MappedPages { window, shape, first, bricks, checksums }))
+    let pages = MappedPages { window, shape, first, bricks, checksums };
+    Ok(Index { facts, indicator, infos, pages })
 }
 
 fn read_header(bytes: &[u8]) -> Result<BrickSide, ReadFault> {
@@ -241,8 +249,8 @@ fn read_tail(window: &Window) -> Result<usize, ReadFault> {
     Ok(footer as usize)
 }
 
-/// The frame's facts, and the number of its pages.
-fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, u64), ReadFault> {
+/// The frame's facts, its indicator, and the number of its pages.
+fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), ReadFault> {
     let at = cursor.at();
     let fault = |error: &dyn std::fmt::Display| malformed(at, error.to_string());
     let origin = read_point(cursor)?;
@@ -256,12 +264,11 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, u64), ReadFault> {
         _ => return Err(fault(&"neither walls nor none")),
     };
     let mean = cursor.f64("mu0")?;
+    let mean = || MeanCount::new(mean).map_err(|e| fault(&e));
     let indicator = match indicator {
         0 => Indicator::Symmetry,
-        1 | 2 => {
-            let mean = Some(MeanCount::new(mean).map_err(|e| fault(&e))?);
-            if indicator == 1 { Indicator::Counting { mean } } else { Indicator::Cloud { mean } }
-        }
+        1 => Indicator::Counting(mean()?),
+        2 => Indicator::Cloud(mean()?),
         other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
     };
     let spacing = match cursor.f64("the spacing")? {
@@ -279,7 +286,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, u64), ReadFault> {
         outside: particles()?,
     };
     let count = cursor.u64("the number of pages")?;
-    Ok((FrameFacts { grid, domain, indicator, census, spacing }, count))
+    Ok((FrameFacts { grid, domain, census, spacing }, indicator, count))
 }
 
 fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {

@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
-use crate::brick::{DifField, PageInfo, PageShape};
+use crate::brick::{PageInfo, PageShape};
 use crate::grid::BIN;
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::{FrameFacts, Indicator, IndicatorKind, SampledDif};
 use crate::units::MeanCount;
 
-use super::{END_MAGIC, FrameFacts, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
+use super::{END_MAGIC, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
 
 /// Speed matters, and noise compresses no better at any level.
 const LEVEL: i32 = 1;
@@ -100,11 +100,8 @@ impl<W: Write> FrameWriter<W> {
     }
 
     /// Writes what makes a frame of the pages. Returns the bytes of the whole file.
-    ///
-    /// # Panics
-    /// If the indicator counts and its mu0 is not known.
-    pub fn finish(mut self, facts: &FrameFacts) -> io::Result<u64> {
-        let mut footer = footer(facts);
+    pub fn finish(mut self, facts: &FrameFacts, indicator: Indicator) -> io::Result<u64> {
+        let mut footer = footer(facts, indicator);
         footer.extend(self.pages.to_le_bytes());
         let place = self.at.to_le_bytes();
         let mut hasher = Hasher::new();
@@ -118,16 +115,16 @@ impl<W: Write> FrameWriter<W> {
 }
 
 /// All of the footer but the number of pages.
-fn footer(facts: &FrameFacts) -> Vec<u8> {
+fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
     let walls = facts.domain.map_or([0.0; 6], |domain| {
         let [lo, hi] = domain.walls().map(|corner| corner.to_array());
         [lo[0], lo[1], lo[2], hi[0], hi[1], hi[2]]
     });
-    let known = |mean: Option<MeanCount>| mean.expect("a finished frame knows its mu0").particles();
-    let (indicator, mean) = match facts.indicator {
-        Indicator::Symmetry => (0_u32, 0.0),
-        Indicator::Counting { mean } => (1, known(mean)),
-        Indicator::Cloud { mean } => (2, known(mean)),
+    let mean = indicator.mean().map_or(0.0, MeanCount::particles);
+    let indicator = match indicator.kind() {
+        IndicatorKind::Symmetry => 0_u32,
+        IndicatorKind::Counting => 1,
+        IndicatorKind::Cloud => 2,
     };
     let census = &facts.census;
     let particles = [census.binned, census.not_finite, census.too_far, census.outside];
@@ -166,10 +163,8 @@ fn compress<'a, P>(
 ///
 /// # Errors
 /// Those of `out`.
-///
-/// # Panics
-/// If the indicator counts and its mu0 is not known.
-pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io::Result<u64> {
+pub fn write_frame(out: impl Write, frame: &SampledDif) -> io::Result<u64> {
+    let field = &frame.dif;
     let mut writer = FrameWriter::create(out, field.shape())?;
     // Two chunks a thread at a time: the last to end is not waited for long.
     let batch = 2 * CHUNK * rayon::current_num_threads();
@@ -178,5 +173,5 @@ pub fn write_frame(out: impl Write, facts: &FrameFacts, field: &DifField) -> io:
         let pages: Vec<_> = infos.copied().zip(first..).collect();
         writer.push(&pages, |&page| field.stored(page))?;
     }
-    writer.finish(facts)
+    writer.finish(&frame.facts, frame.indicator)
 }

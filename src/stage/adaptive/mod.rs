@@ -19,8 +19,7 @@ pub mod vulkan;
 
 pub use cpu::{blend, occupancy, spread};
 
-use crate::stage::blur::Kernel;
-use crate::stage::indicator::Indicator;
+use crate::stage::blur::{FieldCount, Filter, Kernel};
 use crate::units::{Isovalue, Sigma};
 
 /// The widest Gaussian on details, in cells.
@@ -29,8 +28,6 @@ const WIDEST_FINE: f64 = 0.5;
 /// The filters beside those of the smoothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adaptive {
-    /// The least theta of cells that count as full.
-    pub least: u16,
     /// For the occupancy.
     pub fine: Kernel,
     /// From a cell to those that tell whether there is bulk, along each axis.
@@ -40,10 +37,30 @@ pub struct Adaptive {
 impl Adaptive {
     /// Beside a Gaussian of `sigma`.
     #[must_use]
-    pub fn new(indicator: Indicator, sigma: Sigma) -> Self {
+    pub fn new(sigma: Sigma) -> Self {
         let fine = sigma.half().cells().min(WIDEST_FINE);
         let fine = Sigma::new(fine).expect("less than a sigma, and more than 0");
-        Self { least: indicator.least(), fine: Kernel::gaussian(fine), near: 1 + sigma.cells().ceil() as i32 }
+        Self { fine: Kernel::gaussian(fine), near: 1 + sigma.cells().ceil() as i32 }
+    }
+}
+
+impl Filter for Adaptive {
+    /// The occupancy's Gaussian reaches less far than the cells that tell of bulk.
+    fn halo(&self) -> i32 {
+        self.near
+    }
+
+    fn reach(&self) -> i32 {
+        self.fine.reach()
+    }
+
+    fn kernels(&self) -> &[Kernel] {
+        std::slice::from_ref(&self.fine)
+    }
+
+    /// The smoothed DIF, the occupancy that is blurred, and the greatest near by, through one more.
+    fn fields(&self) -> FieldCount {
+        FieldCount { host: 4, device: 4 }
     }
 }
 

@@ -7,7 +7,7 @@ use glam::IVec3;
 use crate::brick::{Bins, Block};
 use crate::grid::{BIN, CellBox, MortonKey};
 use crate::mesh::BlockMesh;
-use crate::stage::blur::Smoothing;
+use crate::stage::blur::{Filter, Smoothing};
 use crate::stage::dual_mc::Crossings;
 
 /// The step to which values are rounded before they are added.

@@ -10,3 +10,9 @@
 mod cpu;
 
 pub use cpu::vertex_values;
+
+/// Bytes of a cell while an attribute of so many components is smoothed: sums of it and of the particles, in two fields.
+#[must_use]
+pub fn cell_bytes(components: usize) -> u64 {
+    ((components + 3) * size_of::<f64>()) as u64
+}

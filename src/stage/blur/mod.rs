@@ -6,10 +6,12 @@
 //! A filter reaches [`Kernel::reach`] cells along every axis, and the result is smaller by as much.
 
 mod cpu;
+mod filter;
 mod smoothing;
 pub mod vulkan;
 
 pub use cpu::{Sample, blur, blur_while};
+pub use filter::{FieldCount, Filter};
 pub use smoothing::Smoothing;
 
 use crate::units::Sigma;

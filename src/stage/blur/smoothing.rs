@@ -2,10 +2,11 @@
 
 use crate::brick::Block;
 use crate::grid::CellBox;
-use crate::stage::indicator::Indicator;
+use crate::stage::indicator::IndicatorKind;
+
 use crate::units::Sigma;
 
-use super::{Kernel, Sample, blur};
+use super::{FieldCount, Filter, Kernel, Sample, blur};
 
 /// The smoothing of section 4.2: a Gaussian, and for counting a box after it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,36 +17,44 @@ pub struct Smoothing {
 impl Smoothing {
     /// What the paper prescribes for an indicator.
     #[must_use]
-    pub fn new(indicator: Indicator, sigma: Sigma) -> Self {
+    pub fn new(kind: IndicatorKind, sigma: Sigma) -> Self {
         let gaussian = Kernel::gaussian(sigma);
-        let filters = match indicator {
-            Indicator::Symmetry | Indicator::Cloud { .. } => vec![gaussian],
-            Indicator::Counting { .. } => vec![gaussian, Kernel::box3()],
+        let filters = match kind {
+            IndicatorKind::Symmetry | IndicatorKind::Cloud => vec![gaussian],
+            IndicatorKind::Counting => vec![gaussian, Kernel::box3()],
         };
         Self { filters }
     }
 
-    /// The filters, in the order in which they are applied.
-    #[must_use]
-    pub fn filters(&self) -> &[Kernel] {
-        &self.filters
-    }
-
-    /// How far the filters reach together, in cells.
-    #[must_use]
-    pub fn reach(&self) -> i32 {
-        self.filters.iter().map(Kernel::reach).sum()
-    }
-
     /// The standard deviation of what becomes of a particle of such an indicator, along an axis, in cells.
     #[must_use]
-    pub fn width(&self, indicator: Indicator) -> f64 {
-        (indicator.variance() + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
+    pub fn width(&self, kind: IndicatorKind) -> f64 {
+        (kind.variance() + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
     }
 
-    /// Smooths a block; the result is smaller by [`reach`](Self::reach) on every side.
+    /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.
     #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
         self.filters.iter().fold(dif, |block, kernel| blur(block, kernel, walls))
+    }
+}
+
+impl Filter for Smoothing {
+    /// The filters reach one after the other.
+    fn halo(&self) -> i32 {
+        self.filters.iter().map(Kernel::reach).sum()
+    }
+
+    fn kernels(&self) -> &[Kernel] {
+        &self.filters
+    }
+
+    /// From one and into another, axis by axis.
+    fn fields(&self) -> FieldCount {
+        FieldCount { host: 2, device: 2 }
+    }
+
+    fn keeps_details(&self) -> bool {
+        false
     }
 }

@@ -10,13 +10,35 @@ pub mod vulkan;
 
 pub use cpu::{lost, raise};
 
-/// What becomes of details that smoothing loses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)]
-pub enum Detail {
-    Smoothed,
-    /// Section 6.2.
-    Recovered,
-    /// The blur spares them, see [`adaptive`](super::adaptive).
-    Spared,
+use crate::stage::blur::{FieldCount, Filter, Kernel};
+use crate::units::Sigma;
+
+/// The filter beside those of the smoothing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recovery {
+    /// The second Gaussian.
+    pub fine: Kernel,
+}
+
+impl Recovery {
+    /// Beside a Gaussian of `sigma`.
+    #[must_use]
+    pub fn new(sigma: Sigma) -> Self {
+        Self { fine: Kernel::gaussian(sigma.half()) }
+    }
+}
+
+impl Filter for Recovery {
+    fn halo(&self) -> i32 {
+        self.fine.reach()
+    }
+
+    fn kernels(&self) -> &[Kernel] {
+        std::slice::from_ref(&self.fine)
+    }
+
+    /// The DIF, what is smoothed of it, what that lost, and that blurred, into the DIF's buffer on a device.
+    fn fields(&self) -> FieldCount {
+        FieldCount { host: 4, device: 3 }
+    }
 }

@@ -8,7 +8,7 @@ use crate::grid::{BLOCK, CellBox, TILE, local_morton};
 use crate::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
 use super::table::TABLE;
-use super::{Crossings, Level};
+use super::{Crossings, Level, Normals};
 
 /// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
 ///
@@ -55,13 +55,32 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
-/// edge, interpolated. On a wall it is the wall's.
+/// The surface through a region of a field on the cells that it [needs](Normals::cells), as [`contour`] has it, with the normals
+/// that are asked for; `None` where there is none.
 ///
 /// # Panics
-/// If `field` does not cover one cell all round both ends of every edge.
+/// If `field` does not cover those cells.
 #[must_use]
-pub fn normals<T: Copy + Default + Into<f64>>(
+pub fn block_mesh<L: Level + Into<Crossings>>(
+    field: &Block<L::Sample>,
+    region: CellBox,
+    level: L,
+    with: Normals,
+    walls: Option<CellBox>,
+) -> Option<BlockMesh>
+where
+    L::Sample: Into<f64>,
+{
+    let mut mesh = contour(field, region, level, walls);
+    if with == Normals::Gradient {
+        mesh.normals = normals(field, &mesh, level.into(), walls);
+    }
+    (!mesh.tiles.is_empty()).then_some(mesh)
+}
+
+/// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
+/// edge, interpolated. On a wall it is the wall's.
+fn normals<T: Copy + Default + Into<f64>>(
     field: &Block<T>,
     mesh: &BlockMesh,
     crossings: Crossings,

@@ -66,6 +66,12 @@ impl From<Isovalue> for Crossings {
     }
 }
 
+impl From<Zero> for Crossings {
+    fn from(_: Zero) -> Self {
+        Self::Fractions
+    }
+}
+
 impl Crossings {
     /// How far along its edge a vertex lies (eq. 8), from what it keeps.
     ///

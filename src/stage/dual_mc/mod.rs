@@ -14,8 +14,23 @@ mod level;
 pub mod table;
 pub mod vulkan;
 
-pub use cpu::{contour, normal, normals};
+pub use cpu::{block_mesh, contour, normal};
 pub use level::{Crossings, Level, Zero};
+
+use crate::grid::CellBox;
+
+/// Vertices of a block with much surface, where details are smoothed away or where they are kept: spray is all surface.
+#[must_use]
+pub fn block_vertices(details_are_kept: bool) -> u64 {
+    if details_are_kept { 20_000 } else { 6_000 }
+}
+
+/// Vertices around so many particles of a bin, at the most for all but wild surfaces: around one alone, or in a bin full of
+/// wrinkled surface, where a plane through it has 16^2 times one to two.
+#[must_use]
+pub fn bin_vertices(particles: u64) -> u64 {
+    (60 * particles).min(2000)
+}
 
 /// Whether vertices get normals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,4 +38,21 @@ pub use level::{Crossings, Level, Zero};
 pub enum Normals {
     None,
     Gradient,
+}
+
+impl Normals {
+    /// The cells whose field is needed for the surface through a region.
+    #[must_use]
+    pub fn cells(self, region: CellBox) -> CellBox {
+        match self {
+            Self::None => dual_cells(region),
+            Self::Gradient => dual_cells(region).grown(1, 1),
+        }
+    }
+}
+
+/// The cells that stand around the dual cells of a region.
+#[must_use]
+pub fn dual_cells(region: CellBox) -> CellBox {
+    region.tiled().grown(0, 1)
 }

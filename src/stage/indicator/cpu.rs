@@ -8,10 +8,10 @@ use rayon::prelude::*;
 
 use crate::brick::{Bins, CellSums, PageInfo, Pages};
 use crate::grid::{BIN, FRACTIONS};
-use crate::units::{FULL, MeanCount};
+use crate::units::FULL;
 
 use super::cloud::{Clouds, amount};
-use super::{Indicator, PageRule};
+use super::{Content, PageRule};
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
@@ -59,33 +59,24 @@ fn counts(sums: &CellSums, counts: &mut [u16]) {
     }
 }
 
-/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
-#[must_use]
-pub fn count_table(mean: MeanCount) -> Vec<u16> {
-    let mean = mean.particles();
-    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
-}
-
 /// The pages of a range of bins: theta by symmetry and of clouds; for counting the numbers of particles, which become
-/// theta when all bins are done and mu0 is known, by [`Indicator::decode`].
+/// theta when all bins are done and mu0 is known, by [`Indicator::decode`](super::Indicator::decode).
 ///
 /// # Errors
 /// Where particles are in a scratch file that cannot be read.
-///
-/// # Panics
-/// If the indicator [waits for its mean](Indicator::waits_for_mean).
 pub fn indicate(bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
-    let &PageRule { indicator, walls, .. } = rule;
     let shape = rule.shape();
-    if let Indicator::Cloud { mean } = indicator {
-        let clouds = Clouds::new(amount(mean.expect("clouds are made once mu0 is known")), walls, shape);
-        let start = || clouds.room();
-        let page = |room: &mut Vec<u16>, bin: usize| {
-            Ok(clouds.page(room, bins.keys()[bin].coord(), &bins.contents(bin)?))
-        };
-        return range.into_par_iter().map_init(start, page).collect();
-    }
-    let values = if indicator.counts() { counts } else { symmetry_all };
+    let values = match rule.content {
+        Content::Symmetry => symmetry_all,
+        Content::Counts => counts,
+        Content::Clouds(mean) => {
+            let clouds = Clouds::new(amount(mean), rule.walls, shape);
+            let page = |room: &mut Vec<u16>, bin: usize| {
+                Ok(clouds.page(room, bins.keys()[bin].coord(), &bins.contents(bin)?))
+            };
+            return range.into_par_iter().map_init(|| clouds.room(), page).collect();
+        }
+    };
     let start = || (CellSums::default(), vec![0; shape.bin_samples()]);
     let sums_page = |(sums, dense): &mut (CellSums, Vec<u16>), bin: usize| {
         sums.accumulate(bins.contents(bin)?.particles());

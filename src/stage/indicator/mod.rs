@@ -18,20 +18,65 @@
 
 mod cloud;
 mod cpu;
+mod sampled;
 pub mod vulkan;
 
 pub use cloud::{RIM, SHARE_BITS, SQUARE_BITS, amount};
-pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, count_table, indicate, symmetry};
+pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
+pub use sampled::{FrameFacts, SampledDif};
 
 use crate::brick::{BrickSide, DifField, PageShape};
 use crate::grid::CellBox;
-use crate::units::{MeanCount, UnitError};
+use crate::units::{FULL, MeanCount};
+
+/// Which indicator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum IndicatorKind {
+    /// By how far a cell's particles lie from its centre on average (eq. 7).
+    Symmetry,
+    /// By their number (eq. 6).
+    Counting,
+    /// By how much of their clouds lies in a cell.
+    #[default]
+    Cloud,
+}
+
+/// An indicator as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct IndicatorRequest {
+    /// Which one.
+    pub kind: IndicatorKind,
+    /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Symmetry has no use for it.
+    pub mean: Option<MeanCount>,
+}
+
+/// An indicator with what it has to know.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Indicator {
+    /// See [`IndicatorKind::Symmetry`].
+    Symmetry,
+    /// By its `mu0`.
+    Counting(MeanCount),
+    /// By its `mu0`.
+    Cloud(MeanCount),
+}
+
+/// Meaning of the samples in pages.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Content {
+    /// The DIF by symmetry.
+    Symmetry,
+    /// Numbers of particles, which become the DIF once `mu0` is known.
+    Counts,
+    /// Sums of the clouds of a page's own particles, by their `mu0`.
+    Clouds(MeanCount),
+}
 
 /// How pages are made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PageRule {
-    /// What is stored; one that [waits for its mean](Indicator::waits_for_mean) cannot be.
-    pub indicator: Indicator,
+    /// What is stored.
+    pub content: Content,
     /// How it is stored.
     pub side: BrickSide,
     /// Walls, if the fluid is in a tank.
@@ -42,41 +87,28 @@ impl PageRule {
     /// How the samples lie.
     #[must_use]
     pub fn shape(&self) -> PageShape {
-        self.indicator.shape(self.side)
+        self.content.kind().shape(self.side)
     }
 }
 
-/// Which indicator, and what it needs to know.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Indicator {
-    /// By how far a cell's particles lie from its centre on average (eq. 7).
-    Symmetry,
-    /// By their number (eq. 6).
-    Counting {
-        /// `mu0`; measured on the frame itself (eq. 4) where it is `None`.
-        mean: Option<MeanCount>,
-    },
-    /// By how much of their clouds lies in a cell.
-    Cloud {
-        /// As for counting, but known before there is any DIF: some bins tell it of a large frame.
-        mean: Option<MeanCount>,
-    },
-}
-
-impl Default for Indicator {
-    fn default() -> Self {
-        Self::Cloud { mean: None }
+impl Content {
+    fn kind(self) -> IndicatorKind {
+        match self {
+            Self::Symmetry => IndicatorKind::Symmetry,
+            Self::Counts => IndicatorKind::Counting,
+            Self::Clouds(_) => IndicatorKind::Cloud,
+        }
     }
 }
 
-impl Indicator {
+impl IndicatorKind {
     /// What it is called.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Symmetry => "symmetry",
-            Self::Counting { .. } => "counting",
-            Self::Cloud { .. } => "cloud",
+            Self::Counting => "counting",
+            Self::Cloud => "cloud",
         }
     }
 
@@ -86,83 +118,102 @@ impl Indicator {
         self != Self::Symmetry
     }
 
-    /// mu0, where it is known.
-    #[must_use]
-    pub fn mean(self) -> Option<MeanCount> {
-        match self {
-            Self::Symmetry => None,
-            Self::Counting { mean } | Self::Cloud { mean } => mean,
-        }
-    }
-
-    /// The same with another mu0, if it has to know it.
-    #[must_use]
-    pub fn with_mean(self, mean: Option<MeanCount>) -> Self {
-        match self {
-            Self::Symmetry => self,
-            Self::Counting { .. } => Self::Counting { mean },
-            Self::Cloud { .. } => Self::Cloud { mean },
-        }
-    }
-
-    /// The same with mu0 by eq. 4, if it has to know it and does not.
-    ///
-    /// # Errors
-    /// Those of [`MeanCount::measured`].
-    pub fn measured(self, particles: usize, full_cells: u64) -> Result<Self, UnitError> {
-        if self == Self::Symmetry || self.mean().is_some() {
-            return Ok(self);
-        }
-        Ok(self.with_mean(Some(MeanCount::measured(particles as u64, full_cells)?)))
-    }
-
     /// How wide a Gaussian suits it, in spacings. Clouds have a width of their own.
     #[must_use]
     pub fn spacings_smoothed(self) -> f64 {
-        if matches!(self, Self::Cloud { .. }) { 0.8 } else { 1.0 }
+        if self == Self::Cloud { 0.8 } else { 1.0 }
     }
 
     /// The variance of where a particle is, along an axis, as far as it is known from the DIF, in squared cells: that of a
     /// cloud, or of the cell that it is in.
     #[must_use]
     pub fn variance(self) -> f64 {
-        if matches!(self, Self::Cloud { .. }) { 1.0 / 4.0 } else { 1.0 / 12.0 }
-    }
-
-    /// The least theta of cells that count as full where details are told from nothing, once mu0 is known: for clouds a
-    /// thirtieth of a particle. Cells of a layer of particles then hang together, and no particle is without one.
-    #[must_use]
-    pub fn least(self) -> u16 {
-        match self {
-            Self::Cloud { mean: Some(mean) } => (amount(mean) / 30).max(1),
-            _ => 1,
-        }
-    }
-
-    /// Whether mu0 has to be known, and is not, before there is any DIF.
-    #[must_use]
-    pub fn waits_for_mean(self) -> bool {
-        self == Self::Cloud { mean: None }
+        if self == Self::Cloud { 1.0 / 4.0 } else { 1.0 / 12.0 }
     }
 
     /// The bricks that suit it: rims weigh less around large ones.
     #[must_use]
     pub fn brick_side(self) -> BrickSide {
-        if matches!(self, Self::Cloud { .. }) { BrickSide::Sixteen } else { BrickSide::default() }
+        if self == Self::Cloud { BrickSide::Sixteen } else { BrickSide::default() }
     }
 
     /// How what it stores lies in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
-        PageShape { side, rim: if matches!(self, Self::Cloud { .. }) { RIM } else { 0 } }
+        PageShape { side, rim: if self == Self::Cloud { RIM } else { 0 } }
     }
 
-    /// The DIF by what was stored, once mu0 is known.
+    /// The indicator of this kind by a mu0, of which symmetry has no use.
+    #[must_use]
+    pub fn by(self, mean: MeanCount) -> Indicator {
+        match self {
+            Self::Symmetry => Indicator::Symmetry,
+            Self::Counting => Indicator::Counting(mean),
+            Self::Cloud => Indicator::Cloud(mean),
+        }
+    }
+}
+
+/// Asks for mu0 to be measured.
+impl From<IndicatorKind> for IndicatorRequest {
+    fn from(kind: IndicatorKind) -> Self {
+        Self { kind, mean: None }
+    }
+}
+
+impl Indicator {
+    /// Which one it is.
+    #[must_use]
+    pub fn kind(self) -> IndicatorKind {
+        match self {
+            Self::Symmetry => IndicatorKind::Symmetry,
+            Self::Counting(_) => IndicatorKind::Counting,
+            Self::Cloud(_) => IndicatorKind::Cloud,
+        }
+    }
+
+    /// mu0, where it counts.
+    #[must_use]
+    pub fn mean(self) -> Option<MeanCount> {
+        match self {
+            Self::Symmetry => None,
+            Self::Counting(mean) | Self::Cloud(mean) => Some(mean),
+        }
+    }
+
+    /// The least theta of cells that count as full where details are told from nothing: for clouds a thirtieth of a particle.
+    /// Cells of a layer of particles then hang together, and no particle is without one.
+    #[must_use]
+    pub fn least(self) -> u16 {
+        match self {
+            Self::Cloud(mean) => (amount(mean) / 30).max(1),
+            _ => 1,
+        }
+    }
+
+    /// Meaning of the samples in its pages.
+    #[must_use]
+    pub fn content(self) -> Content {
+        match self {
+            Self::Symmetry => Content::Symmetry,
+            Self::Counting(_) => Content::Counts,
+            Self::Cloud(mean) => Content::Clouds(mean),
+        }
+    }
+
+    /// The DIF by what was stored.
     #[must_use]
     pub fn decode(self, stored: DifField) -> DifField {
         match self {
-            Self::Counting { mean: Some(mean) } => stored.with_decode(&count_table(mean)),
+            Self::Counting(mean) => stored.with_decode(&count_table(mean)),
             _ => stored,
         }
     }
+}
+
+/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
+#[must_use]
+pub fn count_table(mean: MeanCount) -> Vec<u16> {
+    let mean = mean.particles();
+    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
 }

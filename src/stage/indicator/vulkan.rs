@@ -5,9 +5,10 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{page_words, wall_bounds};
+use crate::units::MeanCount;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-use super::{Indicator, PageRule, amount};
+use super::{Content, PageRule, amount};
 
 /// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every device.
 pub const OCTANT: u32 = 8;
@@ -63,36 +64,45 @@ pub const CLOUDS: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Writes the pages of `count` bins, dense: theta by symmetry, or the numbers of particles for counting.
+/// Kernels that make pages.
+#[derive(Debug)]
+pub struct Kernels {
+    /// Sums and the DIF: [`INDICATE`].
+    pub indicate: Arc<Kernel>,
+    /// Clouds: [`CLOUDS`].
+    pub clouds: Arc<Kernel>,
+}
+
+/// Writes the pages of `count` bins, dense.
 ///
 /// # Errors
 /// Those of the device.
 pub fn indicate(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    kernels: &Kernels,
     count: u32,
-    indicator: Indicator,
-    [bins, records, pages]: [&View; 3],
+    rule: &PageRule,
+    views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let push = Push { counting: indicator.counts().into() };
-    batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [8, count, 1])
+    let views = views.map(Clone::clone);
+    let sums = |batch: &mut Batch, counting: bool| {
+        batch.dispatch(&kernels.indicate, &views, &Push { counting: counting.into() }, [8, count, 1])
+    };
+    match rule.content {
+        Content::Symmetry => sums(batch, false),
+        Content::Counts => sums(batch, true),
+        Content::Clouds(mean) => clouds(batch, &kernels.clouds, count, (rule, mean), &views),
+    }
 }
 
-/// Writes the pages of `count` bins, dense: what the clouds of their particles leave.
-///
-/// # Errors
-/// Those of the device.
-///
-/// # Panics
-/// If mu0 is not known.
-pub fn clouds(
+/// Writes what the clouds of the particles of `count` bins leave.
+fn clouds(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
     count: u32,
-    rule: &PageRule,
-    [bins, records, pages]: [&View; 3],
+    (rule, mean): (&PageRule, MeanCount),
+    views: &[View; 3],
 ) -> Result<(), VulkanError> {
-    let mean = rule.indicator.mean().expect("clouds are made once mu0 is known");
     let samples = rule.shape().bin_samples() as u32;
     let groups = samples.div_ceil(CLOUD_SAMPLES).next_power_of_two();
     let [walls_lo, walls_hi] = wall_bounds(rule.walls);
@@ -104,5 +114,5 @@ pub fn clouds(
         group_samples: samples / groups,
         page_words: page_words(rule.shape()),
     };
-    batch.dispatch(kernel, &[bins, records, pages].map(Clone::clone), &push, [groups, count, 1])
+    batch.dispatch(kernel, views, &push, [groups, count, 1])
 }

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use bytesize::ByteSize;
 use meniscus::error::Error;
+use meniscus::frame::{Counted, Frame};
 use meniscus::io::input::open_particles;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
@@ -14,7 +15,6 @@ use meniscus::sequence::records::Records;
 use meniscus::sequence::state::{State, Store};
 
 use crate::Verdict;
-use crate::method::Sampled;
 use crate::reconstruct::is_frame;
 use crate::run::unpacking;
 
@@ -68,11 +68,11 @@ impl Setup<'_> {
             let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
             let mut laps = Laps::default();
             let counted =
-                self.request.counted(&file.particles, &sampling, &self.surfacing).map_err(in_file)?;
+                Counted::for_surface(&file.particles, &sampling, &self.surfacing).map_err(in_file)?;
             let (census, estimate) = (counted.census(), counted.estimate());
-            let (rival, budget) = (self.request.rival(), self.resources.budget);
-            let sampled = Sampled::of(counted, rival, budget, &mut laps).map_err(in_file)?;
-            let mesh = self.surface(&largest.path, &sampled, &frozen, &mut laps)?;
+            let frame = Frame::sample_counted(counted, self.resources.budget, &mut laps).map_err(in_file)?;
+            let drawn = frame.calibrate(&self.surfacing, frozen.calibration.as_ref(), &mut laps);
+            let mesh = drawn.and_then(|frame| frame.surface(&mut laps)).map_err(in_file)?;
             let division = self.division(wanted.len());
             // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and simplifying takes away.
             let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();

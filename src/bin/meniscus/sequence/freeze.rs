@@ -1,15 +1,12 @@
 //! What is measured once for all frames, on the first that can tell.
 
 use meniscus::error::{Cause, Error};
-use meniscus::frame::{Frame, FrameError, Resources};
-use meniscus::grid::Grid;
+use meniscus::frame::{FrameError, Resources};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::{ParticleFile, ReadError};
-use meniscus::plateau::Plateau;
-use meniscus::rivals::Spacing;
 use meniscus::sequence::SequenceError;
-use meniscus::sequence::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure};
+use meniscus::sequence::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
 use meniscus::sequence::inputs::FrameFile;
 
 use crate::reconstruct::is_frame;
@@ -108,32 +105,19 @@ impl Setup<'_> {
         let in_file = |fault: FrameError| Error::Frame { path: path.clone(), fault };
         if is_frame(path) {
             self.options.validate_frame_input(path)?;
-            let (facts, dif) = open_frame(path, resources.budget.0 / 4)?;
-            let (grid, spacing) = (facts.grid, facts.spacing);
-            let frame_of_file = Frame::from_parts(facts, dif, &self.surfacing, resources.clone());
-            let (recipe, plateau) = frame_of_file.recipe(&self.surfacing).map_err(|e| in_file(e.into()))?;
-            let trust = match plateau {
-                Plateau::Interior { .. } => Trust::Sound,
-                Plateau::Shallow { .. } => Trust::Shallow,
-            };
-            let mean = frame_of_file.mean_count();
-            let measured = Measured { grid, mean, iso: recipe.iso, trust };
-            return Ok((frozen(frame.number, input, spacing, None, measured), trust, None));
+            let sampled = open_frame(path, resources.budget.0 / 4)?;
+            let measured = measure_sampled(&sampled, &self.surfacing, false);
+            let measured = measured.map_err(|e| in_file(e.into()))?;
+            let frozen = frozen(frame.number, input, sampled.facts.spacing, None, measured);
+            return Ok((frozen, measured.trust, None));
         }
         let file = open_particles(path, unpacking(resources))?;
         let cells = self.request.cells(path, &file)?;
-        if let Some(spacing) = cells.spacing.filter(|_| self.request.rival().is_some()) {
-            Spacing::new(spacing / cells.size).map_err(|e| in_file(e.into()))?;
-            let grid = self.request.grid(cells.size)?;
-            let frozen = for_kernels(frame.number, input, cells.spacing, cells.source, grid);
-            return Ok((frozen, Trust::Sound, Some(file)));
-        }
-        let (grid, indicator) = match lattice {
-            Some((frozen, _)) => (frozen.grid()?, frozen.indicator(self.request.indicator())?),
-            None => (self.request.grid(cells.size)?, self.request.indicator()),
+        let (grid, field) = match lattice {
+            Some((frozen, _)) => (frozen.grid()?, frozen.field(self.request.field)),
+            None => (self.request.grid(cells.size)?, self.request.field),
         };
-        let sampling =
-            self.request.sampling_on(grid, indicator, cells.spacing, Vec::new(), resources.clone())?;
+        let sampling = self.request.sampling_on(grid, field, cells.spacing, Vec::new(), resources.clone())?;
         let settled = lattice.is_some() || self.options.sampling.origin_given();
         let origin = if settled { Origin::Given } else { Origin::Free };
         let measured = measure(&file.particles, &sampling, origin, &self.surfacing).map_err(in_file)?;
@@ -149,30 +133,22 @@ fn frozen(
     frame: u64,
     input: Stamp,
     spacing: Option<f64>,
-    source: Option<String>,
-    measured: Measured,
+    spacing_source: Option<String>,
+    Measured { grid, calibration, .. }: Measured,
 ) -> Frozen {
-    Frozen {
-        mu0: measured.mean.map(|mean| mean.particles()),
-        isovalue: Some(measured.iso.value()),
-        ..for_kernels(frame, input, spacing, source, measured.grid)
-    }
-}
-
-/// Kernels have neither mu0 nor an isovalue that is measured.
-fn for_kernels(frame: u64, input: Stamp, spacing: Option<f64>, source: Option<String>, grid: Grid) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen { frame, input, spacing, spacing_source: source, cell_size, origin, mu0: None, isovalue: None }
+    Frozen { frame, input, spacing, spacing_source, cell_size, origin, calibration }
 }
 
 pub fn describe(frozen: &Frozen) -> String {
-    let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], mu0, isovalue, .. } = frozen;
+    let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], calibration, .. } = frozen;
     let spacing = match (spacing, spacing_source) {
         (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), "),
         _ => String::new(),
     };
-    let mu0 = mu0.map_or(String::new(), |mu0| format!(", mu0 {mu0:.4}"));
-    let isovalue = isovalue.map_or(String::new(), |isovalue| format!(", isovalue {isovalue:.4}"));
+    let mean = calibration.and_then(|known| known.mean);
+    let mu0 = mean.map_or(String::new(), |mean| format!(", mu0 {:.4}", mean.particles()));
+    let isovalue = calibration.map_or(String::new(), |known| format!(", isovalue {:.4}", known.iso.value()));
     let origin =
         if [*x, *y, *z] == [0.0; 3] { String::new() } else { format!(", origin {x:.6},{y:.6},{z:.6}") };
     format!("{spacing}cell size {cell_size:.6}{origin}{mu0}{isovalue}")

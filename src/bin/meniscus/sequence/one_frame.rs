@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use meniscus::error::Error;
-use meniscus::frame::{Frame, FrameError, Normals, Resources, carried_infos};
+use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
@@ -15,7 +15,7 @@ use meniscus::laps::Laps;
 use meniscus::mesh::bounds::Bounded;
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
-use meniscus::particles::{AttributeInfo, Particles};
+use meniscus::particles::{AttributeInfo, Particles, carried_infos};
 use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::records::Record;
@@ -24,7 +24,6 @@ use serde_json::{Value, json};
 
 use crate::interrupt::{self, Unfinished};
 use crate::lanes::Permit;
-use crate::method::Sampled;
 use crate::reconstruct::{coordinate_width, is_frame};
 use crate::report::advice;
 use crate::run::Notes;
@@ -67,7 +66,7 @@ pub struct Opened {
 /// A frame that waits to be meshed.
 struct Ready<'a> {
     /// `None` where there are no particles.
-    frame: Option<Sampled>,
+    frame: Option<Frame>,
     /// What its vertices carry.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
@@ -149,7 +148,7 @@ impl Conversion<'_> {
         drop(permit);
         laps.lap("write");
 
-        let particles = sampled.as_ref().map_or(0, |sampled| sampled.census().binned);
+        let particles = sampled.as_ref().map_or(0, |sampled| sampled.facts().census.binned);
         let listed = SeriesFrame {
             frame: frame.number,
             time,
@@ -165,9 +164,14 @@ impl Conversion<'_> {
         let record = Record { input, fingerprint: settled.fingerprint, mesh: listed };
         let stats = options.stats.is_some().then(|| {
             let mut stats = match &sampled {
-                Some(sampled) => {
-                    options.record([path, &target], sampled, frozen.iso().ok(), &*mesh, bytes, &laps)
-                }
+                Some(sampled) => options.record(
+                    [path, &target],
+                    sampled,
+                    frozen.calibration.map(|known| known.iso),
+                    &*mesh,
+                    bytes,
+                    &laps,
+                ),
                 None => {
                     json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 })
                 }
@@ -192,11 +196,11 @@ impl Conversion<'_> {
     fn unpack(&self, path: &Path, laps: &mut Laps) -> Result<Ready<'_>, Error> {
         let budget = self.frame_budget(self.division.share);
         let permit = self.gate.enter();
-        let (facts, dif) = open_frame(path, budget.0 / 4)?;
+        let sampled = open_frame(path, budget.0 / 4)?;
         laps.lap("open");
         let resources = Resources { budget, ..self.setup.resources.clone() };
-        let frame = Frame::from_parts(facts, dif, &self.setup.surfacing, resources);
-        Ok(Ready { frame: Some(Sampled::Dif(frame)), infos: Vec::new(), time: None, permit })
+        let frame = Frame::from_sampled(sampled, &self.setup.surfacing, resources);
+        Ok(Ready { frame: Some(frame), infos: Vec::new(), time: None, permit })
     }
 
     /// Samples the particles of a frame.
@@ -208,7 +212,7 @@ impl Conversion<'_> {
         stage: &dyn Fn(&str),
         laps: &mut Laps,
     ) -> Result<Ready<'_>, Error> {
-        let Setup { options, request, surfacing, resources, .. } = self.setup;
+        let Setup { options, surfacing, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
@@ -216,7 +220,7 @@ impl Conversion<'_> {
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, carried, opening)?;
         stage("counting");
-        let mut counted = request.counted(&file.particles, &sampling, surfacing);
+        let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing);
         laps.lap("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
@@ -231,14 +235,14 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = request.counted(&file.particles, &sampling, surfacing);
+            counted = Counted::for_surface(&file.particles, &sampling, surfacing);
         }
         stage("sampling");
         let frame = match counted {
             Err(FrameError::NoParticles(_)) => None,
             counted => {
                 let counted = counted.map_err(in_file)?;
-                let sample = || Sampled::of(counted, request.rival(), budget, laps).map_err(in_file);
+                let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
                 Some(permit.run(sample)?)
             }
         };
@@ -261,7 +265,7 @@ impl Conversion<'_> {
     fn surface(
         &self,
         path: &Path,
-        sampled: &Sampled,
+        sampled: &Frame,
         frozen: &Frozen,
         warnings: &mut Vec<String>,
         laps: &mut Laps,
@@ -270,16 +274,17 @@ impl Conversion<'_> {
         let mut warn = |text: String| warnings.push(text);
         let empty = |why: &str| format!("{why}: an empty mesh");
         let in_file = |fault| Error::Frame { path: path.to_owned(), fault };
-        let surface = match self.setup.surface(path, sampled, frozen, laps) {
-            Err(Error::Frame { fault: FrameError::NoSurface { .. }, .. }) => {
+        let drawn = sampled.calibrate(&self.setup.surfacing, frozen.calibration.as_ref(), laps);
+        let surface = match drawn.and_then(|frame| frame.surface(laps)) {
+            Err(FrameError::NoSurface { .. }) => {
                 warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
                 return Ok(None);
             }
-            Err(Error::Frame { fault: FrameError::NoKernelSurface, .. }) => {
+            Err(FrameError::NoKernelSurface) => {
                 warn(empty("no cell's centre is inside of the surface"));
                 return Ok(None);
             }
-            surface => surface?,
+            surface => surface.map_err(in_file)?,
         };
         if let Some(shortfall) = sampled.shortfall(&surface).map_err(in_file)? {
             warn(format!("{shortfall}{}", self.advice(frozen)));
@@ -300,7 +305,7 @@ impl Conversion<'_> {
 
     /// Advises on a surface that holds less than its particles.
     fn advice(&self, frozen: &Frozen) -> String {
-        let measured = self.setup.surfacing.iso.is_none() && frozen.isovalue.is_some();
+        let measured = self.setup.surfacing.iso.is_none() && frozen.calibration.is_some();
         advice(self.setup.options, measured.then_some(frozen.frame))
     }
 }

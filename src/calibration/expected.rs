@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::brick::DifField;
 use crate::grid::FRACTIONS;
 use crate::stage::indicator::{Indicator, amount, count_table, symmetry};
-use crate::units::{FULL, MeanCount};
+use crate::units::FULL;
 
 /// How often a fluid is made, each time elsewhere on the grid.
 const PLACES: u64 = 8;
@@ -31,17 +31,14 @@ const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart: those of a lattice in some disorder. Smoothing does not
 /// change a mean. As in a field, 65535 is 1. Counts also tell of the disorder that there is in a frame, from its DIF.
-///
-/// # Panics
-/// If the indicator has to know mu0, and does not.
 pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
     match indicator {
-        Indicator::Cloud { mean } => {
-            // Clouds add up, wherever the particles are.
-            (f64::from(amount(known(mean))) / (spacing * spacing * spacing)).min(f64::from(FULL))
+        // Clouds add up, wherever the particles are.
+        Indicator::Cloud(mean) => {
+            (f64::from(amount(mean)) / (spacing * spacing * spacing)).min(f64::from(FULL))
         }
-        Indicator::Counting { mean } => {
-            let table = count_table(known(mean));
+        Indicator::Counting(mean) => {
+            let table = count_table(mean);
             let theta = |[n, ..]: [f64; 4]| table.get(n as usize).copied().unwrap_or(FULL);
             let fluid = Fluid::of(spacing, theta);
             // In more disorder particles fill fewer cells, each with more of them.
@@ -49,10 +46,6 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
         }
         Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
     }
-}
-
-fn known(mean: Option<MeanCount>) -> MeanCount {
-    mean.expect("a plateau is of a DIF, which knows its mu0")
 }
 
 /// Sums over the cells of a synthetic fluid.
@@ -139,6 +132,7 @@ fn unit(number: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::MeanCount;
 
     fn share(indicator: Indicator, spacing: f64) -> f64 {
         expected(indicator, spacing, None) / f64::from(FULL)
@@ -146,7 +140,7 @@ mod tests {
 
     #[test]
     fn in_fine_cells_a_plateau_is_what_a_particle_makes_times_how_many_there_are_in_a_cell() {
-        let mean = MeanCount::new(1.25).ok();
+        let mean = MeanCount::new(1.25).unwrap();
         for spacing in [3.0, 4.0, 7.5] {
             let a_cell = f64::powi(spacing, -3);
             let near = |indicator, each: f64, within: f64| {
@@ -154,25 +148,20 @@ mod tests {
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} at {spacing}: {ratio}");
             };
             // As many as fit into 2 mu0, of mu0, and of a centroid that may be anywhere in the cell.
-            near(Indicator::Cloud { mean }, 0.4, 0.01);
-            near(Indicator::Counting { mean }, 0.8, 0.02);
+            near(Indicator::Cloud(mean), 0.4, 0.01);
+            near(Indicator::Counting(mean), 0.8, 0.02);
             near(Indicator::Symmetry, 0.4454, 0.05);
         }
     }
 
     #[test]
     fn in_coarse_cells_it_is_that_of_many_particles() {
-        let mean = MeanCount::new(64.0).ok();
-        assert!((share(Indicator::Cloud { mean }, 0.25) - 0.5).abs() < 0.001);
-        assert!((0.93..1.0).contains(&share(Indicator::Counting { mean }, 0.25)));
+        let mean = MeanCount::new(64.0).unwrap();
+        assert!((share(Indicator::Cloud(mean), 0.25) - 0.5).abs() < 0.001);
+        assert!((0.93..1.0).contains(&share(Indicator::Counting(mean), 0.25)));
         assert!((0.85..1.0).contains(&share(Indicator::Symmetry, 0.25)));
-        assert_eq!(
-            expected(Indicator::Cloud { mean: MeanCount::new(1.0).ok() }, 0.01, None),
-            f64::from(FULL)
-        );
-        assert_eq!(
-            expected(Indicator::Counting { mean: MeanCount::new(1.0).ok() }, 0.01, None),
-            f64::from(FULL)
-        );
+        let one = MeanCount::new(1.0).unwrap();
+        assert_eq!(expected(Indicator::Cloud(one), 0.01, None), f64::from(FULL));
+        assert_eq!(expected(Indicator::Counting(one), 0.01, None), f64::from(FULL));
     }
 }

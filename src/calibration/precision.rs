@@ -8,6 +8,13 @@ use std::fmt;
 
 use thiserror::Error;
 
+use crate::stage::blur::Smoothing;
+use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::units::{MeanCount, Sigma};
+
+use super::Plateau;
+use super::expected::expected;
+
 /// phi(z), the density of the standard normal distribution where the surface is drawn.
 const DENSITY: f64 = 0.3978;
 
@@ -83,37 +90,71 @@ pub fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
 }
 
-/// Refuses a field whose steps are too large.
+/// Refuses cells that are too fine for particles of a known spacing, before there is a DIF, by a Gaussian that may depend on their
+/// size; those that are found to be so only once mu0 is known are refused by [`calibrate`](super::calibrate).
 ///
 /// # Errors
-/// [`TooFine::Steps`].
-pub fn refuse_too_fine(
+/// [`TooFine`].
+pub fn refuse_too_fine_for(
+    asked: IndicatorRequest,
+    spacing: f64,
+    cell_size: f64,
+    sigma: impl Fn(f64) -> Sigma,
+) -> Result<(), TooFine> {
+    refuse_symmetry(asked.kind, Some(spacing / cell_size), cell_size)?;
+    // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
+    let mean = asked.mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds"));
+    let plateau = |size: f64| expected(asked.kind.by(mean), spacing / size, None);
+    let width = |size: f64| Smoothing::new(asked.kind, sigma(size)).width(asked.kind);
+    let larger = |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
+    refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
+}
+
+/// Refuses a frame whose field tells too coarsely where its surface is; returns how far one step moves that, in cells.
+///
+/// # Errors
+/// [`TooFine`].
+pub fn refuse_too_fine(frame: &SampledDif, smoothing: &Smoothing, plateau: Plateau) -> Result<f64, TooFine> {
+    let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
+    refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(kind), cell_size, |step_cells| {
+        if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
+            return Remedy::Origin;
+        }
+        // The plateau grows with the cell's volume.
+        Remedy::Cells(roundly_above(cell_size * (step_cells / COARSEST_STEP).cbrt()))
+    })
+}
+
+/// Refuses a field whose steps are too large; returns how far one moves a flat surface, in cells.
+fn refuse_steps(
     plateau: f64,
     width: f64,
     cell_size: f64,
     remedy: impl FnOnce(f64) -> Remedy,
-) -> Result<(), TooFine> {
+) -> Result<f64, TooFine> {
     let step_cells = step_cells(plateau, width);
     if step_cells <= COARSEST_STEP {
-        return Ok(());
+        return Ok(step_cells);
     }
     Err(TooFine::Steps { cell_size, plateau, step_cells, remedy: remedy(step_cells) })
 }
 
-/// Refuses cells that are too fine for symmetry, by their particles' spacing in cells.
+/// Refuses cells that are too fine for symmetry, if that is the indicator, by their particles' spacing in cells.
 ///
 /// # Errors
 /// [`TooFine::Symmetry`].
-pub fn refuse_symmetry(spacing: f64, cell_size: f64) -> Result<(), TooFine> {
+pub fn refuse_symmetry(kind: IndicatorKind, spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
     // A quotient of decimals is off by a rounding.
-    if spacing * FINEST_OF_SYMMETRY < 1.0 - 1e-9 {
-        return Ok(());
+    match spacing.filter(|spacing| spacing * FINEST_OF_SYMMETRY >= 1.0 - 1e-9) {
+        Some(spacing) if kind == IndicatorKind::Symmetry => {
+            Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
+        }
+        _ => Ok(()),
     }
-    Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
 }
 
 /// The least size at which steps are small enough, as they are from there on; larger than `from`, at which they are not.
-pub fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
+fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
     let fits = |size: f64| step_cells(size) <= COARSEST_STEP;
     let mut above = 2.0 * from;
     while !fits(above) && above.is_finite() {
@@ -128,7 +169,7 @@ pub fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
 }
 
 /// A length of three digits that is a little more.
-pub fn roundly_above(length: f64) -> f64 {
+fn roundly_above(length: f64) -> f64 {
     rounded(format!("{:.2e}", 1.01 * length))
 }
 

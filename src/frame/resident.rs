@@ -11,19 +11,19 @@
 
 use std::sync::Arc;
 
-use thiserror::Error;
-
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
-use crate::brick::vulkan::{BinKernels, DeviceBinError, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BinError, Census, DifField, InvalidParticles, sampled_bins};
+use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
+use crate::brick::{BrickSide, Census, DifField, InvalidParticles, Pages, sampled_bins};
+use crate::calibration::{Binned, Calibrated, Plateau, indicate};
 use crate::grid::{Domain, Grid};
-use crate::plateau::{self, Plateau, SampledDif, TooFine};
-use crate::stage::detail::Detail;
+use crate::recipe::Detail;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{Indicator, PageRule};
+use crate::stage::indicator::{Content, FrameFacts, IndicatorRequest, PageRule, SampledDif};
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use crate::units::{Isovalue, Sigma, UnitError};
+use crate::units::{Isovalue, Sigma};
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
+
+use super::{FrameError, Surfacing};
 
 /// Bytes of a vertex, three f32, and of a triangle, three u32.
 const ROW: u64 = 12;
@@ -36,14 +36,14 @@ pub struct Settings {
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
     /// The DIF.
-    pub indicator: Indicator,
+    pub indicator: IndicatorRequest,
     /// What to do with particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
     pub spacing: Option<f64>,
     /// The Gaussian's width.
     pub sigma: Sigma,
-    /// Section 6.2, or not.
+    /// What becomes of details that smoothing loses.
     pub detail: Detail,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
@@ -66,41 +66,6 @@ pub struct ResidentSurface {
     pub plateau: Plateau,
     /// What became of the particles.
     pub census: Census,
-}
-
-/// Why there is no surface.
-#[derive(Debug, Error)]
-pub enum ResidentError {
-    /// There is nothing to build a surface from.
-    #[error("no particle can be binned: {0:?}")]
-    NoParticles(Census),
-    /// A particle that the grid cannot hold.
-    #[error(transparent)]
-    Bin(#[from] BinError),
-    /// mu0 could not be measured.
-    #[error("cannot measure mu0 on this frame: {0}")]
-    MeanCount(#[source] UnitError),
-    /// The field does not tell finely enough where the surface is.
-    #[error(transparent)]
-    TooFine(#[from] TooFine),
-    /// The field exceeds the isovalue nowhere.
-    #[error("the surface is empty: the field is nowhere above the isovalue {:.4}", .0.value())]
-    NoSurface(Isovalue),
-    /// 32 bits cannot number its vertices.
-    #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
-    TooManyVertices,
-    /// The device failed, or has not enough memory.
-    #[error(transparent)]
-    Vulkan(#[from] VulkanError),
-}
-
-impl From<DeviceBinError> for ResidentError {
-    fn from(error: DeviceBinError) -> Self {
-        match error {
-            DeviceBinError::Bin(error) => Self::Bin(error),
-            DeviceBinError::Vulkan(error) => Self::Vulkan(error),
-        }
-    }
 }
 
 /// All kernels from positions to a mesh, compiled once for all frames.
@@ -131,57 +96,40 @@ impl Pipeline {
     /// Returns when the device is done. Nothing else may write the positions during the call.
     ///
     /// # Errors
-    /// [`ResidentError`].
+    /// [`FrameError`].
     pub fn surface(
         &self,
         positions: &[DevicePositions],
         settings: &Settings,
-    ) -> Result<ResidentSurface, ResidentError> {
-        let Settings { grid, domain, indicator, invalid, spacing, sigma, detail, iso } = settings;
-        let (domain, device) = (domain.as_ref(), self.vulkan.device());
-        let bins = bin(device, &self.bin, positions, grid, domain, *invalid, usize::MAX)?;
+    ) -> Result<ResidentSurface, FrameError> {
+        let &Settings { grid, domain, indicator, invalid, spacing, sigma, detail, iso } = settings;
+        let device = self.vulkan.device();
+        let bins = bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)?;
         let census = bins.census;
         if census.binned == 0 {
-            return Err(ResidentError::NoParticles(census));
+            return Err(FrameError::NoParticles(census));
         }
         let frame = self.vulkan.start_resident();
-        let side = indicator.brick_side();
-        let walls = domain.map(Domain::cells);
-        let stored = |frame: &ResidentFrame, indicator: Indicator| {
-            let pages = frame.indicate(&bins, &PageRule { indicator, side, walls })?;
-            Ok::<_, VulkanError>(DifField::in_memory(indicator.shape(side), pages))
-        };
-        let measured = |indicator: Indicator, full_cells: u64| {
-            indicator.measured(census.binned, full_cells).map_err(ResidentError::MeanCount)
-        };
-        let mut indicator = *indicator;
-        if indicator.waits_for_mean() {
-            // All are counted, but those tell that tell on the host.
-            let counted = stored(&self.vulkan.start_resident(), Indicator::Counting { mean: None })?;
-            debug_assert_eq!(counted.infos().len(), bins.keys.len(), "every bin has a page");
-            let full_cells =
-                |(bin, weight): (usize, f64)| weight * f64::from(counted.infos()[bin].full_count);
-            let full_cells: f64 = sampled_bins(&bins.first).into_iter().map(full_cells).sum();
-            indicator = measured(indicator, full_cells.round() as u64)?;
-        }
-        let stored = stored(&frame, indicator)?;
-        drop(bins);
-        let indicator = measured(indicator, stored.full_cells())?;
-        let dif = indicator.decode(stored);
-        let spacing = spacing.map(|spacing| spacing / grid.cell_size());
-        let sampled = SampledDif { dif: &dif, indicator, domain, spacing };
-        let (recipe, plateau) = plateau::recipe(&sampled, grid, *sigma, *detail, *iso)?;
-        let surfaces = Surfaces { dif: &dif, recipe: &recipe, domain, normals: Normals::None };
+        let facts = FrameFacts { grid, domain, census, spacing };
+        let side = indicator.kind.brick_side();
+        let binned = ResidentBins { vulkan: &self.vulkan, frame: &frame, bins };
+        let (indicator, pages) = indicate(binned, indicator, side, facts.walls())?;
+        let stored = DifField::in_memory(indicator.kind().shape(side), pages);
+        let sampled = SampledDif::new(facts, indicator, stored);
+        let surfacing = Surfacing { sigma: Some(sigma), iso, detail, normals: Normals::None };
+        let Calibrated { calibration, plateau, .. } = surfacing.calibrate(&sampled)?;
+        let recipe = surfacing.recipe(&sampled, &calibration);
+        let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
         if parts.blocks.is_empty() {
-            return Err(ResidentError::NoSurface(recipe.iso));
+            return Err(FrameError::NoSurface { iso: recipe.iso });
         }
 
-        let layout = MeshLayout::new(&parts.blocks).ok_or(ResidentError::TooManyVertices)?;
+        let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
         let rows = |count: u32| device.buffer(Place::Device, ROW * u64::from(count));
         let (positions, indices) = (rows(layout.vertices())?, rows(layout.triangles())?);
         let buffers = StitchBuffers {
-            grid: device.uploaded(&[DeviceGrid::new(grid, domain)])?,
+            grid: device.uploaded(&[DeviceGrid::new(&grid, domain.as_ref())])?,
             blocks: device.uploaded(layout.blocks())?,
             tiles: parts.tiles,
             ends: parts.ends,
@@ -205,5 +153,35 @@ impl Pipeline {
             plateau,
             census,
         })
+    }
+}
+
+/// Particles in order of their bins on a device, whose pages stay there and are on the host as well.
+struct ResidentBins<'a> {
+    vulkan: &'a Vulkan,
+    frame: &'a ResidentFrame,
+    bins: DeviceBins,
+}
+
+impl Binned for ResidentBins<'_> {
+    type Made = Pages;
+    type Error = FrameError;
+
+    fn particles(&self) -> usize {
+        self.bins.census.binned
+    }
+
+    /// Counts all bins, and looks at those that the host looks at.
+    fn full_cells(&self) -> Result<u64, FrameError> {
+        let rule = PageRule { content: Content::Counts, side: BrickSide::default(), walls: None };
+        let pages = self.vulkan.start_resident().indicate(&self.bins, &rule)?;
+        debug_assert_eq!(pages.len(), self.bins.keys.len(), "every bin has a page");
+        let full_cells = |(bin, weight): (usize, f64)| weight * f64::from(pages[bin].0.full_count);
+        Ok(sampled_bins(&self.bins.first).into_iter().map(full_cells).sum::<f64>().round() as u64)
+    }
+
+    fn make_pages(self, rule: &PageRule) -> Result<(u64, Pages), FrameError> {
+        let pages = self.frame.indicate(&self.bins, rule)?;
+        Ok((pages.iter().map(|(info, _)| u64::from(info.full_count)).sum(), pages))
     }
 }

@@ -6,10 +6,10 @@
 
 use glam::IVec3;
 
-use crate::brick::{DifField, full_bits, fullness};
-use crate::grid::{BLOCK, CellBox, Domain};
-use crate::recipe::gather;
-use crate::stage::blur::Smoothing;
+use crate::brick::{full_bits, fullness};
+use crate::grid::{BLOCK, CellBox};
+use crate::stage::blur::{Filter, Smoothing};
+use crate::stage::indicator::SampledDif;
 
 use super::histogram::Histogram;
 
@@ -19,11 +19,10 @@ const DEPTH: f64 = 2.5;
 /// Cells of a row, at the most: each is a bit.
 const ROW: i32 = u128::BITS as i32;
 
-/// Which cells of a DIF are interior.
+/// Which cells of a frame are interior.
 pub struct Interior<'a> {
-    dif: &'a DifField,
+    frame: &'a SampledDif,
     smoothing: &'a Smoothing,
-    domain: Option<&'a Domain>,
     /// By how much full cells are dilated.
     dilation: i32,
     /// By how much that is eroded.
@@ -31,31 +30,26 @@ pub struct Interior<'a> {
 }
 
 impl<'a> Interior<'a> {
-    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is more. `width` is the standard
-    /// deviation of what a particle is smoothed into, in cells.
-    pub fn new(
-        dif: &'a DifField,
-        smoothing: &'a Smoothing,
-        domain: Option<&'a Domain>,
-        width: f64,
-        gap: f64,
-    ) -> Self {
-        let reach = dif.reach();
+    /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is more.
+    pub fn new(frame: &'a SampledDif, smoothing: &'a Smoothing, gap: f64) -> Self {
+        let reach = frame.dif.reach();
+        let width = smoothing.width(frame.indicator.kind());
         let depth = (reach + smoothing.reach()).min((DEPTH * width).ceil() as i32);
         // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals is off by a rounding.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
         // What is stored of clouds is dilated by their reach already.
-        Self { dif, smoothing, domain, dilation: closing - reach, erosion: closing + depth }
+        Self { frame, smoothing, dilation: closing - reach, erosion: closing + depth }
     }
 
     /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
-        let Self { dif, smoothing, domain, dilation, erosion } = *self;
+        let Self { frame, smoothing, dilation, erosion } = *self;
+        let walls = frame.facts.walls();
         let (seen, reach) = (dilation + erosion, smoothing.reach());
         let margin = seen.max(reach);
-        let wide = gather(dif, cells.grown(margin, margin), domain);
+        let wide = frame.dif.gather_within(cells.grown(margin, margin), walls);
         let [_, width, slab] = wide.strides();
         let mut rows: Vec<u128> = fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
@@ -78,7 +72,7 @@ impl<'a> Interior<'a> {
         if near.is_empty() {
             return;
         }
-        let field = smoothing.apply(wide.part(near.grown(reach, reach)), domain.map(Domain::cells));
+        let field = smoothing.apply(wide.part(near.grown(reach, reach)), walls);
         for (y, z, bits) in interior {
             let first = field.index(IVec3::new(near.lo.x, y, z));
             histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));

@@ -1,5 +1,9 @@
 //! The stages on the processor's cores.
 
+mod fields;
+
+pub use fields::field;
+
 use std::io;
 use std::ops::Range;
 
@@ -8,11 +12,12 @@ use rayon::prelude::*;
 use crate::brick::{Bins, Pages};
 use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
-use crate::stage::dual_mc::{Normals, contour, normals};
+use crate::stage::dual_mc::{block_mesh, dual_cells};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
 use super::{Backend, Stages, Surfaces, Work};
+use fields::cut_field;
 
 /// All threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
@@ -42,7 +47,7 @@ impl Stages for Cpu {
     }
 
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        regions.par_iter().map(|&region| block_mesh(surfaces, region)).collect()
+        regions.par_iter().map(|&region| mesh(surfaces, region)).collect()
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -54,18 +59,10 @@ impl Stages for Cpu {
     }
 }
 
-fn block_mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
-    let &Surfaces { dif, recipe, domain, .. } = surfaces;
+fn mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
+    let &Surfaces { sampled, recipe, normals } = surfaces;
     let walls = surfaces.walls();
-    let dif = recipe.gather(dif, surfaces.field(region), domain);
-    let away_from_walls = walls.is_none_or(|walls| walls.covers(&surfaces.dual(region)));
-    let field = recipe.cut_field(dif, domain, away_from_walls)?;
-    let mut mesh = contour(&field, region, recipe.iso, walls);
-    if mesh.tiles.is_empty() {
-        return None;
-    }
-    if surfaces.normals == Normals::Gradient {
-        mesh.normals = normals(&field, &mesh, recipe.iso.into(), walls);
-    }
-    Some(mesh)
+    let away_from_walls = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+    let field = cut_field(recipe, sampled, normals.cells(region), away_from_walls)?;
+    block_mesh(&field, region, recipe.iso, normals, walls)
 }

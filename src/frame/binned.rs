@@ -1,0 +1,64 @@
+//! A frame's particles on the host, on their way to pages.
+
+use crate::backend::Stages;
+use crate::brick::{BinPlan, BinnedParticles, Bins};
+use crate::calibration::Binned;
+use crate::estimate::Plan;
+use crate::particles::Particles;
+use crate::stage::indicator::PageRule;
+
+use super::sink::FieldSink;
+use super::{FrameError, Resources};
+
+/// Sorts counted particles as a plan says, with the attributes numbered in `carried`.
+pub(super) fn sorted(
+    bin_plan: BinPlan<'_>,
+    particles: &(impl Particles + ?Sized),
+    carried: &[usize],
+    plan: Plan,
+    resources: &Resources,
+) -> Result<BinnedParticles, FrameError> {
+    let Plan::OutOfCore(shares) = plan else {
+        return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)));
+    };
+    let runs = bin_plan.runs(particles, carried, shares.particles);
+    // The field is not there yet, so its share is free for buffers.
+    let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, shares.field as usize);
+    spilled.map(BinnedParticles::Spilled).map_err(resources.scratch_error())
+}
+
+/// Particles whose pages go into a sink.
+pub(super) struct HostBins<'a> {
+    pub(super) binned: BinnedParticles,
+    pub(super) particles: usize,
+    pub(super) stages: &'a dyn Stages,
+    pub(super) sink: FieldSink,
+    pub(super) resources: &'a Resources,
+    /// Whether the bins are needed after the pages are made, for their attributes.
+    pub(super) keep: bool,
+}
+
+impl Binned for HostBins<'_> {
+    type Made = (FieldSink, Option<Bins>);
+    type Error = FrameError;
+
+    fn particles(&self) -> usize {
+        self.particles
+    }
+
+    fn full_cells(&self) -> Result<u64, FrameError> {
+        self.binned.full_cells().map_err(self.resources.scratch_error())
+    }
+
+    fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), FrameError> {
+        let Self { binned, stages, mut sink, resources, keep, .. } = self;
+        let take = |bins: &Bins| sink.take(stages, bins, rule);
+        let kept = if keep {
+            binned.visit_and_keep(&resources.scratch, take).map(Some)
+        } else {
+            binned.visit(take).map(|()| None)
+        };
+        let kept = kept.map_err(resources.scratch_error())?;
+        Ok((sink.full_cells(), (sink, kept)))
+    }
+}

@@ -1,0 +1,173 @@
+//! Requests: how a frame is sampled, and how a surface is drawn through it.
+
+use crate::brick::{BrickSide, InvalidParticles};
+use crate::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
+use crate::estimate::Drawing;
+use crate::grid::{Domain, Grid};
+use crate::recipe::{Detail, Filters, Recipe};
+use crate::rivals::Method;
+use crate::stage::blur::Filter;
+use crate::stage::dual_mc::Normals;
+use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::units::{Isovalue, Sigma};
+
+use super::kernels::{attribute_smoothing, kernel_spacing};
+use super::{FrameError, Resources};
+
+/// How a frame is sampled.
+#[derive(Debug, Clone)]
+pub struct Sampling {
+    /// Cells.
+    pub grid: Grid,
+    /// Walls, if the fluid is in a tank.
+    pub domain: Option<Domain>,
+    /// How the field is made.
+    pub field: FieldRequest,
+    /// What to do with particles that are not finite or too far away.
+    pub invalid: InvalidParticles,
+    /// How a DIF is stored.
+    pub side: BrickSide,
+    /// The numbers of the attributes to carry to the vertices.
+    pub carried: Vec<usize>,
+    /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know it.
+    pub spacing: Option<f64>,
+    /// What the frame may take.
+    pub resources: Resources,
+}
+
+/// The way to make a field of particles, as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FieldRequest {
+    /// A discrete indicator function.
+    Indicator(IndicatorRequest),
+    /// Kernels as wide as the spacing says, on the processor.
+    Kernels(Method),
+}
+
+impl From<IndicatorRequest> for FieldRequest {
+    fn from(asked: IndicatorRequest) -> Self {
+        Self::Indicator(asked)
+    }
+}
+
+impl From<IndicatorKind> for FieldRequest {
+    fn from(kind: IndicatorKind) -> Self {
+        Self::Indicator(kind.into())
+    }
+}
+
+impl From<Method> for FieldRequest {
+    fn from(method: Method) -> Self {
+        Self::Kernels(method)
+    }
+}
+
+impl Sampling {
+    /// Refuses what no field can be made with, or no surface be drawn, as far as it is known before there is a field.
+    ///
+    /// # Errors
+    /// [`FrameError::TooFine`], [`FrameError::NoSpacing`] and [`FrameError::Kernels`].
+    pub fn refuse_unfit(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+        match self.field {
+            FieldRequest::Indicator(asked) => {
+                Ok(surfacing.refuse_too_fine(asked, self.spacing, &self.grid)?)
+            }
+            FieldRequest::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
+        }
+    }
+}
+
+impl FieldRequest {
+    /// The indicator that is asked for, if one is.
+    #[must_use]
+    pub fn indicator(&self) -> Option<IndicatorRequest> {
+        match *self {
+            Self::Indicator(asked) => Some(asked),
+            Self::Kernels(_) => None,
+        }
+    }
+
+    /// Memory that a surface takes through the field of particles so far apart, with attributes of so many components.
+    pub(super) fn drawing(
+        &self,
+        surfacing: &Surfacing,
+        spacing: Option<f64>,
+        grid: &Grid,
+        components: Vec<usize>,
+    ) -> Drawing {
+        let (halo, cell_bytes, keeps_details) = match *self {
+            Self::Indicator(asked) => {
+                let filters = surfacing.filters(asked.kind, spacing, grid);
+                let cell_bytes = filters.fields().host * size_of::<u16>() as u64;
+                (filters.halo(), cell_bytes, filters.keep_details())
+            }
+            Self::Kernels(method) => {
+                let smoothing = attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size());
+                (smoothing.halo(), method.bytes()[1], false)
+            }
+        };
+        let normals = surfacing.normals == Normals::Gradient;
+        Drawing { halo, cell_bytes, keeps_details, normals, components }
+    }
+}
+
+/// How a surface is drawn through a frame. For kernels only the normals have a meaning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surfacing {
+    /// The Gaussian's width; that of the frame's spacing where it is `None`.
+    pub sigma: Option<Sigma>,
+    /// The isovalue; a share of the frame's plateau where it is `None`.
+    pub iso: Option<Isovalue>,
+    /// What becomes of details that smoothing loses.
+    pub detail: Detail,
+    /// Normals on the vertices, or not.
+    pub normals: Normals,
+}
+
+impl Surfacing {
+    /// As smooth as the frame's spacing says, and nothing else.
+    pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
+
+    /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.
+    ///
+    /// # Errors
+    /// [`TooFine`].
+    pub fn refuse_too_fine(
+        &self,
+        asked: IndicatorRequest,
+        spacing: Option<f64>,
+        grid: &Grid,
+    ) -> Result<(), TooFine> {
+        let Some(known) = spacing else { return Ok(()) };
+        let sigma = |cell_size| self.width(asked.kind, spacing, cell_size);
+        refuse_too_fine_for(asked, known, grid.cell_size(), sigma)
+    }
+
+    /// The Gaussian's width, asked for or not, for particles so far apart in cells of a size.
+    #[must_use]
+    pub fn width(&self, kind: IndicatorKind, spacing: Option<f64>, cell_size: f64) -> Sigma {
+        let cells = |spacing: f64| kind.spacings_smoothed() * spacing / cell_size;
+        self.sigma.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
+    }
+
+    fn filters(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Filters {
+        Filters::new(kind, self.width(kind, spacing, grid.cell_size()), self.detail)
+    }
+
+    /// Measures what a surface through a frame has to know.
+    ///
+    /// # Errors
+    /// [`TooFine`] where the field does not tell finely enough where the surface is.
+    pub fn calibrate(&self, frame: &SampledDif) -> Result<Calibrated, TooFine> {
+        let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
+        calibrate(frame, &filters.smoothing, self.iso)
+    }
+
+    /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame keeps the mu0 that its DIF
+    /// was made by.
+    #[must_use]
+    pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
+        let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
+        Recipe::new(filters, frame.indicator, calibration.iso)
+    }
+}

@@ -1,0 +1,111 @@
+//! From a frame that is calibrated to its surface, block by block, whatever makes its field.
+
+use std::io;
+
+use rayon::prelude::*;
+
+use crate::brick::Bins;
+use crate::calibration::Calibrated;
+use crate::estimate::BLOCKS_A_THREAD;
+use crate::grid::CellBox;
+use crate::laps::Laps;
+use crate::mesh::BlockMesh;
+use crate::mesh::spool::{Spool, block_bytes};
+use crate::particles::AttributeInfo;
+use crate::stage::attribute::vertex_values;
+use crate::stage::blur::Smoothing;
+use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
+use crate::stage::indicator::FrameFacts;
+use crate::stitch::Stitched;
+
+use super::{FrameError, Resources};
+
+/// Blocks that are meshed at once, at the most.
+const BATCH: usize = 1024;
+
+/// Meshes some regions of a field, each `None` where it has no surface.
+type Contour<'a> = dyn Fn(&[CellBox]) -> io::Result<Vec<Option<BlockMesh>>> + Sync + 'a;
+
+/// A field of which a surface is known, whatever makes it.
+pub(super) struct Drawn<'a> {
+    /// The parts of blocks that the surface can pass through, in Morton order.
+    pub(super) regions: Vec<CellBox>,
+    pub(super) contour: Box<Contour<'a>>,
+    /// How vertices lie on their edges.
+    pub(super) crossings: Crossings,
+    pub(super) attribute_smoothing: Smoothing,
+}
+
+/// A frame of which all is known that its surface needs.
+pub struct CalibratedFrame<'a> {
+    pub(super) facts: &'a FrameFacts,
+    pub(super) carried: Option<&'a (Bins, Vec<AttributeInfo>)>,
+    pub(super) resources: &'a Resources,
+    /// Bytes of the surface that may be in memory.
+    pub(super) surface_share: u64,
+    pub(super) measured: Option<Calibrated>,
+    pub(super) normals: Normals,
+    pub(super) drawn: Drawn<'a>,
+}
+
+impl CalibratedFrame<'_> {
+    /// The measurements on the frame: none where they were known, or where kernels make the field.
+    #[must_use]
+    pub fn measured(&self) -> Option<&Calibrated> {
+        self.measured.as_ref()
+    }
+
+    /// The frame's surface.
+    ///
+    /// # Errors
+    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], and [`FrameError::Scratch`] where scratch files fail.
+    pub fn surface(&self, laps: &mut Laps) -> Result<Stitched, FrameError> {
+        let facts = self.facts;
+        let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
+        let components = attributes.iter().map(|info| info.components).collect();
+        let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
+        self.mesh_blocks(&mut spool).map_err(self.resources.scratch_error())?;
+        laps.lap("mesh");
+        match self.drawn.crossings {
+            _ if !spool.is_empty() => {
+                Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
+            }
+            Crossings::Samples(iso) => Err(FrameError::NoSurface { iso }),
+            Crossings::Fractions => Err(FrameError::NoKernelSurface),
+        }
+    }
+
+    /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many
+    /// blocks are meshed at once as fit into what is left of that; there is always room for some a thread.
+    fn mesh_blocks(&self, spool: &mut Spool) -> io::Result<()> {
+        let share = self.surface_share;
+        let least = BLOCKS_A_THREAD * rayon::current_num_threads();
+        // Any of them may be full of spray.
+        let block = block_bytes(block_vertices(true), spool.vertex_bytes());
+        let mut regions = &self.drawn.regions[..];
+        while !regions.is_empty() {
+            let left = share.saturating_sub(spool.bytes_in_memory());
+            let fitting = usize::try_from(left / block).unwrap_or(BATCH);
+            let (batch, later) = regions.split_at(fitting.min(BATCH).max(least).min(regions.len()));
+            let mut blocks: Vec<BlockMesh> = (self.drawn.contour)(batch)?.into_iter().flatten().collect();
+            blocks.par_iter_mut().try_for_each(|block| self.carry(block))?;
+            blocks.into_iter().try_for_each(|block| spool.push(block))?;
+            if spool.bytes_in_memory() > share {
+                spool.move_to_file(&self.resources.scratch)?;
+            }
+            regions = later;
+        }
+        Ok(())
+    }
+
+    /// Carries the particles' attributes to the vertices.
+    fn carry(&self, mesh: &mut BlockMesh) -> io::Result<()> {
+        let Some((bins, infos)) = self.carried else { return Ok(()) };
+        let (smoothing, crossings) = (&self.drawn.attribute_smoothing, self.drawn.crossings);
+        for attribute in infos.iter().map(|info| info.components).enumerate() {
+            let walls = self.facts.walls();
+            mesh.attributes.push(vertex_values(bins, attribute, smoothing, mesh, crossings, walls)?);
+        }
+        Ok(())
+    }
+}
