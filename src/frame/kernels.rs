@@ -1,13 +1,19 @@
 //! A frame by one of the kernel methods.
 
+use std::io;
+
+use rayon::prelude::*;
+
 use crate::brick::Bins;
 use crate::estimate::Plan;
-use crate::grid::Grid;
+use crate::grid::{CellBox, Grid};
 use crate::rivals::{KernelField, Method, Spacing, kernel_field};
 use crate::stage::blur::Smoothing;
+use crate::stage::dual_mc::{Crossings, Normals};
 use crate::stage::indicator::{FrameFacts, IndicatorKind};
 use crate::units::Sigma;
 
+use super::surface::Drawn;
 use super::{FrameError, Resources};
 
 /// The kernels of a frame.
@@ -15,9 +21,9 @@ use super::{FrameError, Resources};
 pub(super) struct SampledKernels {
     pub(super) facts: FrameFacts,
     pub(super) method: Method,
-    pub(super) field: Box<dyn KernelField>,
+    field: Box<dyn KernelField>,
     /// A Gaussian that reaches as far as the kernels.
-    pub(super) attribute_smoothing: Smoothing,
+    attribute_smoothing: Smoothing,
 }
 
 impl SampledKernels {
@@ -37,6 +43,25 @@ impl SampledKernels {
         let field = kernel_field(bins, method, spacing, share, &resources.scratch)
             .map_err(resources.scratch_error())?;
         Ok(Self { facts, method, field, attribute_smoothing: attribute_smoothing(spacing.cells()) })
+    }
+
+    /// All that the surface is drawn by.
+    pub(super) fn drawn(&self, normals: Normals) -> Drawn<'_> {
+        let walls = self.facts.walls();
+        Drawn {
+            regions: self.field.regions(walls),
+            crossings: Crossings::Fractions,
+            attribute_smoothing: self.attribute_smoothing.clone(),
+            // One pass over the blocks: sums of kernels and of attributes leave each other what they do not use of a core.
+            contour: Box::new(move |regions, finish| {
+                let block = |&region: &CellBox| {
+                    let mut block = self.field.mesh(region, normals, walls)?;
+                    block.as_mut().map_or(Ok(()), finish).map(|()| block)
+                };
+                let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+                Ok(blocks.into_iter().flatten().collect())
+            }),
+        }
     }
 }
 

@@ -24,7 +24,7 @@ pub use surface::CalibratedFrame;
 pub use crate::recipe::Detail;
 pub use crate::stage::dual_mc::Normals;
 
-use crate::backend::{Stages, Surfaces, Work};
+use crate::backend::{Stages, Work};
 use crate::brick::Bins;
 use crate::calibration::{Calibration, indicate};
 use crate::estimate::Estimate;
@@ -32,7 +32,6 @@ use crate::laps::Laps;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::rivals::Method;
 use crate::simplify::{Reduction, Simplified};
-use crate::stage::dual_mc::Crossings;
 use crate::stage::indicator::{FrameFacts, SampledDif};
 use crate::stitch::Stitched;
 use crate::units::MemoryBudget;
@@ -221,25 +220,9 @@ impl Frame {
                     }
                 };
                 let recipe = surfacing.recipe(sampled, &calibration);
-                let drawn = Drawn {
-                    regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
-                    crossings: recipe.iso.into(),
-                    attribute_smoothing: recipe.filters.smoothing.clone(),
-                    contour: Box::new(move |regions| {
-                        Ok(stages.contour(&Surfaces { sampled, recipe: &recipe, normals }, regions))
-                    }),
-                };
-                (drawn, measured)
+                (Drawn::of_dif(sampled, &**stages, recipe, normals), measured)
             }
-            Field::Kernels(SampledKernels { facts, field, attribute_smoothing, .. }) => {
-                let drawn = Drawn {
-                    regions: field.regions(facts.walls()),
-                    crossings: Crossings::Fractions,
-                    attribute_smoothing: attribute_smoothing.clone(),
-                    contour: Box::new(move |regions| field.contour(regions, normals, facts.walls())),
-                };
-                (drawn, None)
-            }
+            Field::Kernels(sampled) => (sampled.drawn(normals), None),
         };
         Ok(CalibratedFrame {
             facts: self.facts(),

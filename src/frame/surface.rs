@@ -4,6 +4,7 @@ use std::io;
 
 use rayon::prelude::*;
 
+use crate::backend::{Stages, Surfaces};
 use crate::brick::Bins;
 use crate::calibration::Calibrated;
 use crate::estimate::BLOCKS_A_THREAD;
@@ -12,10 +13,11 @@ use crate::laps::Laps;
 use crate::mesh::BlockMesh;
 use crate::mesh::spool::{Spool, block_bytes};
 use crate::particles::AttributeInfo;
+use crate::recipe::Recipe;
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
-use crate::stage::indicator::FrameFacts;
+use crate::stage::indicator::{FrameFacts, SampledDif};
 use crate::stitch::Stitched;
 
 use super::{FrameError, Resources};
@@ -23,8 +25,10 @@ use super::{FrameError, Resources};
 /// Blocks that are meshed at once, at the most.
 const BATCH: usize = 1024;
 
-/// Meshes some regions of a field, each `None` where it has no surface.
-type Contour<'a> = dyn Fn(&[CellBox]) -> io::Result<Vec<Option<BlockMesh>>> + Sync + 'a;
+/// Adds to a mesh what does not come from its field.
+pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
+/// Meshes some regions of a field where it has a surface, and finishes every mesh.
+type Contour<'a> = dyn Fn(&[CellBox], &Finish<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a;
 
 /// A field of which a surface is known, whatever makes it.
 pub(super) struct Drawn<'a> {
@@ -34,6 +38,27 @@ pub(super) struct Drawn<'a> {
     /// How vertices lie on their edges.
     pub(super) crossings: Crossings,
     pub(super) attribute_smoothing: Smoothing,
+}
+
+impl<'a> Drawn<'a> {
+    /// The DIF of a frame, by a recipe.
+    pub(super) fn of_dif(
+        sampled: &'a SampledDif,
+        stages: &'a dyn Stages,
+        recipe: Recipe,
+        normals: Normals,
+    ) -> Self {
+        Self {
+            regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
+            crossings: recipe.iso.into(),
+            attribute_smoothing: recipe.filters.smoothing.clone(),
+            contour: Box::new(move |regions, finish| {
+                let blocks = stages.contour(&Surfaces { sampled, recipe: &recipe, normals }, regions);
+                let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
+                blocks.par_iter_mut().try_for_each(finish).map(|()| blocks)
+            }),
+        }
+    }
 }
 
 /// A frame of which all is known that its surface needs.
@@ -87,8 +112,7 @@ impl CalibratedFrame<'_> {
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(BATCH);
             let (batch, later) = regions.split_at(fitting.min(BATCH).max(least).min(regions.len()));
-            let mut blocks: Vec<BlockMesh> = (self.drawn.contour)(batch)?.into_iter().flatten().collect();
-            blocks.par_iter_mut().try_for_each(|block| self.carry(block))?;
+            let blocks = (self.drawn.contour)(batch, &|block| self.carry(block))?;
             blocks.into_iter().try_for_each(|block| spool.push(block))?;
             if spool.bytes_in_memory() > share {
                 spool.move_to_file(&self.resources.scratch)?;

@@ -155,16 +155,11 @@ pub trait KernelField: Debug + Send + Sync {
     /// The parts of blocks that the surface can pass through, in Morton order.
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
-    /// The surfaces through some regions, each `None` where there is none. Cells outside of `walls` are ghost points.
+    /// The surface through a region, `None` where there is none. Cells outside of `walls` are ghost points.
     ///
     /// # Errors
     /// Where kernels are in a scratch file that cannot be read.
-    fn contour(
-        &self,
-        regions: &[CellBox],
-        with: Normals,
-        walls: Option<CellBox>,
-    ) -> io::Result<Vec<Option<BlockMesh>>>;
+    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>>;
 }
 
 /// Works out the kernels of all particles of `bins`, which must be [sorted](Bins::sorted). Those beyond `bytes` go
@@ -310,19 +305,11 @@ impl<S: Scheme> KernelField for Kernels<S> {
         block_parts(reached.filter(|cells| !cells.is_empty()))
     }
 
-    fn contour(
-        &self,
-        regions: &[CellBox],
-        with: Normals,
-        walls: Option<CellBox>,
-    ) -> io::Result<Vec<Option<BlockMesh>>> {
-        let mesh = |&region: &CellBox| {
-            let mut field = self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
-            if let Some(walls) = walls {
-                field.repeat_edges(walls);
-            }
-            Ok(block_mesh(&field, region, Zero, with, walls))
-        };
-        regions.par_iter().map(mesh).collect()
+    fn mesh(&self, region: CellBox, with: Normals, walls: Option<CellBox>) -> io::Result<Option<BlockMesh>> {
+        let mut field = self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
+        if let Some(walls) = walls {
+            field.repeat_edges(walls);
+        }
+        Ok(block_mesh(&field, region, Zero, with, walls))
     }
 }
