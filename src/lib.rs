@@ -1,8 +1,8 @@
 //! Watertight surface meshes from particle fluids, by discrete indicator functions.
 //!
 //! ```text
-//! particles --bin--> binned particles --indicate--> DIF bricks              brick, stage::indicator
-//! DIF bricks --calibrate--> mu0, plateau, isovalue                          calibration
+//! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, stage::indicator
+//! DIF bricks --calibrate--> plateau, isovalue                               calibration
 //! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage, backend
 //! block surfaces --stitch--> mesh --write--> file                           stitch, io
 //! ```

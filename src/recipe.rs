@@ -94,7 +94,7 @@ impl Filters {
 
     /// Whether every drop and every sheet can have a surface.
     #[must_use]
-    pub fn keep_details(&self) -> bool {
+    pub fn keeps_details(&self) -> bool {
         self.stages().any(Filter::keeps_details)
     }
 }

@@ -10,9 +10,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use imports::Import;
+use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
-use jiff::{Timestamp, ToSpan};
 use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
@@ -56,7 +56,7 @@ struct Circle {
     files: &'static [&'static str],
     /// The reason: how they are tied together.
     why: &'static str,
-    /// The day until which it may stay, at most half a year from now.
+    /// The day until which it may stay.
     until: &'static str,
 }
 
@@ -189,12 +189,12 @@ fn no_files_import_from_each_other_in_a_circle_but_those_that_may_for_a_while() 
 }
 
 #[test]
-fn a_listed_circle_has_a_reason_and_half_a_year_at_most() {
-    let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
+fn a_listed_circle_has_a_reason_and_a_day_that_has_not_come() {
+    // Where changes are decided on. A version that was released builds and passes for ever.
+    let today = std::env::var_os("CI").map(|_| Timestamp::now().to_zoned(TimeZone::UTC).date());
     for circle in &CIRCLES {
         let until: Date = circle.until.parse().unwrap_or_else(|fault| panic!("{circle:?}: {fault}"));
-        assert!(until >= today, "its time is over: {circle:?}");
-        assert!(until <= today + 6.months(), "more than half a year: {circle:?}");
+        assert!(today.is_none_or(|today| until >= today), "its time is over: {circle:?}");
         assert!(!circle.why.is_empty(), "without a reason: {circle:?}");
     }
 }

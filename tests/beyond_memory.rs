@@ -99,6 +99,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
             let drawing = Drawing {
                 halo: 3,
                 cell_bytes: 4,
+                carried_halo: 3,
                 keeps_details: false,
                 normals: false,
                 components: Vec::new(),

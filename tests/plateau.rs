@@ -11,7 +11,7 @@ use common::scene::Random;
 use common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 use glam::{DVec3, IVec3};
 use meniscus::calibration::{
-    COARSEST_STEP, Calibrated, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine, step_cells,
+    COARSEST_STEP, Calibrated, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
 };
 use meniscus::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
 use meniscus::grid::{CellBox, Domain};
@@ -202,7 +202,7 @@ fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
 
 #[test]
 fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
-    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
+    let adaptive = Surfacing { detail: Detail::Adaptive, ..surfacing() };
     for (name, body, place) in bodies() {
         for (cell, indicator) in
             [(1.0 / 1.5, CLOUD), (1.0 / 3.0, CLOUD), (1.0 / 1.5, COUNTING), (0.4, COUNTING)]
@@ -215,7 +215,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                 iso.value() * mean.unwrap().particles()
             };
             let of_clean = sample(&particles, &sampling_at(spacing, indicator));
-            let clean = draw(&of_clean, &spared);
+            let clean = draw(&of_clean, &adaptive);
             let beside = [20.0, 0.0, 0.0];
             for (clump, count) in [(place.to_array(), 1), (place.to_array(), 10), (beside, 30)] {
                 let [at] = scaled(&[clump], spacing)[..] else { unreachable!() };
@@ -226,7 +226,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                     (ratio - 1.0).abs() < 0.03,
                     "{name}, {indicator:?}, cells of {cell}, {count} more: {ratio}"
                 );
-                let with = draw(&of_with, &spared);
+                let with = draw(&of_with, &adaptive);
                 let there = (DVec3::from(at), 4.0 * spacing);
                 for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
                     // Along an edge that is nearly tangent to the surface a vertex moves far, and one that comes or goes with
@@ -369,8 +369,6 @@ fn a_step_of_the_field_moves_a_flat_surface_as_far_as_is_said() {
         let frame = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
         let (recipe, measured) = recipe(&frame, &surfacing());
         let told = measured.step_cells;
-        let plateau = f64::from(measured.plateau.value());
-        assert_eq!(told, step_cells(plateau, recipe.filters.smoothing.width(indicator)));
         assert!(told < COARSEST_STEP);
         // Where vertices lie on the cube's upper face, away from its edges.
         let steps = 8;

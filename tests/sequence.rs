@@ -327,6 +327,31 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
     assert!((1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]), "{notes}");
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
+    let (_, notes) = made(&["--resume"]);
+    assert!(notes.contains("other settings (method), made anew"), "{notes}");
+}
+
+#[test]
+fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
+    let folder = falling(1..=2);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let (whole, path) = (tree(&out), out.join("m.ply.meniscus/state.json"));
+    for (key, value) in
+        [("isovalue", "null"), ("isovalue", "1.5"), ("mu0", "null"), ("mu0", "0.0"), ("mu0", "\"two\"")]
+    {
+        let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        state["frozen"][key] = value.parse().unwrap();
+        fs::write(&path, state.to_string()).unwrap();
+        let errors = run(folder.path(), &with(&["--resume"]), 2);
+        assert!(errors.contains("state.json") && errors.contains("--overwrite"), "{key} {value}: {errors}");
+        assert!(
+            (1..=2)
+                .all(|i| fs::read(out.join(format!("m_{i}.ply"))).unwrap() == whole[&format!("m_{i}.ply")])
+        );
+        run(folder.path(), &with(&["--overwrite"]), 0);
+        assert!(tree(&out) == whole, "{key} {value}");
+    }
 }
 
 #[test]

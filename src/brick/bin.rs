@@ -5,7 +5,6 @@
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
-use std::fmt;
 use std::hash::BuildHasher;
 use std::io;
 use std::ops::Range;
@@ -116,19 +115,6 @@ pub struct Census {
     pub too_far: usize,
     /// Outside of the domain's walls; not counted by the method.
     pub outside: usize,
-}
-
-/// Why particles are in no bin.
-impl fmt::Display for Census {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self { not_finite: 0, too_far: 0, outside: 0, .. } => write!(f, "there are none"),
-            Self { not_finite, too_far, outside, .. } => write!(
-                f,
-                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain"
-            ),
-        }
-    }
 }
 
 /// The first of two readings: how many particles each bin will hold.

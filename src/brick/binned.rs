@@ -6,7 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::bins::Bins;
-use super::spill::{SortedStore, SpilledBins};
+use super::spill::SpilledBins;
 
 /// Particles in order of their bins.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl BinnedParticles {
     /// Shows all bins to `take`, and returns them: what was in a scratch file, in one of its own in `folder`.
     ///
     /// # Errors
-    /// As [`visit`](Self::visit), and where a scratch file cannot be written.
+    /// Those of [`visit`](Self::visit), and where a scratch file cannot be written.
     pub fn visit_and_keep(
         self,
         folder: &Path,
@@ -48,7 +48,7 @@ impl BinnedParticles {
             take(&bins)?;
             sorted.push(&bins)?;
         }
-        Ok(SortedStore::finish(sorted))
+        Ok(sorted.finish())
     }
 
     /// About how many cells hold particles, by a stratified sample of the bins.

@@ -19,7 +19,7 @@ const DEPTH: f64 = 2.5;
 /// Cells of a row, at the most: each is a bit.
 const ROW: i32 = u128::BITS as i32;
 
-/// Which cells of a frame are interior.
+/// The interior cells of a frame.
 pub struct Interior<'a> {
     frame: &'a SampledDif,
     smoothing: &'a Smoothing,
@@ -34,7 +34,7 @@ impl<'a> Interior<'a> {
     pub fn new(frame: &'a SampledDif, smoothing: &'a Smoothing, gap: f64) -> Self {
         let reach = frame.dif.reach();
         let width = smoothing.width(frame.indicator.kind());
-        let depth = (reach + smoothing.reach()).min((DEPTH * width).ceil() as i32);
+        let depth = (reach + smoothing.halo()).min((DEPTH * width).ceil() as i32);
         // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals is off by a rounding.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
@@ -47,7 +47,7 @@ impl<'a> Interior<'a> {
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
         let Self { frame, smoothing, dilation, erosion } = *self;
         let walls = frame.facts.walls();
-        let (seen, reach) = (dilation + erosion, smoothing.reach());
+        let (seen, reach) = (dilation + erosion, smoothing.halo());
         let margin = seen.max(reach);
         let wide = frame.dif.gather_within(cells.grown(margin, margin), walls);
         let [_, width, slab] = wide.strides();

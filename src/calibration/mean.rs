@@ -20,7 +20,7 @@ pub struct NoMeanCount(#[source] UnitError);
 pub trait Binned {
     /// The pages, and whatever else is left when they are made.
     type Made;
-    /// What can go wrong.
+    /// Whatever can go wrong.
     type Error: From<NoMeanCount>;
 
     /// How many there are.

@@ -13,9 +13,7 @@ mod precision;
 
 pub use mean::{Binned, NoMeanCount, indicate};
 pub use plateau::Plateau;
-pub use precision::{
-    COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for, step_cells,
-};
+pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for};
 
 use crate::stage::blur::Smoothing;
 use crate::stage::indicator::SampledDif;

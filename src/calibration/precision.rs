@@ -85,8 +85,7 @@ impl fmt::Display for Remedy {
 
 /// How far one step of a field moves a flat surface, in cells, by its plateau and by the standard deviation of what a
 /// particle is smoothed into.
-#[must_use]
-pub fn step_cells(plateau: f64, width: f64) -> f64 {
+fn step_cells(plateau: f64, width: f64) -> f64 {
     width / (DENSITY * plateau)
 }
 

@@ -39,8 +39,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN })
     }
 
-    /// Counts the particles for a surface that is drawn like this, instead of a plain one; before, refuses what it cannot be drawn
-    /// through.
+    /// Refuses what such a surface cannot be drawn through, then counts the particles for it.
     ///
     /// # Errors
     /// Those of [`Sampling::refuse_unfit`] and of [`of`](Self::of).
@@ -72,9 +71,9 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match *field {
             FieldRequest::Indicator(_) => estimate,
-            // Kernels are kept until the surface is done, as attributes are.
+            // Kernels are kept until the surface is done, and so are the particles at the most.
             FieldRequest::Kernels(method) => {
-                let kernels = self.census().binned as u64 * method.bytes()[0];
+                let kernels = self.census().binned as u64 * method.kernel_bytes();
                 Estimate { particles: estimate.particles + kernels, carried: true, ..estimate }
             }
         }

@@ -18,7 +18,7 @@ use crate::vulkan::VulkanError;
 #[derive(Debug, Error)]
 pub enum FrameError {
     /// There is nothing to build a surface from.
-    #[error("no particles to reconstruct: {0}")]
+    #[error("no particles to reconstruct: {}", explain(.0))]
     NoParticles(Census),
     /// A particle that the grid cannot hold.
     #[error(transparent)]
@@ -93,6 +93,15 @@ impl From<DeviceBinError> for FrameError {
         match error {
             DeviceBinError::Bin(error) => Self::Bin(error),
             DeviceBinError::Vulkan(error) => Self::Vulkan(error),
+        }
+    }
+}
+
+fn explain(census: &Census) -> String {
+    match *census {
+        Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
+        Census { not_finite, too_far, outside, .. } => {
+            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
         }
     }
 }

@@ -4,13 +4,13 @@ use std::io;
 
 use rayon::prelude::*;
 
-use crate::brick::Bins;
+use crate::brick::{Bins, FrameFacts};
 use crate::estimate::Plan;
 use crate::grid::{CellBox, Grid};
 use crate::rivals::{KernelField, Method, Spacing, kernel_field};
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals};
-use crate::stage::indicator::{FrameFacts, IndicatorKind};
+use crate::stage::indicator::IndicatorKind;
 use crate::units::Sigma;
 
 use super::surface::Drawn;

@@ -25,14 +25,15 @@ pub use crate::recipe::Detail;
 pub use crate::stage::dual_mc::Normals;
 
 use crate::backend::{Stages, Work};
-use crate::brick::Bins;
+use crate::brick::{Bins, FrameFacts};
 use crate::calibration::{Calibration, indicate};
 use crate::estimate::Estimate;
 use crate::laps::Laps;
+use crate::mesh::source::MeshSource;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::rivals::Method;
-use crate::simplify::{Reduction, Simplified};
-use crate::stage::indicator::{FrameFacts, SampledDif};
+use crate::simplify::{Reduction, Simplified, simplify};
+use crate::stage::indicator::SampledDif;
 use crate::stitch::Stitched;
 use crate::units::MemoryBudget;
 
@@ -264,6 +265,12 @@ impl Frame {
         reduction: &Reduction,
         laps: &mut Laps,
     ) -> Result<Simplified, FrameError> {
-        self.resources.simplify(surface, reduction, self.surface_share, laps)
+        let simplified = simplify(surface, reduction, self.surface_share, &self.resources.scratch)
+            .map_err(self.resources.scratch_error())?;
+        laps.lap("simplify");
+        if simplified.triangle_count() == 0 {
+            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
+        }
+        Ok(simplified)
     }
 }

@@ -95,19 +95,27 @@ impl FieldRequest {
         grid: &Grid,
         components: Vec<usize>,
     ) -> Drawing {
-        let (halo, cell_bytes, keeps_details) = match *self {
+        let normals = surfacing.normals == Normals::Gradient;
+        match *self {
             Self::Indicator(asked) => {
                 let filters = surfacing.filters(asked.kind, spacing, grid);
+                let [halo, carried_halo] = [filters.halo(), filters.halo()];
                 let cell_bytes = filters.fields().host * size_of::<u16>() as u64;
-                (filters.halo(), cell_bytes, filters.keep_details())
+                let keeps_details = filters.keeps_details();
+                Drawing { halo, cell_bytes, carried_halo, keeps_details, normals, components }
             }
-            Self::Kernels(method) => {
+            Self::Kernels(_) => {
                 let smoothing = attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size());
-                (smoothing.halo(), method.bytes()[1], false)
+                let (carried_halo, cell_bytes) = (smoothing.halo(), Method::CELL_BYTES);
+                Drawing { halo: 0, cell_bytes, carried_halo, keeps_details: false, normals, components }
             }
-        };
-        let normals = surfacing.normals == Normals::Gradient;
-        Drawing { halo, cell_bytes, keeps_details, normals, components }
+        }
+    }
+
+    /// The bricks that suit what is stored.
+    #[must_use]
+    pub fn brick_side(&self) -> BrickSide {
+        self.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side())
     }
 }
 
@@ -118,7 +126,7 @@ pub struct Surfacing {
     pub sigma: Option<Sigma>,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
-    /// What becomes of details that smoothing loses.
+    /// How details are treated that smoothing loses.
     pub detail: Detail,
     /// Normals on the vertices, or not.
     pub normals: Normals,

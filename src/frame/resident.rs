@@ -13,12 +13,12 @@ use std::sync::Arc;
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BrickSide, Census, DifField, InvalidParticles, Pages, sampled_bins};
+use crate::brick::{BrickSide, Census, DifField, FrameFacts, InvalidParticles, Pages, sampled_bins};
 use crate::calibration::{Binned, Calibrated, Plateau, indicate};
 use crate::grid::{Domain, Grid};
 use crate::recipe::Detail;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{Content, FrameFacts, IndicatorRequest, PageRule, SampledDif};
+use crate::stage::indicator::{Content, IndicatorRequest, PageRule, SampledDif};
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use crate::units::{Isovalue, Sigma};
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
@@ -43,7 +43,7 @@ pub struct Settings {
     pub spacing: Option<f64>,
     /// The Gaussian's width.
     pub sigma: Sigma,
-    /// What becomes of details that smoothing loses.
+    /// How details are treated that smoothing loses.
     pub detail: Detail,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,

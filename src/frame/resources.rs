@@ -1,15 +1,11 @@
-//! What a frame may take of the machine, and what is done within it.
+//! Memory, folders and backend of a frame.
 
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::backend::{Backend, Cpu};
-use crate::laps::Laps;
-use crate::mesh::source::MeshSource;
 use crate::scratch::free_bytes;
-use crate::simplify::{Reduction, Simplified, simplify};
-use crate::stitch::Stitched;
 use crate::units::MemoryBudget;
 
 use super::FrameError;
@@ -30,25 +26,6 @@ impl Resources {
     #[must_use]
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
         Self { budget, scratch, backend: Arc::new(Cpu) }
-    }
-
-    /// What a reduction leaves of a surface; triangles beyond so many bytes go to scratch files.
-    ///
-    /// # Errors
-    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
-    pub fn simplify(
-        &self,
-        surface: Stitched,
-        reduction: &Reduction,
-        bytes: u64,
-        laps: &mut Laps,
-    ) -> Result<Simplified, FrameError> {
-        let simplified = simplify(surface, reduction, bytes, &self.scratch).map_err(self.scratch_error())?;
-        laps.lap("simplify");
-        if simplified.triangle_count() == 0 {
-            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
-        }
-        Ok(simplified)
     }
 
     /// Bytes that the backend takes of the machine's memory.

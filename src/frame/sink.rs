@@ -5,10 +5,10 @@ use std::io;
 use std::path::Path;
 
 use crate::backend::Stages;
-use crate::brick::{Bins, DifField, PageShape, Pages};
+use crate::brick::{Bins, DifField, FrameFacts, PageShape, Pages};
 use crate::estimate::{Estimate, Plan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
-use crate::stage::indicator::{FrameFacts, Indicator, PageRule, SampledDif};
+use crate::stage::indicator::{Indicator, PageRule, SampledDif};
 
 /// Samples of the bins whose pages are made at once, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;

@@ -5,7 +5,7 @@ use std::io;
 use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
-use crate::brick::Bins;
+use crate::brick::{Bins, FrameFacts};
 use crate::calibration::Calibrated;
 use crate::estimate::BLOCKS_A_THREAD;
 use crate::grid::CellBox;
@@ -17,7 +17,7 @@ use crate::recipe::Recipe;
 use crate::stage::attribute::vertex_values;
 use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
-use crate::stage::indicator::{FrameFacts, SampledDif};
+use crate::stage::indicator::SampledDif;
 use crate::stitch::Stitched;
 
 use super::{FrameError, Resources};
@@ -76,15 +76,15 @@ pub struct CalibratedFrame<'a> {
 impl CalibratedFrame<'_> {
     /// The measurements on the frame: none where they were known, or where kernels make the field.
     #[must_use]
-    pub fn measured(&self) -> Option<&Calibrated> {
-        self.measured.as_ref()
+    pub fn measured(&self) -> Option<Calibrated> {
+        self.measured
     }
 
     /// The frame's surface.
     ///
     /// # Errors
     /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], and [`FrameError::Scratch`] where scratch files fail.
-    pub fn surface(&self, laps: &mut Laps) -> Result<Stitched, FrameError> {
+    pub fn surface(self, laps: &mut Laps) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let components = attributes.iter().map(|info| info.components).collect();

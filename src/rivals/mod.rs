@@ -68,18 +68,19 @@ impl Method {
         }
     }
 
-    /// Bytes of a particle's kernel, which is kept until the surface is done, and of a cell while its field is made.
+    /// Bytes of a particle's kernel, which is kept until the surface is done.
     #[must_use]
-    pub fn bytes(self) -> [u64; 2] {
-        fn of<S: Scheme>() -> [u64; 2] {
-            [size_of::<S::Kernel>(), size_of::<S::Sum>() + size_of::<f64>()].map(|bytes| bytes as u64)
-        }
-        match self {
-            Self::Mueller { .. } => of::<Mueller>(),
-            Self::ZhuBridson => of::<ZhuBridson>(),
-            Self::YuTurk { .. } => of::<YuTurk>(),
-        }
+    pub fn kernel_bytes(self) -> u64 {
+        let bytes = match self {
+            Self::Mueller { .. } => size_of::<<Mueller as Scheme>::Kernel>(),
+            Self::ZhuBridson => size_of::<<ZhuBridson as Scheme>::Kernel>(),
+            Self::YuTurk { .. } => size_of::<<YuTurk as Scheme>::Kernel>(),
+        };
+        bytes as u64
     }
+
+    /// Bytes of a cell while its field is made: the largest sum, and the field.
+    pub const CELL_BYTES: u64 = (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }
 
 /// The particles' spacing in cells.

@@ -139,13 +139,14 @@ pub fn measure(
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let grid = if origin == Origin::Free { sound.grid } else { given };
     let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
-    if sampling.field.indicator().is_none() {
+    if sound.field.indicator().is_none() {
         return Ok(nothing);
     }
-    let sampling = Sampling { carried: Vec::new(), ..sound };
-    let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
-    let measured = frame.dif().map(|sampled| measure_sampled(sampled, surfacing, lattice.is_some()));
-    Ok(Measured { grid, ..measured.transpose()?.unwrap_or(nothing) })
+    let frame = Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound }, &mut Laps::default())?;
+    match frame.dif() {
+        Some(sampled) => Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? }),
+        None => Ok(nothing),
+    }
 }
 
 /// Measures a sampled frame for its whole sequence, by whether its particles stand on a lattice.

@@ -7,7 +7,7 @@ pub mod device;
 pub mod scene;
 
 use glam::{DVec3, IVec3};
-use meniscus::brick::{Bins, BrickSide, Census, DifField, InvalidParticles};
+use meniscus::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
 use meniscus::calibration::Calibrated;
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, Grid};
@@ -15,7 +15,7 @@ use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
 use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::{FrameFacts, Indicator, IndicatorKind, SampledDif};
+use meniscus::stage::indicator::{Indicator, IndicatorKind, SampledDif};
 use meniscus::units::{Isovalue, MemoryBudget};
 use scene::Random;
 
@@ -73,7 +73,6 @@ pub fn reconstruct(
     let calibrated = frame.calibrate(surfacing, None, &mut laps).unwrap();
     let iso = calibrated.measured().unwrap().calibration.iso;
     let mesh = calibrated.surface(&mut laps).unwrap().to_mesh().unwrap();
-    drop(calibrated);
     (frame, Reconstructed { mesh, iso })
 }
 

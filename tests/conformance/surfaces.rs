@@ -153,10 +153,10 @@ pub fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_
             let (_, surface) = reconstruct(&all[..], &sampling, &Surfacing { detail, ..surfacing() });
             surface.mesh
         };
-        let (plain, recovered, spared) =
+        let (plain, recovered, adaptive) =
             (mesh(Detail::Smoothed), mesh(Detail::Recovered), mesh(Detail::Adaptive));
-        assert_watertight(&spared, &format!("{indicator:?}"));
-        let found = measure(&spared);
+        assert_watertight(&adaptive, &format!("{indicator:?}"));
+        let found = measure(&adaptive);
         assert_eq!((found.components, found.genus), (1 + 27 + 1, Some(0)), "{indicator:?}");
         assert!(measure(&plain).components < 3, "{indicator:?}: without, they are lost");
         if indicator == IndicatorKind::Symmetry {
@@ -166,7 +166,10 @@ pub fn an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_
             let near = |p: &&[f64; 3]| p[0].abs() < 10.0 && p[1].abs() < 10.0 && p[2].abs() < 3.0;
             mesh.positions.iter().filter(near).copied().collect()
         };
-        assert!(top(&plain).len() > 300 && top(&plain) == top(&spared), "{indicator:?}: the pool has moved");
+        assert!(
+            top(&plain).len() > 300 && top(&plain) == top(&adaptive),
+            "{indicator:?}: the pool has moved"
+        );
     }
 }
 
@@ -254,8 +257,8 @@ pub fn two_drops_a_million_cells_apart_cost_two_drops_and_keep_their_shape(place
 
 pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_error(place: &Place) {
     let particle = [[0.3, 0.4, -0.6]];
-    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
-    let (frame, surface) = reconstruct(&particle[..], &place.sampling(), &spared);
+    let adaptive = Surfacing { detail: Detail::Adaptive, ..surfacing() };
+    let (frame, surface) = reconstruct(&particle[..], &place.sampling(), &adaptive);
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
     let error = frame.surface(&surfacing(), &mut Laps::default()).unwrap_err();
@@ -268,14 +271,14 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
 
 pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
     let particles = vec![[0.25, 0.25, 0.25]; 1_000_000];
-    let spared = Surfacing { detail: Detail::Adaptive, ..surfacing() };
+    let adaptive = Surfacing { detail: Detail::Adaptive, ..surfacing() };
     for indicator in INDICATORS {
         let surface = Frame::sample(
             &particles[..],
             &Sampling { field: indicator.into(), ..place.sampling() },
             &mut Laps::default(),
         )
-        .and_then(|frame| frame.surface(&spared, &mut Laps::default()));
+        .and_then(|frame| frame.surface(&adaptive, &mut Laps::default()));
         match (indicator, surface) {
             (IndicatorKind::Symmetry, Ok(surface)) => {
                 assert_watertight(&surface.to_mesh().unwrap(), "one place")

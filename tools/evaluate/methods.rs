@@ -1,7 +1,7 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
-use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::brick::InvalidParticles;
 use meniscus::frame::{
     Detail, FieldRequest, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
@@ -179,7 +179,7 @@ pub fn sampling(grid: Grid, spacing: f64, field: impl Into<FieldRequest>) -> Sam
         domain: None,
         field,
         invalid: InvalidParticles::Refuse,
-        side: field.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side()),
+        side: field.brick_side(),
         carried: Vec::new(),
         spacing: Some(spacing),
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),

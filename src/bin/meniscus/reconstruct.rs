@@ -375,9 +375,9 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let Some(frame) = made else { return Ok(Verdict::Good) };
     report_frame(&frame, &notes);
     let calibrated = frame.calibrate(&surfacing, None, &mut laps).map_err(in_file)?;
+    let measured = calibrated.measured();
     let mesh = calibrated.surface(&mut laps).map_err(in_file)?;
     report_warnings(&frame, &notes);
-    let measured = calibrated.measured();
     measured.iter().for_each(|measured| report_isovalue(&frame, measured, surfacing.iso, &notes));
     if let Some(shortfall) = frame.shortfall(&mesh).map_err(in_file)? {
         notes.say(format!("warning: {shortfall}{}", advice(options, None)));

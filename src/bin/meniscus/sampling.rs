@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use meniscus::brick::{BrickSide, Census, InvalidParticles};
+use meniscus::brick::{Census, InvalidParticles};
 use meniscus::error::Error;
 use meniscus::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, DomainError, Grid};
@@ -236,7 +236,7 @@ impl SamplingRequest {
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
             field,
             invalid: self.invalid,
-            side: field.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side()),
+            side: field.brick_side(),
             carried,
             spacing,
             resources,

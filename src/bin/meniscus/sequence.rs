@@ -27,7 +27,7 @@ use meniscus::simplify::{BYTES_A_THREAD, Reduction};
 use crate::Verdict;
 use crate::interrupt;
 use crate::lanes::Division;
-use crate::reconstruct::Options;
+use crate::reconstruct::{Options, is_frame};
 use crate::run::Notes;
 use crate::sampling::SamplingRequest;
 use crate::up::Orientation;
@@ -240,11 +240,6 @@ impl Setup<'_> {
             found => found?,
         };
         let Some(state) = state else { return Ok(None) };
-        if state.frozen.calibration.is_none() && self.request.field.indicator().is_some() {
-            let what = "the isovalue is missing".into();
-            let damaged = SequenceError::State { path: store.state_path(), what };
-            return if anew { Ok(None) } else { Err(damaged.into()) };
-        }
         let mut differing = state.differing(&self.options.settings());
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
         if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)
@@ -253,7 +248,12 @@ impl Setup<'_> {
             let _ = write!(differing, "{comma}input frame {}", state.frozen.frame);
         }
         if differing.is_empty() {
-            return Ok(Some(state));
+            if self.is_calibrated(&state, frames) {
+                return Ok(Some(state));
+            }
+            let what = "mu0 or the isovalue is missing".into();
+            let damaged = SequenceError::State { path: store.state_path(), what };
+            return if anew { Ok(None) } else { Err(damaged.into()) };
         }
         if anew || self.options.sequence.resume {
             self.notes
@@ -261,5 +261,17 @@ impl Setup<'_> {
             return Ok(None);
         }
         Err(SequenceError::Settings { path: store.state_path(), differing }.into())
+    }
+
+    /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of their own.
+    fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
+        match (self.request.field.indicator(), &state.frozen.calibration) {
+            (None, _) => true,
+            (Some(_), None) => false,
+            (Some(asked), Some(known)) => {
+                let packed = || frames.iter().all(|frame| is_frame(&frame.path));
+                known.mean.is_some() || !asked.kind.counts() || packed()
+            }
+        }
     }
 }

@@ -4,6 +4,7 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
+use meniscus::brick::FrameFacts;
 use meniscus::error::Error;
 use meniscus::frame::{Frame, Surfacing};
 use meniscus::io::WriteError;
@@ -11,7 +12,7 @@ use meniscus::laps::Laps;
 use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::rivals::Method;
-use meniscus::stage::indicator::{FrameFacts, SampledDif};
+use meniscus::stage::indicator::SampledDif;
 use meniscus::units::{Isovalue, MeanCount};
 use serde_json::{Value, json};
 

@@ -9,13 +9,13 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use zstd::bulk::Decompressor;
 
-use crate::brick::{BrickSide, Census, DifField, PageInfo, PageShape, PageSource};
+use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
-use crate::stage::indicator::{FrameFacts, Indicator, SampledDif};
+use crate::stage::indicator::{Indicator, SampledDif};
 use crate::units::{MeanCount, positive_length};
 
 use super::{END_MAGIC, ENTRY, FACTS, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};

@@ -6,9 +6,9 @@ use rayon::prelude::*;
 use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
-use crate::brick::{PageInfo, PageShape};
+use crate::brick::{FrameFacts, PageInfo, PageShape};
 use crate::grid::BIN;
-use crate::stage::indicator::{FrameFacts, Indicator, IndicatorKind, SampledDif};
+use crate::stage::indicator::{Indicator, IndicatorKind, SampledDif};
 use crate::units::MeanCount;
 
 use super::{END_MAGIC, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};

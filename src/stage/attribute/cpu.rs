@@ -52,7 +52,7 @@ pub fn vertex_values(
     if used.is_empty() {
         return Ok(Vec::new());
     }
-    let reach = smoothing.reach();
+    let reach = smoothing.halo();
     let sums = sums(bins, attribute, components, used.grown(reach, reach))?;
     let smooth = |mut sum: Block<f64>| {
         if let Some(walls) = walls {

@@ -1,8 +1,8 @@
-//! What a stage between the DIF and the field says of itself.
+//! A stage between the DIF and the field, as far as others have to know it.
 
 use super::Kernel;
 
-/// A stage between the DIF and the field, as far as others have to know it.
+/// A stage that states its reach, its weights and its memory.
 pub trait Filter {
     /// How far from a cell its input decides its output, in cells.
     fn halo(&self) -> i32;

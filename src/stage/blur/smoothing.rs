@@ -3,7 +3,6 @@
 use crate::brick::Block;
 use crate::grid::CellBox;
 use crate::stage::indicator::IndicatorKind;
-
 use crate::units::Sigma;
 
 use super::{FieldCount, Filter, Kernel, Sample, blur};

@@ -21,8 +21,8 @@ use crate::grid::CellBox;
 
 /// Vertices of a block with much surface, where details are smoothed away or where they are kept: spray is all surface.
 #[must_use]
-pub fn block_vertices(details_are_kept: bool) -> u64 {
-    if details_are_kept { 20_000 } else { 6_000 }
+pub fn block_vertices(keeps_details: bool) -> u64 {
+    if keeps_details { 20_000 } else { 6_000 }
 }
 
 /// Vertices around so many particles of a bin, at the most for all but wild surfaces: around one alone, or in a bin full of

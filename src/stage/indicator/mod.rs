@@ -23,13 +23,13 @@ pub mod vulkan;
 
 pub use cloud::{RIM, SHARE_BITS, SQUARE_BITS, amount};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
-pub use sampled::{FrameFacts, SampledDif};
+pub use sampled::SampledDif;
 
 use crate::brick::{BrickSide, DifField, PageShape};
 use crate::grid::CellBox;
 use crate::units::{FULL, MeanCount};
 
-/// Which indicator.
+/// The kinds of indicators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum IndicatorKind {
     /// By how far a cell's particles lie from its centre on average (eq. 7).
@@ -44,7 +44,7 @@ pub enum IndicatorKind {
 /// An indicator as it is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndicatorRequest {
-    /// Which one.
+    /// Its kind.
     pub kind: IndicatorKind,
     /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Symmetry has no use for it.
     pub mean: Option<MeanCount>,
@@ -53,11 +53,11 @@ pub struct IndicatorRequest {
 /// An indicator with what it has to know.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Indicator {
-    /// See [`IndicatorKind::Symmetry`].
+    /// [`IndicatorKind::Symmetry`].
     Symmetry,
-    /// By its `mu0`.
+    /// [`IndicatorKind::Counting`] with its `mu0`.
     Counting(MeanCount),
-    /// By its `mu0`.
+    /// [`IndicatorKind::Cloud`] with its `mu0`.
     Cloud(MeanCount),
 }
 
@@ -75,7 +75,7 @@ pub enum Content {
 /// How pages are made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PageRule {
-    /// What is stored.
+    /// The samples that are stored.
     pub content: Content,
     /// How it is stored.
     pub side: BrickSide,
@@ -162,7 +162,7 @@ impl From<IndicatorKind> for IndicatorRequest {
 }
 
 impl Indicator {
-    /// Which one it is.
+    /// Its kind.
     #[must_use]
     pub fn kind(self) -> IndicatorKind {
         match self {

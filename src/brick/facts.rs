@@ -1,0 +1,32 @@
+//! Facts of a frame beside its field.
+
+use crate::grid::{CellBox, Domain, Grid};
+
+use super::Census;
+
+/// Facts of a frame, whatever its field is made by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameFacts {
+    /// Where the cells are.
+    pub grid: Grid,
+    /// Walls, if the fluid is in a tank.
+    pub domain: Option<Domain>,
+    /// What became of the particles.
+    pub census: Census,
+    /// The particles' spacing in the unit of the grid, where it is known.
+    pub spacing: Option<f64>,
+}
+
+impl FrameFacts {
+    /// The cells within the walls, if there are any.
+    #[must_use]
+    pub fn walls(&self) -> Option<CellBox> {
+        self.domain.as_ref().map(Domain::cells)
+    }
+
+    /// The particles' spacing in cells, where it is known.
+    #[must_use]
+    pub fn spacing_cells(&self) -> Option<f64> {
+        self.spacing.map(|spacing| spacing / self.grid.cell_size())
+    }
+}
