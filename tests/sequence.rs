@@ -332,6 +332,35 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
 }
 
 #[test]
+fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_its_own() {
+    let folder = falling(1..=1);
+    // Twice as dense, which alone has another mu0 and another isovalue.
+    let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
+    for indicator in ["cloud", "counting", "symmetry"] {
+        let more = ["--indicator", indicator, "--cell-size", "0.6", "--spacing", "0.5", "--origin", "0,0,0"];
+        run(folder.path(), &with(&[&more[..], &["--overwrite"]].concat()), 0);
+        let made = tree(&folder.path().join("out"));
+        let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
+        let frozen = &state["frozen"];
+        assert!(frozen["frame"] == 1 && frozen["mu0"].is_null() == (indicator == "symmetry"), "{frozen}");
+        let [mu0, iso] = ["mu0", "isovalue"].map(|key| frozen[key].to_string());
+        let single = |known: &[&str]| {
+            let alone = ["in/f_2.xyz", "-o", "one.ply", "--overwrite"];
+            run(folder.path(), &[&alone[..], &more, known].concat(), 0);
+            fs::read(folder.path().join("one.ply")).unwrap()
+        };
+        let mu0 = if indicator == "symmetry" { vec![] } else { vec!["--mu0", &mu0] };
+        assert!(
+            single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
+            "{indicator}: not by {frozen}"
+        );
+        assert!(single(&[]) != made["m_2.ply"], "{indicator}: by its own");
+        assert!(single(&mu0) != made["m_2.ply"], "{indicator}: by its own isovalue");
+    }
+}
+
+#[test]
 fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
     let folder = falling(1..=2);
     run(folder.path(), &ALL, 0);
