@@ -11,7 +11,7 @@ pub struct FrameFacts {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// What became of the particles.
+    /// Numbers of particles: in bins, and left out.
     pub census: Census,
     /// The particles' spacing in the unit of the grid, where it is known.
     pub spacing: Option<f64>,

@@ -5,8 +5,7 @@
 
 use thiserror::Error;
 
-use crate::brick::BrickSide;
-use crate::grid::CellBox;
+use crate::brick::{BrickSide, FrameFacts};
 use crate::stage::indicator::{Content, Indicator, IndicatorKind, IndicatorRequest, PageRule};
 use crate::units::{MeanCount, UnitError};
 
@@ -20,11 +19,8 @@ pub struct NoMeanCount(#[source] UnitError);
 pub trait Binned {
     /// The pages, and whatever else is left when they are made.
     type Made;
-    /// Whatever can go wrong.
+    /// The errors of whoever keeps them.
     type Error: From<NoMeanCount>;
-
-    /// How many there are.
-    fn particles(&self) -> usize;
 
     /// About how many cells hold particles, by a stratified sample of the bins.
     fn full_cells(&self) -> Result<u64, Self::Error>;
@@ -39,29 +35,20 @@ pub trait Binned {
 /// [`NoMeanCount`], and those of `binned`.
 pub fn indicate<B: Binned>(
     binned: B,
+    facts: &FrameFacts,
     asked: IndicatorRequest,
     side: BrickSide,
-    walls: Option<CellBox>,
 ) -> Result<(Indicator, B::Made), B::Error> {
-    let particles = binned.particles() as u64;
+    let particles = facts.census.binned as u64;
     let measured = |full_cells| MeanCount::measured(particles, full_cells).map_err(NoMeanCount);
-    let rule = |content| PageRule { content, side, walls };
-    Ok(match asked.kind {
-        IndicatorKind::Symmetry => {
-            let (_, made) = binned.make_pages(&rule(Content::Symmetry))?;
-            (Indicator::Symmetry, made)
-        }
-        IndicatorKind::Counting => {
-            let (full_cells, made) = binned.make_pages(&rule(Content::Counts))?;
-            (Indicator::Counting(asked.mean.map_or_else(|| measured(full_cells), Ok)?), made)
-        }
-        IndicatorKind::Cloud => {
-            let mean = match asked.mean {
-                Some(mean) => mean,
-                None => measured(binned.full_cells()?)?,
-            };
-            let (_, made) = binned.make_pages(&rule(Content::Clouds(mean)))?;
-            (Indicator::Cloud(mean), made)
-        }
-    })
+    let known = match (asked.kind, asked.mean) {
+        (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
+        (kind, Some(mean)) => Some(kind.by(mean)),
+        (IndicatorKind::Cloud, None) => Some(Indicator::Cloud(measured(binned.full_cells()?)?)),
+        (IndicatorKind::Counting, None) => None,
+    };
+    let content = known.map_or(Content::Counts, Indicator::content);
+    let (full_cells, made) = binned.make_pages(&PageRule { content, side, walls: facts.walls() })?;
+    let indicator = known.map_or_else(|| measured(full_cells).map(Indicator::Counting), Ok)?;
+    Ok((indicator, made))
 }

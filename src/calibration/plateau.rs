@@ -80,7 +80,7 @@ impl Plateau {
         }
     }
 
-    /// What goes with the plateau.
+    /// The isovalue for a field with this plateau.
     #[must_use]
     pub fn isovalue(self) -> Isovalue {
         Isovalue::of_plateau(self.value())

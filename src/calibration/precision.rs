@@ -57,12 +57,12 @@ pub enum TooFine {
     Symmetry {
         /// Edge of a cell.
         cell_size: f64,
-        /// Of the particles.
+        /// The particles' spacing.
         spacing: f64,
     },
 }
 
-/// What makes a field finer.
+/// A way to make a field finer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Remedy {
     /// Cells of this edge.

@@ -30,7 +30,6 @@ pub(super) fn sorted(
 /// Particles whose pages go into a sink.
 pub(super) struct HostBins<'a> {
     pub(super) binned: BinnedParticles,
-    pub(super) particles: usize,
     pub(super) stages: &'a dyn Stages,
     pub(super) sink: FieldSink,
     pub(super) resources: &'a Resources,
@@ -41,10 +40,6 @@ pub(super) struct HostBins<'a> {
 impl Binned for HostBins<'_> {
     type Made = (FieldSink, Option<Bins>);
     type Error = FrameError;
-
-    fn particles(&self) -> usize {
-        self.particles
-    }
 
     fn full_cells(&self) -> Result<u64, FrameError> {
         self.binned.full_cells().map_err(self.resources.scratch_error())

@@ -105,9 +105,8 @@ impl Frame {
                 let stages = resources.backend.start(budget);
                 let shape = asked.kind.shape(*side);
                 let sink = FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
-                let (particles, resources) = (census.binned, &resources);
-                let binned = HostBins { binned, particles, stages: &*stages, sink, resources, keep };
-                let (indicator, (sink, bins)) = indicate(binned, asked, *side, facts.walls())?;
+                let binned = HostBins { binned, stages: &*stages, sink, resources: &resources, keep };
+                let (indicator, (sink, bins)) = indicate(binned, &facts, asked, *side)?;
                 let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
                 laps.lap("indicate");
                 (Field::Dif { sampled, stages }, bins)
@@ -239,7 +238,7 @@ impl Frame {
     /// The surface of the frame, calibrated on itself.
     ///
     /// # Errors
-    /// Those of [`calibrate`](Self::calibrate) and of [`CalibratedFrame::surface`].
+    /// [`FrameError::TooFine`], and the errors of [`CalibratedFrame::surface`].
     pub fn surface(&self, surfacing: &Surfacing, laps: &mut Laps) -> Result<Stitched, FrameError> {
         self.calibrate(surfacing, None, laps)?.surface(laps)
     }

@@ -23,7 +23,7 @@ pub struct Sampling {
     pub domain: Option<Domain>,
     /// How the field is made.
     pub field: FieldRequest,
-    /// What to do with particles that are not finite or too far away.
+    /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// How a DIF is stored.
     pub side: BrickSide,
@@ -31,7 +31,7 @@ pub struct Sampling {
     pub carried: Vec<usize>,
     /// The particles' spacing, where it is known: a packed frame keeps it, and kernels have to know it.
     pub spacing: Option<f64>,
-    /// What the frame may take.
+    /// Memory, folders and backend that the frame may use.
     pub resources: Resources,
 }
 
@@ -133,7 +133,7 @@ pub struct Surfacing {
 }
 
 impl Surfacing {
-    /// As smooth as the frame's spacing says, and nothing else.
+    /// A surface as smooth as the frame's spacing says, and nothing else.
     pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
 
     /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.

@@ -113,7 +113,7 @@ impl Pipeline {
         let facts = FrameFacts { grid, domain, census, spacing };
         let side = indicator.kind.brick_side();
         let binned = ResidentBins { vulkan: &self.vulkan, frame: &frame, bins };
-        let (indicator, pages) = indicate(binned, indicator, side, facts.walls())?;
+        let (indicator, pages) = indicate(binned, &facts, indicator, side)?;
         let stored = DifField::in_memory(indicator.kind().shape(side), pages);
         let sampled = SampledDif::new(facts, indicator, stored);
         let surfacing = Surfacing { sigma: Some(sigma), iso, detail, normals: Normals::None };
@@ -166,10 +166,6 @@ struct ResidentBins<'a> {
 impl Binned for ResidentBins<'_> {
     type Made = Pages;
     type Error = FrameError;
-
-    fn particles(&self) -> usize {
-        self.bins.census.binned
-    }
 
     /// Counts all bins, and looks at those that the host looks at.
     fn full_cells(&self) -> Result<u64, FrameError> {

@@ -126,7 +126,7 @@ pub enum Trust {
 /// the same wherever they fall.
 ///
 /// # Errors
-/// Those of [`Sampling::refuse_unfit`] and of [`Frame::sample`], and [`FrameError::TooFine`].
+/// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Frame::sample`].
 pub fn measure(
     particles: &(impl Particles + ?Sized),
     sampling: &Sampling,
