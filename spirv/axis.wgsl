@@ -9,6 +9,8 @@ struct Push {
     reach: u32,
     // Cells at the block's faces that are not to be computed.
     margin: vec3<u32>,
+    // Bits that sums are shifted down by, where there are any.
+    shift: u32,
 }
 
 var<immediate> push: Push;

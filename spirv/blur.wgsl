@@ -1,5 +1,5 @@
 //! with block axis
-// One axis of a separable filter: (sum over taps of weight * sample + 32768) >> 16.
+// One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, at most 65535.
 
 @group(0) @binding(2) var<storage, read_write> blurred: array<u32>;
 // The weight of the centre, then of the cells 1, 2, ... away on either side.
@@ -16,6 +16,7 @@ fn blur(@builtin(global_invocation_id) id: vec3<u32>) {
     if !is_wanted(block, at) {
         return;
     }
-    let sum = with_all_taps(vec2(32768u), block, at);
-    blurred[word_of(block, at)] = (sum.x >> 16u) | (sum.y & 0xffff0000u);
+    let sum = with_all_taps(vec2(1u << (push.shift - 1u)), block, at);
+    let samples = min(sum >> vec2(push.shift), vec2(FULL));
+    blurred[word_of(block, at)] = samples.x | samples.y << 16u;
 }

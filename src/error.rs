@@ -105,6 +105,8 @@ impl Error {
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface
+                    | FrameError::NoDistance
+                    | FrameError::OtherIndicator
                     | FrameError::NothingLeft { .. },
                 ..
             }

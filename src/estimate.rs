@@ -47,10 +47,8 @@ pub struct Estimate {
 /// Memory that drawing a surface takes, as its stages say.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawing {
-    /// How far from a cell samples decide its field, in cells.
-    pub halo: i32,
-    /// Bytes of a cell while its field is made.
-    pub cell_bytes: u64,
+    /// Bytes of a block while its field is made.
+    pub block_bytes: u64,
     /// How far from a cell particles decide its attributes, in cells.
     pub carried_halo: i32,
     /// Whether every drop and every sheet can have a surface.
@@ -105,12 +103,11 @@ impl Drawing {
 
     /// Bytes that each thread takes.
     fn thread_bytes(&self) -> u64 {
-        // Dual cells reach one cell up, and normals one cell each way.
         let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
         let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
         let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
         let vertices = block_vertices(self.keeps_details);
-        let meshing = carrying.max(cells(self.halo) * self.cell_bytes)
+        let meshing = carrying.max(self.block_bytes)
             + BLOCKS_A_THREAD as u64 * block_bytes(vertices, self.vertex_bytes());
         THREAD + meshing.max(writing_bytes(vertices))
     }

@@ -5,10 +5,10 @@ use crate::brick::vulkan::{
 };
 use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
-use crate::stage::adaptive::FINE_BITS;
-use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
+use crate::stage::distance::vulkan::{DEPTHS_OF, JOIN, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD};
+use crate::stage::distance::{FARTHEST, MOST_APART, ZERO};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
 use crate::stage::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
@@ -17,9 +17,10 @@ use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 20] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER, &OCCUPANCY, &SPREAD,
-    &BLEND, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES, &TRIANGLES,
+pub const PROGRAMS: [&Program; 24] = [
+    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER, &DEPTHS_OF, &MIX,
+    &OUTLYING, &SPREAD, &REFINE, &QUOTIENT, &JOIN, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES,
+    &TRIANGLES,
 ];
 
 /// Constants of the sources: name, type and value.
@@ -29,7 +30,9 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
     const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
     vec![
         ("FULL", "u32", FULL.into()),
-        ("FINE_BITS", "u32", FINE_BITS.into()),
+        ("DISTANCE_ZERO", "i32", ZERO.into()),
+        ("MOST_APART", "i32", MOST_APART.into()),
+        ("FARTHEST", "i32", FARTHEST.into()),
         ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
         ("AXIS_BITS", "u32", AXIS_BITS.into()),
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),

@@ -1,12 +1,14 @@
-//! The paper from the DIF to the field, once: smooth, and bring back the details or keep them.
+//! From samples to the field, once: the paper's filters, or distances from clouds.
 //!
 //! A request says which [`Filters`] there are, and so how far they reach and what they take. A [`Recipe`] also has
-//! the thresholds that only a DIF whose mu0 is known has.
+//! what only a calibration tells: where the surface is.
 
-use crate::stage::adaptive::Adaptive;
+use crate::calibration::Calibration;
+use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::{FieldCount, Filter, Kernel, Smoothing};
 use crate::stage::detail::Recovery;
-use crate::stage::indicator::{Indicator, IndicatorKind};
+use crate::stage::distance::{Bulk, Depths, Distances, Drops, Gate, Width, wide_cells};
+use crate::stage::indicator::IndicatorKind;
 use crate::units::{Isovalue, Sigma};
 
 /// Treatment of details that smoothing loses.
@@ -16,55 +18,56 @@ pub enum Detail {
     Smoothed,
     /// Section 6.2 brings them back: see [`detail`](crate::stage::detail).
     Recovered,
-    /// An adaptive blur keeps them: see [`adaptive`](crate::stage::adaptive).
-    Adaptive,
 }
 
-/// All filters between the DIF and the field.
+/// All filters between the samples and the field.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Filters {
+pub enum Filters {
+    /// Those of the paper, for its indicators.
+    Paper(PaperFilters),
+    /// Distances from clouds.
+    Distances(Distances),
+}
+
+/// Samples that a recipe asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Source {
+    /// In cells 2^`level` times as wide.
+    pub level: u32,
+    /// How far beyond those that the field is asked for on.
+    pub halo: i32,
+    /// Fields of as many samples that are there at once on a device, themselves among them.
+    pub fields: u64,
+}
+
+impl Source {
+    /// The cells of which samples are taken for a field on `cells`.
+    #[must_use]
+    pub fn cells(self, cells: CellBox) -> CellBox {
+        wide_cells(self.level, cells).grown(self.halo, self.halo)
+    }
+}
+
+/// The paper's filters.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PaperFilters {
     /// Section 4.2.
     pub smoothing: Smoothing,
-    detail: DetailFilter,
+    /// Section 6.2, where it is asked for.
+    pub recovery: Option<Recovery>,
 }
 
-/// The filter that goes with each [`Detail`].
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum DetailFilter {
-    None,
-    Recovery(Recovery),
-    Adaptive(Adaptive),
-}
-
-impl Filters {
+impl PaperFilters {
     /// For the DIF of an indicator and a Gaussian of `sigma`.
     #[must_use]
     pub fn new(kind: IndicatorKind, sigma: Sigma, detail: Detail) -> Self {
-        let detail = match detail {
-            Detail::Smoothed => DetailFilter::None,
-            Detail::Recovered => DetailFilter::Recovery(Recovery::new(sigma)),
-            Detail::Adaptive => DetailFilter::Adaptive(Adaptive::new(sigma)),
-        };
-        Self { smoothing: Smoothing::new(kind, sigma), detail }
-    }
-
-    /// How details are treated.
-    #[must_use]
-    pub fn detail(&self) -> Detail {
-        match self.detail {
-            DetailFilter::None => Detail::Smoothed,
-            DetailFilter::Recovery(_) => Detail::Recovered,
-            DetailFilter::Adaptive(_) => Detail::Adaptive,
-        }
+        let recovery = (detail == Detail::Recovered).then(|| Recovery::new(sigma));
+        Self { smoothing: Smoothing::new(kind, sigma), recovery }
     }
 
     fn stages(&self) -> impl Iterator<Item = &dyn Filter> {
-        let detail: Option<&dyn Filter> = match &self.detail {
-            DetailFilter::None => None,
-            DetailFilter::Recovery(recovery) => Some(recovery),
-            DetailFilter::Adaptive(adaptive) => Some(adaptive),
-        };
-        std::iter::once::<&dyn Filter>(&self.smoothing).chain(detail)
+        let recovery = self.recovery.as_ref().map(|recovery| recovery as &dyn Filter);
+        std::iter::once::<&dyn Filter>(&self.smoothing).chain(recovery)
     }
 
     /// How far from a cell the DIF decides its field: the halos of all stages together.
@@ -73,76 +76,153 @@ impl Filters {
         self.stages().map(Filter::halo).sum()
     }
 
-    /// How far from a full cell the field can be other than 0.
-    #[must_use]
-    pub fn reach(&self) -> i32 {
+    fn reach(&self) -> i32 {
         self.stages().map(Filter::reach).max().unwrap_or(0)
     }
 
-    /// The weights of all stages.
-    pub fn kernels(&self) -> impl Iterator<Item = &Kernel> {
-        self.stages().flat_map(Filter::kernels)
-    }
-
     /// Fields of a block that are there at once, at the most.
-    #[must_use]
-    pub fn fields(&self) -> FieldCount {
+    fn fields(&self) -> FieldCount {
         let most =
             |of: fn(FieldCount) -> u64| self.stages().map(|stage| of(stage.fields())).max().unwrap_or(0);
         FieldCount { host: most(|fields| fields.host), device: most(|fields| fields.device) }
+    }
+}
+
+impl Filters {
+    /// How far from a full cell there can be a surface.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        match self {
+            Self::Paper(paper) => paper.reach(),
+            Self::Distances(distances) => distances.reach(),
+        }
+    }
+
+    /// The samples that the recipe asks for, in order.
+    #[must_use]
+    pub fn sources(&self) -> Vec<Source> {
+        match self {
+            Self::Paper(paper) => {
+                vec![Source { level: 0, halo: paper.halo(), fields: paper.fields().device }]
+            }
+            Self::Distances(distances) => vec![
+                // Clouds, two that are smoothed, and another with one more on its way.
+                Source { level: distances.level, halo: distances.wide_halo(), fields: 5 },
+                // The calm surface, what is near, clouds, and what is around them with one more on its way.
+                Source { level: 0, halo: distances.drops_halo(), fields: 5 },
+            ],
+        }
+    }
+
+    /// The weights of all stages.
+    #[must_use]
+    pub fn kernels(&self) -> Vec<&Kernel> {
+        match self {
+            Self::Paper(paper) => paper.stages().flat_map(Filter::kernels).collect(),
+            Self::Distances(distances) => distances.kernels().collect(),
+        }
+    }
+
+    /// Bytes of a block in the memory of a thread while its field is made, at the most.
+    #[must_use]
+    pub fn block_bytes(&self) -> u64 {
+        match self {
+            Self::Paper(paper) => {
+                // Dual cells reach one cell up, and normals one cell each way.
+                let edge = (BLOCK + 3 + 2 * paper.halo()) as u64;
+                edge.pow(3) * paper.fields().host * size_of::<u16>() as u64
+            }
+            Self::Distances(distances) => distances.block_bytes(),
+        }
     }
 
     /// Whether every drop and every sheet can have a surface.
     #[must_use]
     pub fn keeps_details(&self) -> bool {
-        self.stages().any(Filter::keeps_details)
+        match self {
+            Self::Paper(paper) => paper.recovery.is_some(),
+            Self::Distances(_) => true,
+        }
     }
 }
 
-/// Everything between a DIF and its isosurface.
+/// Everything between samples and their surface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recipe {
-    /// From the DIF to the field.
+    /// From the samples to the field.
     pub filters: Filters,
     /// Where the surface is.
     pub iso: Isovalue,
-    /// The least theta of cells that count as full in an adaptive blur.
-    least: u16,
 }
 
 impl Recipe {
-    /// Draws a surface through a field of an indicator whose mu0 is known.
+    /// By what was measured.
+    ///
+    /// # Panics
+    /// If the calibration is not one of such filters.
     #[must_use]
-    pub fn new(filters: Filters, indicator: Indicator, iso: Isovalue) -> Self {
-        Self { filters, iso, least: indicator.least() }
+    pub fn new(filters: Filters, calibration: &Calibration) -> Self {
+        match (filters, calibration) {
+            (Filters::Paper(paper), &Calibration::Indicator { iso, .. }) => {
+                Self { filters: Filters::Paper(paper), iso }
+            }
+            (Filters::Distances(distances), &Calibration::Clouds { plateau }) => Self {
+                filters: Filters::Distances(distances.with_plateau(plateau)),
+                iso: Isovalue::NO_DISTANCE,
+            },
+            _ => unreachable!("filters and calibration are of one indicator"),
+        }
     }
 
-    /// The paper, from the DIF to the field, wherever fields are kept.
+    /// From the samples to the field, wherever fields are kept.
     ///
     /// # Errors
     /// Those of `fields`.
-    pub fn apply<F: Fields>(&self, fields: &mut F, dif: F::Field) -> Result<F::Field, F::Error> {
-        let smooth = |fields: &mut F, dif: F::Field| {
-            let mut filters = self.filters.smoothing.kernels().iter();
-            filters.try_fold(dif, |field, kernel| fields.blur(field, kernel))
-        };
-        match &self.filters.detail {
-            DetailFilter::None => smooth(fields, dif),
-            DetailFilter::Recovery(recovery) => {
-                let smooth = smooth(fields, dif.clone())?;
-                let lost = fields.lost(dif, &smooth, self.iso)?;
-                let fine = fields.blur(lost, &recovery.fine)?;
-                fields.greater(fine, smooth)
-            }
-            DetailFilter::Adaptive(adaptive) => {
-                let smooth = smooth(fields, dif.clone())?;
-                let occupancy = fields.occupancy(dif, self.least)?;
-                let fine = fields.blur(occupancy, &adaptive.fine)?;
-                let near = fields.spread(&smooth, adaptive.near)?;
-                fields.blend(fine, smooth, near, self.iso)
-            }
+    pub fn apply<F: Fields>(&self, fields: &mut F) -> Result<F::Field, F::Error> {
+        match &self.filters {
+            Filters::Paper(paper) => paper.apply(fields, self.iso),
+            Filters::Distances(distances) => apply_distances(distances, fields),
         }
     }
+}
+
+impl PaperFilters {
+    fn apply<F: Fields>(&self, fields: &mut F, iso: Isovalue) -> Result<F::Field, F::Error> {
+        let dif = fields.samples(0, self.halo())?;
+        let smooth = |fields: &mut F, dif: F::Field| {
+            let mut filters = self.smoothing.kernels().iter();
+            filters.try_fold(dif, |field, kernel| fields.blur(field, kernel))
+        };
+        let Some(recovery) = &self.recovery else { return smooth(fields, dif) };
+        let smooth = smooth(fields, dif.clone())?;
+        let lost = fields.lost(dif, &smooth, iso)?;
+        let fine = fields.blur(lost, &recovery.fine)?;
+        fields.greater(fine, smooth)
+    }
+}
+
+/// The calm surface in wide cells, and the drops in cells where any can be seen.
+fn apply_distances<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F::Field, F::Error> {
+    let Distances { level, bulk, near, least, gate, drops } = distances;
+    let clouds = fields.samples(*level, distances.wide_halo())?;
+    let mut share = |width: &Width| fields.blur(clouds.clone(), &width.kernel);
+    let [narrow, middle, wide] = &bulk.widths;
+    let shares = [share(narrow)?, share(middle)?, share(wide)?];
+    let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
+    let outlying = fields.outlying(&calm, clouds, *least)?;
+    let apart = fields.blur(apart, &bulk.around)?;
+    let calm = fields.mixed(bulk, Depths { calm, fine, apart })?;
+    let near = fields.spread(outlying, *near)?;
+    let calm = fields.refined(calm, *level)?;
+    let near = fields.refined(near, *level)?;
+    if !fields.stand_out(&calm, &near, gate)? {
+        return fields.joined(calm, near, None, gate);
+    }
+    let clouds = fields.samples(0, distances.drops_halo())?;
+    let around = fields.blur(clouds.clone(), &drops.around)?;
+    let shares = fields.quotient(clouds, around, drops.bits)?;
+    let shares = fields.blur(shares, &drops.spread)?;
+    fields.joined(calm, near, Some((drops, shares)), gate)
 }
 
 /// Where fields are kept, and the filters on them. A clone of a field is the same field.
@@ -152,6 +232,10 @@ pub trait Fields {
     type Field: Clone;
     /// What can go wrong.
     type Error;
+
+    /// The samples of the cells that the field is asked for on, and of as many around as `halo` says: cells 2^`level` times as wide,
+    /// between whose middles those cells lie.
+    fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// One separable filter (section 4.2); at a wall it sees the edge cells repeated.
     fn blur(&mut self, field: Self::Field, kernel: &Kernel) -> Result<Self::Field, Self::Error>;
@@ -167,18 +251,50 @@ pub trait Fields {
     /// Of two fields the greater, cell by cell.
     fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
 
-    /// 1 in every full cell, whose theta is not less than `least`.
-    fn occupancy(&mut self, dif: Self::Field, least: u16) -> Result<Self::Field, Self::Error>;
+    /// Two surfaces of the bulk, by the samples under each of its widths.
+    fn depths(&mut self, bulk: &Bulk, shares: [Self::Field; 3]) -> Result<Depths<Self::Field>, Self::Error>;
+
+    /// The one that is drawn, of both and of what they are apart by on average.
+    fn mixed(&mut self, bulk: &Bulk, depths: Depths<Self::Field>) -> Result<Self::Field, Self::Error>;
+
+    /// By how much particles lie outside of the calm surface.
+    fn outlying(
+        &mut self,
+        calm: &Self::Field,
+        clouds: Self::Field,
+        least: u16,
+    ) -> Result<Self::Field, Self::Error>;
 
     /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
-    fn spread(&mut self, field: &Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
+    fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// The field of an adaptive blur, from the blurred occupancy, the smoothed DIF and the greatest of that near by.
-    fn blend(
+    /// A field of wide cells on those that it is asked for on, linear between the middles of wide ones.
+    fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
+
+    /// Whether drops are to be made; `false` only where none can be seen.
+    fn stand_out(&mut self, calm: &Self::Field, near: &Self::Field, gate: &Gate)
+    -> Result<bool, Self::Error>;
+
+    /// Shares of clouds in what is around them.
+    fn quotient(
         &mut self,
-        fine: Self::Field,
-        smooth: Self::Field,
-        near: Self::Field,
-        iso: Isovalue,
+        clouds: Self::Field,
+        around: Self::Field,
+        bits: u32,
     ) -> Result<Self::Field, Self::Error>;
+
+    /// The field, of the calm surface and of drops, where there are any.
+    fn joined(
+        &mut self,
+        calm: Self::Field,
+        near: Self::Field,
+        drops: Option<(&Drops, Self::Field)>,
+        gate: &Gate,
+    ) -> Result<Self::Field, Self::Error>;
+}
+
+/// The cells of which a field takes samples, and whose walls they repeat at a level.
+#[must_use]
+pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
+    walls.map(|walls| (0..level).fold(walls, |walls, _| crate::brick::halved_box(walls)))
 }

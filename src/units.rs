@@ -19,6 +19,9 @@ pub enum UnitError {
     /// The mean number of particles in a full cell.
     #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
     MeanCount(f64),
+    /// The width of what makes water calm.
+    #[error("--smooth must be from {least} to {most} spacings; {0} is not", least = Smooth::LEAST, most = Smooth::MOST)]
+    Smooth(f64),
     /// How far a simplified surface may lie from the one that it replaces.
     #[error("--simplify must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
     Tolerance(f64),
@@ -70,6 +73,9 @@ impl Isovalue {
         Self((u32::from(plateau) * u32::from(Self::PLATEAU_PERCENT) / 100) as u16)
     }
 
+    /// Where distances are 0: see [`distance`](crate::stage::distance).
+    pub const NO_DISTANCE: Self = Self(u16::MAX / 2);
+
     /// The greatest field value that is outside.
     #[must_use]
     pub fn threshold(self) -> u16 {
@@ -114,6 +120,33 @@ impl Sigma {
     #[must_use]
     pub fn half(self) -> Self {
         Self(self.0 / 2.0)
+    }
+}
+
+/// How calm the water is: the width under which particles make one surface, in their spacings.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Smooth(f64);
+
+impl Smooth {
+    /// Of less, single particles show all over.
+    pub const LEAST: f64 = 0.8;
+    /// Of more, nothing is left but bulk.
+    pub const MOST: f64 = 4.0;
+
+    /// What suits most fluids.
+    pub const USUAL: Self = Self(1.6);
+
+    /// # Errors
+    /// [`UnitError::Smooth`] unless [`Self::LEAST`] <= `spacings` <= [`Self::MOST`].
+    pub fn new(spacings: f64) -> Result<Self, UnitError> {
+        let fits = (Self::LEAST..=Self::MOST).contains(&spacings);
+        if fits { Ok(Self(spacings)) } else { Err(UnitError::Smooth(spacings)) }
+    }
+
+    /// In spacings.
+    #[must_use]
+    pub fn spacings(self) -> f64 {
+        self.0
     }
 }
 

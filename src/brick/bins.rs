@@ -77,29 +77,6 @@ impl Slots {
     }
 }
 
-/// Bins of a class that are sampled.
-const SAMPLED_OF_A_CLASS: usize = 32;
-
-/// Bins that tell of all how many cells are full, in order, each with how many it stands for; `first` is where the particles
-/// of each bin begin, and where the last one's end. Bins that hold about as many particles, within a factor of two, are a
-/// class, of which so many are taken at equal steps along the Morton curve: pools and spray each tell of their own. They
-/// stand for as many bins as it takes to have the particles of their class.
-#[must_use]
-pub fn sampled_bins(first: &[usize]) -> Vec<(usize, f64)> {
-    let counts = first.windows(2).map(|ends| ends[1] - ends[0]);
-    let mut classes: [Vec<(usize, usize)>; usize::BITS as usize] = std::array::from_fn(|_| Vec::new());
-    counts.enumerate().for_each(|(bin, count)| classes[count.max(1).ilog2() as usize].push((bin, count)));
-    let of_class = |class: &Vec<(usize, usize)>| {
-        let sampled = || equal_steps(class.len(), SAMPLED_OF_A_CLASS).map(|i| class[i]);
-        let particles: usize = class.iter().map(|(_, count)| count).sum();
-        let weight = particles as f64 / sampled().map(|(_, count)| count).sum::<usize>() as f64;
-        sampled().map(move |(bin, _)| (bin, weight)).collect::<Vec<_>>()
-    };
-    let mut sampled: Vec<_> = classes.iter().flat_map(of_class).collect();
-    sampled.sort_unstable_by_key(|&(bin, _)| bin);
-    sampled
-}
-
 /// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the curve takes turns in
 /// even ones.
 pub fn equal_steps(len: usize, most: usize) -> impl Iterator<Item = usize> {
@@ -155,26 +132,6 @@ impl Bins {
     #[must_use]
     pub fn count(&self, bin: usize) -> usize {
         self.first[bin + 1] - self.first[bin]
-    }
-
-    /// Bins that tell of all how many cells are full: see [`sampled_bins`].
-    #[must_use]
-    pub fn sampled(&self) -> Vec<(usize, f64)> {
-        sampled_bins(&self.first)
-    }
-
-    /// How many cells of bin number `bin` hold particles.
-    ///
-    /// # Errors
-    /// Where they are in a scratch file that cannot be read.
-    pub fn full_cells(&self, bin: usize) -> io::Result<u64> {
-        // Bytes are set whatever they were: bits would wait for one another.
-        let mut full = [0_u8; (BIN * BIN * BIN) as usize];
-        for (cell, _) in self.contents(bin)?.particles() {
-            full[cell % full.len()] = 1;
-        }
-        let (rows, _) = full.as_chunks::<{ BIN as usize }>();
-        Ok(rows.iter().map(|row| u64::from(row.iter().sum::<u8>())).sum())
     }
 
     /// Puts the particles of every bin in order of their cells, x fastest, and of their places in them: whoever

@@ -29,4 +29,10 @@ impl FrameFacts {
     pub fn spacing_cells(&self) -> Option<f64> {
         self.spacing.map(|spacing| spacing / self.grid.cell_size())
     }
+
+    /// The particles' spacing in cells; one, where it is not known.
+    #[must_use]
+    pub fn spacing_cells_or_one(&self) -> f64 {
+        self.spacing_cells().unwrap_or(1.0)
+    }
 }

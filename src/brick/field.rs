@@ -68,6 +68,12 @@ impl DifField {
         Self { stored: Stored::Counts(DecodeTable::new(theta)), ..self }
     }
 
+    /// Bytes of samples that may be in memory; `None` where all are.
+    #[must_use]
+    pub(super) fn cache_bytes(&self) -> Option<u64> {
+        self.store.cache_bytes()
+    }
+
     /// How far from a page's full cells the DIF can be more than 0, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {

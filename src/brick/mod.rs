@@ -4,6 +4,7 @@ mod bin;
 mod binned;
 mod bins;
 mod block;
+mod coarse;
 mod elias_fano;
 mod facts;
 mod field;
@@ -17,8 +18,9 @@ pub mod vulkan;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use binned::BinnedParticles;
-pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, sampled_bins, unpack};
+pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, unpack};
 pub use block::Block;
+pub use coarse::halved_box;
 pub use facts::FrameFacts;
 pub use field::DifField;
 pub use page::{BrickSide, PageInfo, PageShape, Pages, full_bits, fullness};

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::grid::MortonKey;
 use crate::scratch::Scratch;
 
-use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, sampled_bins, tuple_bytes};
+use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, tuple_bytes};
 use super::elias_fano::EliasFano;
 
 /// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
@@ -72,12 +72,6 @@ impl SpilledBins {
     #[must_use]
     pub fn runs(&self) -> &[Range<usize>] {
         &self.runs
-    }
-
-    /// Bins that tell of all how many cells are full: see [`sampled_bins`].
-    #[must_use]
-    pub fn sampled(&self) -> Vec<(usize, f64)> {
-        sampled_bins(&self.first)
     }
 
     /// Numbers of a particle's attributes.

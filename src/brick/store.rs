@@ -57,6 +57,14 @@ impl Store {
         Self::Paged { source, cache }
     }
 
+    /// Bytes of pages that may be in memory; `None` where all are.
+    pub(super) fn cache_bytes(&self) -> Option<u64> {
+        match self {
+            Self::Memory(_) => None,
+            Self::Paged { cache, .. } => Some(cache.capacity()),
+        }
+    }
+
     /// For a page that is likely to be wanted again soon.
     #[inline]
     pub(super) fn cached(&self, page: u32, shape: PageShape) -> Cached<'_> {

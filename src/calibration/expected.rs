@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::brick::DifField;
 use crate::grid::FRACTIONS;
-use crate::stage::indicator::{Indicator, amount, count_table, symmetry};
+use crate::stage::indicator::{Indicator, count_table, symmetry};
 use crate::units::FULL;
 
 /// How often a fluid is made, each time elsewhere on the grid.
@@ -33,10 +33,6 @@ const MOST: f64 = 4.0;
 /// change a mean. As in a field, 65535 is 1. Counts also tell of the disorder that there is in a frame, from its DIF.
 pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f64 {
     match indicator {
-        // Clouds add up, wherever the particles are.
-        Indicator::Cloud(mean) => {
-            (f64::from(amount(mean)) / (spacing * spacing * spacing)).min(f64::from(FULL))
-        }
         Indicator::Counting(mean) => {
             let table = count_table(mean);
             let theta = |[n, ..]: [f64; 4]| table.get(n as usize).copied().unwrap_or(FULL);
@@ -45,6 +41,7 @@ pub fn expected(indicator: Indicator, spacing: f64, dif: Option<&DifField>) -> f
             fluid.theta() / dif.map_or(1.0, |dif| crowding(dif, fluid.mean_count()))
         }
         Indicator::Symmetry => Fluid::of(spacing, symmetry).theta(),
+        Indicator::Cloud(amount) => f64::from(amount.steps()) / (spacing * spacing * spacing),
     }
 }
 
@@ -147,8 +144,7 @@ mod tests {
                 let ratio = share(indicator, spacing) / (each * a_cell);
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} at {spacing}: {ratio}");
             };
-            // As many as fit into 2 mu0, of mu0, and of a centroid that may be anywhere in the cell.
-            near(Indicator::Cloud(mean), 0.4, 0.01);
+            // As many as fit into mu0, and of a centroid that may be anywhere in the cell.
             near(Indicator::Counting(mean), 0.8, 0.02);
             near(Indicator::Symmetry, 0.4454, 0.05);
         }
@@ -157,11 +153,9 @@ mod tests {
     #[test]
     fn in_coarse_cells_it_is_that_of_many_particles() {
         let mean = MeanCount::new(64.0).unwrap();
-        assert!((share(Indicator::Cloud(mean), 0.25) - 0.5).abs() < 0.001);
         assert!((0.93..1.0).contains(&share(Indicator::Counting(mean), 0.25)));
         assert!((0.85..1.0).contains(&share(Indicator::Symmetry, 0.25)));
         let one = MeanCount::new(1.0).unwrap();
-        assert_eq!(expected(Indicator::Cloud(one), 0.01, None), f64::from(FULL));
         assert_eq!(expected(Indicator::Counting(one), 0.01, None), f64::from(FULL));
     }
 }

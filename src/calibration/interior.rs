@@ -6,10 +6,8 @@
 
 use glam::IVec3;
 
-use crate::brick::{full_bits, fullness};
+use crate::brick::{Block, DifField, full_bits, fullness};
 use crate::grid::{BLOCK, CellBox};
-use crate::stage::blur::{Filter, Smoothing};
-use crate::stage::indicator::SampledDif;
 
 use super::histogram::Histogram;
 
@@ -19,10 +17,24 @@ const DEPTH: f64 = 2.5;
 /// Cells of a row, at the most: each is a bit.
 const ROW: i32 = u128::BITS as i32;
 
+/// Samples, and what smooths them.
+pub struct Blurred<'a> {
+    pub dif: &'a DifField,
+    /// Beyond them edge cells are repeated.
+    pub walls: Option<CellBox>,
+    /// How far from its own cell a particle leaves something.
+    pub reach: i32,
+    /// How far the filters see.
+    pub halo: i32,
+    /// The standard deviation of what they make of a particle, in cells.
+    pub width: f64,
+    /// Smooths a block.
+    pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
+}
+
 /// The interior cells of a frame.
 pub struct Interior<'a> {
-    frame: &'a SampledDif,
-    smoothing: &'a Smoothing,
+    blurred: &'a Blurred<'a>,
     /// By how much full cells are dilated.
     dilation: i32,
     /// By how much that is eroded.
@@ -31,25 +43,29 @@ pub struct Interior<'a> {
 
 impl<'a> Interior<'a> {
     /// Where gaps in which a cube of `gap` cells finds room are closed, or of three where that is more.
-    pub fn new(frame: &'a SampledDif, smoothing: &'a Smoothing, gap: f64) -> Self {
-        let reach = frame.dif.reach();
-        let width = smoothing.width(frame.indicator.kind());
-        let depth = (reach + smoothing.halo()).min((DEPTH * width).ceil() as i32);
+    pub fn new(blurred: &'a Blurred<'a>, gap: f64) -> Self {
+        let &Blurred { reach, halo, width, .. } = blurred;
+        let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
         // A cube of so many cells around each. A spacing over a cell that is a quotient of decimals is off by a rounding.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
         // What is stored of clouds is dilated by their reach already.
-        Self { frame, smoothing, dilation: closing - reach, erosion: closing + depth }
+        Self { blurred, dilation: closing - reach, erosion: closing + depth }
+    }
+
+    /// The parts of blocks that hold samples.
+    pub fn blocks(&self) -> Vec<CellBox> {
+        self.blurred.dif.regions(0, 0)
     }
 
     /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
-        let Self { frame, smoothing, dilation, erosion } = *self;
-        let walls = frame.facts.walls();
-        let (seen, reach) = (dilation + erosion, smoothing.halo());
+        let Self { blurred, dilation, erosion } = *self;
+        let walls = blurred.walls;
+        let (seen, reach) = (dilation + erosion, blurred.halo);
         let margin = seen.max(reach);
-        let wide = frame.dif.gather_within(cells.grown(margin, margin), walls);
+        let wide = blurred.dif.gather_within(cells.grown(margin, margin), walls);
         let [_, width, slab] = wide.strides();
         let mut rows: Vec<u128> = fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
@@ -72,7 +88,7 @@ impl<'a> Interior<'a> {
         if near.is_empty() {
             return;
         }
-        let field = smoothing.apply(wide.part(near.grown(reach, reach)), walls);
+        let field = (blurred.apply)(wide.part(near.grown(reach, reach)), walls);
         for (y, z, bits) in interior {
             let first = field.index(IVec3::new(near.lo.x, y, z));
             histogram.add(&field.samples()[first..][..near.size().x as usize], bits >> (near.lo.x - lo.x));

@@ -1,12 +1,12 @@
 //! mu0, the mean number of particles in a full cell (eq. 4): given, or measured on the way to the DIF.
 //!
-//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Clouds are made by it: a stratified sample
-//! of bins, which is all of them in a small frame, estimates the number of full cells before.
+//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Only counting has a use for it: what clouds
+//! hold is told by the particles' spacing.
 
 use thiserror::Error;
 
 use crate::brick::{BrickSide, FrameFacts};
-use crate::stage::indicator::{Content, Indicator, IndicatorKind, IndicatorRequest, PageRule};
+use crate::stage::indicator::{Amount, Content, Indicator, IndicatorKind, IndicatorRequest, PageRule};
 use crate::units::{MeanCount, UnitError};
 
 /// A frame on which mu0 cannot be measured.
@@ -21,9 +21,6 @@ pub trait Binned {
     type Made;
     /// The errors of whoever keeps them.
     type Error: From<NoMeanCount>;
-
-    /// About how many cells hold particles, by a stratified sample of the bins.
-    fn full_cells(&self) -> Result<u64, Self::Error>;
 
     /// Makes the pages of all bins, and says how many cells are full.
     fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), Self::Error>;
@@ -43,8 +40,8 @@ pub fn indicate<B: Binned>(
     let measured = |full_cells| MeanCount::measured(particles, full_cells).map_err(NoMeanCount);
     let known = match (asked.kind, asked.mean) {
         (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
-        (kind, Some(mean)) => Some(kind.by(mean)),
-        (IndicatorKind::Cloud, None) => Some(Indicator::Cloud(measured(binned.full_cells()?)?)),
+        (IndicatorKind::Cloud, _) => Some(Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one()))),
+        (IndicatorKind::Counting, Some(mean)) => Some(Indicator::Counting(mean)),
         (IndicatorKind::Counting, None) => None,
     };
     let content = known.map_or(Content::Counts, Indicator::content);

@@ -7,15 +7,17 @@
 //!
 //! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that spacing would have stands in.
 
-use crate::brick::{DifField, equal_steps};
+use crate::brick::equal_steps;
 use crate::grid::CellBox;
-use crate::stage::blur::Smoothing;
-use crate::stage::indicator::SampledDif;
+use crate::recipe::walls_at;
+use crate::stage::blur::{Filter, Smoothing, blur};
+use crate::stage::distance::{BULK_GAIN, Distances, WideCells};
+use crate::stage::indicator::{RIM, SampledDif};
 use crate::units::Isovalue;
 
 use super::expected::expected;
 use super::histogram::Histogram;
-use super::interior::Interior;
+use super::interior::{Blurred, Interior};
 
 /// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
@@ -48,20 +50,60 @@ pub enum Plateau {
 }
 
 impl Plateau {
-    /// Measures a frame's plateau. The result depends on the frame and the smoothing alone. Particles whose spacing is not known
-    /// are taken to be a cell apart.
+    /// The plateau of clouds with a particle in each cubed spacing, by the spacing in cells.
+    #[must_use]
+    pub fn nominal(spacing: f64) -> f64 {
+        WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
+    }
+
+    /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The result depends on the frame and that
+    /// width alone.
+    #[must_use]
+    pub fn of_clouds(frame: &SampledDif, distances: &Distances) -> Self {
+        let narrowest = &distances.bulk.widths[0];
+        let wide = frame.wide_cells();
+        let spacing = 1.0 / wide.edge;
+        let volume = spacing * spacing * spacing;
+        let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
+        let blurred = Blurred {
+            dif: frame.wide(distances.level),
+            walls: walls_at(distances.level, frame.facts.walls()),
+            reach: RIM,
+            halo: narrowest.kernel.reach(),
+            width: f64::from(narrowest.spacings) / 4096.0 * spacing,
+            apply: &|block, walls| blur(block, &narrowest.kernel, walls),
+        };
+        let found = GAPS.into_iter().find_map(|(gap, share)| {
+            let interior = Interior::new(&blurred, gap * spacing);
+            let (median, lowest) = measured(&interior, ENOUGH * volume, LEAST * volume)?;
+            let is_fluid = |share| f64::from(median) >= share * nominal;
+            share.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
+        });
+        found.unwrap_or(Self::Shallow { expected: nominal.round() as u16 })
+    }
+
+    /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and the smoothing alone. Particles
+    /// whose spacing is not known are taken to be a cell apart.
     #[must_use]
     pub fn of(frame: &SampledDif, smoothing: &Smoothing) -> Self {
         let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
         let cells = spacing.unwrap_or(1.0);
+        let blurred = Blurred {
+            dif,
+            walls: frame.facts.walls(),
+            reach: 0,
+            halo: smoothing.halo(),
+            width: smoothing.width(),
+            apply: &|block, walls| smoothing.apply(block, walls),
+        };
         // Symmetry does not tell how many particles there are, and any interior is better than none where the spacing is not
         // known, for nothing can be expected there.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
         let (enough, least) = (ENOUGH * volume, if spacing.is_some() { LEAST * volume } else { 1.0 });
         let found = GAPS.into_iter().find_map(|(gap, share)| {
-            let interior = Interior::new(frame, smoothing, gap * cells);
-            let (median, lowest) = measured(dif, &interior, enough, least)?;
+            let interior = Interior::new(&blurred, gap * cells);
+            let (median, lowest) = measured(&interior, enough, least)?;
             let is_fluid = |(share, spacing)| f64::from(median) >= share * expected(indicator, spacing, None);
             share.zip(counted).is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
         });
@@ -89,8 +131,8 @@ impl Plateau {
 
 /// The median and the least value over the interior: of `enough` cells in the middles of some blocks, else of all that these
 /// have, if that is at `least` so much.
-fn measured(dif: &DifField, interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
-    let blocks = dif.regions(0, 0);
+fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
+    let blocks = interior.blocks();
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();
     let middles = || sampled.iter().map(middle).collect::<Vec<_>>();
     let of = |parts: &[CellBox], enough: f64| {

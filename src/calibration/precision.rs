@@ -9,7 +9,7 @@ use std::fmt;
 use thiserror::Error;
 
 use crate::stage::blur::Smoothing;
-use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::stage::indicator::{Indicator, IndicatorKind, IndicatorRequest, SampledDif};
 use crate::units::{MeanCount, Sigma};
 
 use super::Plateau;
@@ -24,6 +24,9 @@ pub const COARSEST_STEP: f64 = 0.125;
 /// The cells that are just too fine for symmetry, in spacings. Seven of eight are empty deep in the fluid, and where the others'
 /// particles happen to lie moves the surface.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
+
+/// The finest cells in which distances from clouds are made, in spacings: drops of a particle alone are twelve of them wide.
+pub const FINEST: f64 = 0.1;
 
 /// The least mean indicator of full cells in which particles lie as they may. By symmetry it is 0.44 in disorder, where a cell
 /// holds one particle, and next to nothing of a lattice whose particles lie on the corners of cells.
@@ -47,6 +50,18 @@ pub enum TooFine {
         step_cells: f64,
         /// How to make the field finer.
         remedy: Remedy,
+    },
+    /// So fine that even drops need none finer.
+    #[error(
+        "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more; is their \
+         --spacing right?",
+        digits(*cell_size), roundly_above(FINEST * spacing)
+    )]
+    Finest {
+        /// Edge of a cell.
+        cell_size: f64,
+        /// The particles' spacing.
+        spacing: f64,
     },
     /// Too many cells are empty to tell how particles lie in them.
     #[error(
@@ -100,11 +115,17 @@ pub fn refuse_too_fine_for(
     cell_size: f64,
     sigma: impl Fn(f64) -> Sigma,
 ) -> Result<(), TooFine> {
+    let by = match asked.kind {
+        IndicatorKind::Cloud => return refuse_finest(Some(spacing / cell_size), cell_size),
+        // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
+        IndicatorKind::Counting => Indicator::Counting(
+            asked.mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
+        ),
+        IndicatorKind::Symmetry => Indicator::Symmetry,
+    };
     refuse_symmetry(asked.kind, Some(spacing / cell_size), cell_size)?;
-    // The fewer particles there are in full cells, the more each of them makes of its own, and there is one at least.
-    let mean = asked.mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds"));
-    let plateau = |size: f64| expected(asked.kind.by(mean), spacing / size, None);
-    let width = |size: f64| Smoothing::new(asked.kind, sigma(size)).width(asked.kind);
+    let plateau = |size: f64| expected(by, spacing / size, None);
+    let width = |size: f64| Smoothing::new(asked.kind, sigma(size)).width();
     let larger = |_| Remedy::Cells(fitting(cell_size, |size| step_cells(plateau(size), width(size))));
     refuse_steps(plateau(cell_size), width(cell_size), cell_size, larger).map(drop)
 }
@@ -115,7 +136,7 @@ pub fn refuse_too_fine_for(
 /// [`TooFine`].
 pub fn refuse_too_fine(frame: &SampledDif, smoothing: &Smoothing, plateau: Plateau) -> Result<f64, TooFine> {
     let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
-    refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(kind), cell_size, |step_cells| {
+    refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
         if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
             return Remedy::Origin;
         }
@@ -149,6 +170,18 @@ pub fn refuse_symmetry(kind: IndicatorKind, spacing: Option<f64>, cell_size: f64
             Err(TooFine::Symmetry { cell_size, spacing: spacing * cell_size })
         }
         _ => Ok(()),
+    }
+}
+
+/// Refuses cells that are finer than distances from clouds need, by their particles' spacing in cells.
+///
+/// # Errors
+/// [`TooFine::Finest`].
+pub fn refuse_finest(spacing: Option<f64>, cell_size: f64) -> Result<(), TooFine> {
+    // A quotient of decimals is off by a rounding.
+    match spacing.filter(|spacing| spacing * FINEST > 1.0 + 1e-9) {
+        Some(spacing) => Err(TooFine::Finest { cell_size, spacing: spacing * cell_size }),
+        None => Ok(()),
     }
 }
 

@@ -41,10 +41,6 @@ impl Binned for HostBins<'_> {
     type Made = (FieldSink, Option<Bins>);
     type Error = FrameError;
 
-    fn full_cells(&self) -> Result<u64, FrameError> {
-        self.binned.full_cells().map_err(self.resources.scratch_error())
-    }
-
     fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), FrameError> {
         let Self { binned, stages, mut sink, resources, keep, .. } = self;
         let take = |bins: &Bins| sink.take(stages, bins, rule);

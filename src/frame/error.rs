@@ -35,14 +35,22 @@ pub enum FrameError {
     /// The field exceeds the isovalue nowhere.
     #[error(
         "the surface is empty: the field is nowhere above the isovalue {:.4}; \
-         --adaptive keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller --sigma; \
-         is the --spacing right?",
+         --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
+         --sigma; is the --spacing right?",
         iso.value()
     )]
     NoSurface {
         /// What was asked for, or measured.
         iso: Isovalue,
     },
+    /// No cell's middle is inside of a surface that was drawn by distances.
+    #[error(
+        "the surface is empty: no cell's centre is inside of it; use smaller cells; is the --spacing right?"
+    )]
+    NoDistance,
+    /// What was measured on a frame of another indicator says nothing of this one.
+    #[error("it was packed with another indicator than the frame that all are drawn by")]
+    OtherIndicator,
     /// Kernels are as wide as the spacing says.
     #[error("kernel methods have to know the spacing of the particles")]
     NoSpacing,

@@ -132,7 +132,7 @@ impl Frame {
     /// Takes a frame that was sampled before, for surfaces that take as much as such a one.
     #[must_use]
     pub fn from_sampled(sampled: SampledDif, surfacing: &Surfacing, resources: Resources) -> Self {
-        let SampledDif { facts, indicator, dif } = &sampled;
+        let SampledDif { facts, indicator, dif, .. } = &sampled;
         let field = FieldRequest::from(indicator.kind());
         let drawing = field.drawing(surfacing, facts.spacing, &facts.grid, Vec::new());
         let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing, resources.host_bytes());
@@ -212,6 +212,12 @@ impl Frame {
         let (drawn, measured) = match &self.field {
             Field::Dif { sampled, stages } => {
                 let (calibration, measured) = match known {
+                    Some(Calibration::Clouds { .. }) if !sampled.is_clouds() => {
+                        return Err(FrameError::OtherIndicator);
+                    }
+                    Some(Calibration::Indicator { .. }) if sampled.is_clouds() => {
+                        return Err(FrameError::OtherIndicator);
+                    }
                     Some(known) => (*known, None),
                     None => {
                         let measured = surfacing.calibrate(sampled)?;
@@ -220,7 +226,9 @@ impl Frame {
                     }
                 };
                 let recipe = surfacing.recipe(sampled, &calibration);
-                (Drawn::of_dif(sampled, &**stages, recipe, normals), measured)
+                let FrameFacts { spacing, grid, .. } = &sampled.facts;
+                let smoothing = surfacing.attribute_smoothing(sampled.indicator.kind(), *spacing, grid);
+                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals), measured)
             }
             Field::Kernels(sampled) => (sampled.drawn(normals), None),
         };

@@ -3,13 +3,14 @@
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
 use crate::estimate::Drawing;
-use crate::grid::{Domain, Grid};
-use crate::recipe::{Detail, Filters, Recipe};
+use crate::grid::{BLOCK, Domain, Grid};
+use crate::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::rivals::Method;
-use crate::stage::blur::Filter;
+use crate::stage::blur::{Filter, Smoothing};
+use crate::stage::distance::Distances;
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
-use crate::units::{Isovalue, Sigma};
+use crate::units::{Isovalue, Sigma, Smooth};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Resources};
@@ -99,15 +100,16 @@ impl FieldRequest {
         match *self {
             Self::Indicator(asked) => {
                 let filters = surfacing.filters(asked.kind, spacing, grid);
-                let [halo, carried_halo] = [filters.halo(), filters.halo()];
-                let cell_bytes = filters.fields().host * size_of::<u16>() as u64;
-                let keeps_details = filters.keeps_details();
-                Drawing { halo, cell_bytes, carried_halo, keeps_details, normals, components }
+                let carried_halo = surfacing.attribute_smoothing(asked.kind, spacing, grid).halo();
+                let (block_bytes, keeps_details) = (filters.block_bytes(), filters.keeps_details());
+                Drawing { block_bytes, carried_halo, keeps_details, normals, components }
             }
             Self::Kernels(_) => {
                 let smoothing = attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size());
-                let (carried_halo, cell_bytes) = (smoothing.halo(), Method::CELL_BYTES);
-                Drawing { halo: 0, cell_bytes, carried_halo, keeps_details: false, normals, components }
+                // Dual cells reach one cell up, and normals one cell each way.
+                let block_bytes = Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3);
+                let carried_halo = smoothing.halo();
+                Drawing { block_bytes, carried_halo, keeps_details: false, normals, components }
             }
         }
     }
@@ -119,10 +121,15 @@ impl FieldRequest {
     }
 }
 
+/// How wide a Gaussian smooths the attributes of clouds, in spacings.
+const ATTRIBUTES_SMOOTHED: f64 = 0.8;
+
 /// How a surface is drawn through a frame. For kernels only the normals have a meaning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surfacing {
-    /// The Gaussian's width; that of the frame's spacing where it is `None`.
+    /// How calm the water is; of clouds alone.
+    pub smooth: Smooth,
+    /// The Gaussian's width; that of the frame's spacing where it is `None`. Of the paper's indicators, as the next two.
     pub sigma: Option<Sigma>,
     /// The isovalue; a share of the frame's plateau where it is `None`.
     pub iso: Option<Isovalue>,
@@ -134,7 +141,13 @@ pub struct Surfacing {
 
 impl Surfacing {
     /// A surface as smooth as the frame's spacing says, and nothing else.
-    pub const PLAIN: Self = Self { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
+    pub const PLAIN: Self = Self {
+        smooth: Smooth::USUAL,
+        sigma: None,
+        iso: None,
+        detail: Detail::Smoothed,
+        normals: Normals::None,
+    };
 
     /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.
     ///
@@ -147,19 +160,40 @@ impl Surfacing {
         grid: &Grid,
     ) -> Result<(), TooFine> {
         let Some(known) = spacing else { return Ok(()) };
-        let sigma = |cell_size| self.width(asked.kind, spacing, cell_size);
+        let sigma = |cell_size| self.width(spacing, cell_size);
         refuse_too_fine_for(asked, known, grid.cell_size(), sigma)
     }
 
     /// The Gaussian's width, asked for or not, for particles so far apart in cells of a size.
     #[must_use]
-    pub fn width(&self, kind: IndicatorKind, spacing: Option<f64>, cell_size: f64) -> Sigma {
-        let cells = |spacing: f64| kind.spacings_smoothed() * spacing / cell_size;
+    pub fn width(&self, spacing: Option<f64>, cell_size: f64) -> Sigma {
+        let cells = |spacing: f64| spacing / cell_size;
         self.sigma.unwrap_or_else(|| Sigma::at_least_a_cell(spacing.map(cells)))
     }
 
+    /// Clouds of particles whose spacing is not known are taken to be those of particles a cell apart.
     fn filters(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Filters {
-        Filters::new(kind, self.width(kind, spacing, grid.cell_size()), self.detail)
+        match kind {
+            IndicatorKind::Cloud => {
+                let cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
+                Filters::Distances(Distances::new(self.smooth, cells))
+            }
+            IndicatorKind::Symmetry | IndicatorKind::Counting => {
+                let sigma = self.width(spacing, grid.cell_size());
+                Filters::Paper(PaperFilters::new(kind, sigma, self.detail))
+            }
+        }
+    }
+
+    /// What smooths attributes: the smoothing of the field, or of clouds one of a width between drops and bulk.
+    #[must_use]
+    pub fn attribute_smoothing(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Smoothing {
+        let cells = |spacing: f64| ATTRIBUTES_SMOOTHED * spacing / grid.cell_size();
+        let sigma = match kind {
+            IndicatorKind::Cloud => Sigma::at_least_a_cell(spacing.map(cells)),
+            IndicatorKind::Symmetry | IndicatorKind::Counting => self.width(spacing, grid.cell_size()),
+        };
+        Smoothing::new(kind, sigma)
     }
 
     /// Measures what a surface through a frame has to know.
@@ -168,7 +202,7 @@ impl Surfacing {
     /// [`TooFine`] where the field does not tell finely enough where the surface is.
     pub fn calibrate(&self, frame: &SampledDif) -> Result<Calibrated, TooFine> {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
-        calibrate(frame, &filters.smoothing, self.iso)
+        calibrate(frame, &filters, self.iso)
     }
 
     /// From the DIF of a frame to its surface, by what was measured on it or on another. The frame keeps the mu0 that its DIF
@@ -176,6 +210,6 @@ impl Surfacing {
     #[must_use]
     pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
-        Recipe::new(filters, frame.indicator, calibration.iso)
+        Recipe::new(filters, calibration)
     }
 }

@@ -13,14 +13,13 @@ use std::sync::Arc;
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
-use crate::brick::{BrickSide, Census, DifField, FrameFacts, InvalidParticles, Pages, sampled_bins};
+use crate::brick::{Census, DifField, FrameFacts, InvalidParticles, Pages};
 use crate::calibration::{Binned, Calibrated, Plateau, indicate};
 use crate::grid::{Domain, Grid};
-use crate::recipe::Detail;
 use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{Content, IndicatorRequest, PageRule, SampledDif};
+use crate::stage::indicator::{IndicatorRequest, PageRule, SampledDif};
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use crate::units::{Isovalue, Sigma};
+use crate::units::Isovalue;
 use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
 
 use super::{FrameError, Surfacing};
@@ -41,12 +40,8 @@ pub struct Settings {
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
     pub spacing: Option<f64>,
-    /// The Gaussian's width.
-    pub sigma: Sigma,
-    /// How details are treated that smoothing loses.
-    pub detail: Detail,
-    /// The isovalue; a share of the frame's plateau where it is `None`.
-    pub iso: Option<Isovalue>,
+    /// How the surface is drawn; normals are not made.
+    pub surfacing: Surfacing,
 }
 
 /// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live as long as this.
@@ -102,7 +97,7 @@ impl Pipeline {
         positions: &[DevicePositions],
         settings: &Settings,
     ) -> Result<ResidentSurface, FrameError> {
-        let &Settings { grid, domain, indicator, invalid, spacing, sigma, detail, iso } = settings;
+        let &Settings { grid, domain, indicator, invalid, spacing, surfacing } = settings;
         let device = self.vulkan.device();
         let bins = bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)?;
         let census = bins.census;
@@ -112,17 +107,19 @@ impl Pipeline {
         let frame = self.vulkan.start_resident();
         let facts = FrameFacts { grid, domain, census, spacing };
         let side = indicator.kind.brick_side();
-        let binned = ResidentBins { vulkan: &self.vulkan, frame: &frame, bins };
+        let binned = ResidentBins { frame: &frame, bins };
         let (indicator, pages) = indicate(binned, &facts, indicator, side)?;
         let stored = DifField::in_memory(indicator.kind().shape(side), pages);
         let sampled = SampledDif::new(facts, indicator, stored);
-        let surfacing = Surfacing { sigma: Some(sigma), iso, detail, normals: Normals::None };
         let Calibrated { calibration, plateau, .. } = surfacing.calibrate(&sampled)?;
         let recipe = surfacing.recipe(&sampled, &calibration);
         let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
         if parts.blocks.is_empty() {
-            return Err(FrameError::NoSurface { iso: recipe.iso });
+            return Err(match recipe.iso {
+                Isovalue::NO_DISTANCE => FrameError::NoDistance,
+                iso => FrameError::NoSurface { iso },
+            });
         }
 
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
@@ -158,7 +155,6 @@ impl Pipeline {
 
 /// Particles in order of their bins on a device, whose pages stay there and are on the host as well.
 struct ResidentBins<'a> {
-    vulkan: &'a Vulkan,
     frame: &'a ResidentFrame,
     bins: DeviceBins,
 }
@@ -166,15 +162,6 @@ struct ResidentBins<'a> {
 impl Binned for ResidentBins<'_> {
     type Made = Pages;
     type Error = FrameError;
-
-    /// Counts all bins, and looks at those that the host looks at.
-    fn full_cells(&self) -> Result<u64, FrameError> {
-        let rule = PageRule { content: Content::Counts, side: BrickSide::default(), walls: None };
-        let pages = self.vulkan.start_resident().indicate(&self.bins, &rule)?;
-        debug_assert_eq!(pages.len(), self.bins.keys.len(), "every bin has a page");
-        let full_cells = |(bin, weight): (usize, f64)| weight * f64::from(pages[bin].0.full_count);
-        Ok(sampled_bins(&self.bins.first).into_iter().map(full_cells).sum::<f64>().round() as u64)
-    }
 
     fn make_pages(self, rule: &PageRule) -> Result<(u64, Pages), FrameError> {
         let pages = self.frame.indicate(&self.bins, rule)?;

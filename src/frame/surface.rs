@@ -19,6 +19,7 @@ use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
 use crate::stage::indicator::SampledDif;
 use crate::stitch::Stitched;
+use crate::units::Isovalue;
 
 use super::{FrameError, Resources};
 
@@ -46,12 +47,13 @@ impl<'a> Drawn<'a> {
         sampled: &'a SampledDif,
         stages: &'a dyn Stages,
         recipe: Recipe,
+        attribute_smoothing: Smoothing,
         normals: Normals,
     ) -> Self {
         Self {
             regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
             crossings: recipe.iso.into(),
-            attribute_smoothing: recipe.filters.smoothing.clone(),
+            attribute_smoothing,
             contour: Box::new(move |regions, finish| {
                 let blocks = stages.contour(&Surfaces { sampled, recipe: &recipe, normals }, regions);
                 let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
@@ -95,6 +97,7 @@ impl CalibratedFrame<'_> {
             _ if !spool.is_empty() => {
                 Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
             }
+            Crossings::Samples(Isovalue::NO_DISTANCE) => Err(FrameError::NoDistance),
             Crossings::Samples(iso) => Err(FrameError::NoSurface { iso }),
             Crossings::Fractions => Err(FrameError::NoKernelSurface),
         }

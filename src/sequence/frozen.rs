@@ -58,7 +58,8 @@ pub struct Frozen {
     pub calibration: Option<Calibration>,
 }
 
-/// A calibration as the state file has it: mu0 where the indicator counts, and the isovalue as a fraction of 1.
+/// A calibration as the state file has it: mu0 where the indicator counts, and the isovalue as a fraction of 1; or the plateau
+/// of clouds.
 mod as_numbers {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -70,20 +71,31 @@ mod as_numbers {
     struct Numbers {
         mu0: Option<f64>,
         isovalue: Option<f64>,
+        plateau: Option<u16>,
     }
 
     pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
-        let mu0 = known.and_then(|known| known.mean).map(MeanCount::particles);
-        Numbers { mu0, isovalue: known.map(|known| known.iso.value()) }.serialize(to)
+        let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
+        let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
+        let plateau = match known {
+            Some(Calibration::Clouds { plateau }) => Some(*plateau),
+            _ => None,
+        };
+        Numbers { mu0, isovalue, plateau }.serialize(to)
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
-        let Numbers { mu0, isovalue } = Numbers::deserialize(from)?;
+        let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
         let calibration = |iso| {
             let mean = mu0.map(MeanCount::new).transpose()?;
-            Ok::<_, UnitError>(Calibration { mean, iso: Isovalue::new(iso)? })
+            Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })
         };
-        isovalue.map(calibration).transpose().map_err(D::Error::custom)
+        match (plateau, isovalue) {
+            (Some(0), _) => Err(D::Error::custom("a plateau of 0")),
+            (Some(plateau), None) => Ok(Some(Calibration::Clouds { plateau })),
+            (Some(_), Some(_)) => Err(D::Error::custom("both a plateau and an isovalue")),
+            (None, isovalue) => isovalue.map(calibration).transpose().map_err(D::Error::custom),
+        }
     }
 }
 
@@ -211,7 +223,7 @@ impl Frozen {
     pub fn field(&self, asked: FieldRequest) -> FieldRequest {
         match (asked, &self.calibration) {
             (FieldRequest::Indicator(asked), Some(known)) => {
-                FieldRequest::Indicator(IndicatorRequest { mean: known.mean, ..asked })
+                FieldRequest::Indicator(IndicatorRequest { mean: known.mean(), ..asked })
             }
             _ => asked,
         }

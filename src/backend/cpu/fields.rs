@@ -4,10 +4,13 @@ use std::rc::Rc;
 
 use crate::brick::Block;
 use crate::grid::CellBox;
-use crate::recipe::{Detail, Fields, Recipe};
-use crate::stage::adaptive::{blend, occupancy, spread};
+use crate::recipe::{Fields, Filters, Recipe, walls_at};
 use crate::stage::blur::{Kernel, blur_while};
 use crate::stage::detail::{lost, raise};
+use crate::stage::distance::{
+    Bulk, Depths, Drops, Gate, NONE, any_outlying, depths, joined, mixed, outlying, quotient, refined,
+    spread, wide_cells,
+};
 use crate::stage::indicator::SampledDif;
 use crate::units::Isovalue;
 
@@ -25,7 +28,7 @@ fn minimum(samples: &[u16]) -> u16 {
 /// The final field on `cells` of a frame.
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
-    field_while(recipe, sampled, cells, &|_| true).expect("nothing stops it")
+    apply(recipe, sampled, cells, Looking::Away).expect("nothing stops it")
 }
 
 /// The final field on `cells` where the surface can pass between them, as far as can be told before there is a field.
@@ -35,83 +38,161 @@ pub(super) fn cut_field(
     cells: CellBox,
     away_from_walls: bool,
 ) -> Option<Block> {
-    field_while(recipe, sampled, cells, &|block| may_cut(recipe, block, away_from_walls))
+    apply(recipe, sampled, cells, Looking::For { iso: recipe.iso, away_from_walls })
 }
 
-/// Whether the surface can pass between cells whose field this decides: the DIF, or what smoothing has come to.
-fn may_cut(recipe: &Recipe, block: &Block, away_from_walls: bool) -> bool {
-    // A weighted mean lies on the same side as all that it is made of. In an adaptive blur every full cell
-    // can be inside. All inside is no surface only away from walls.
-    let threshold = recipe.iso.threshold();
-    let least = if recipe.filters.detail() == Detail::Adaptive { 0 } else { threshold };
-    let mut pieces = block.samples().chunks(PIECE);
-    let any_inside = pieces.clone().any(|piece| maximum(piece) > least);
-    any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
+fn apply(recipe: &Recipe, sampled: &SampledDif, cells: CellBox, looking: Looking) -> Option<Block> {
+    // The paper's smoothing is a mean of the DIF, and decides where nothing brings details back.
+    let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
+    let mut blocks = Blocks { sampled, cells, looking, decides };
+    let field = recipe.apply(&mut blocks).ok();
+    field.map(|field| Rc::unwrap_or_clone(field.block))
 }
 
-/// The field as long as `goes_on` says so of the DIF, and where nothing brings details back of what smoothing has come to.
-fn field_while(
-    recipe: &Recipe,
-    SampledDif { facts, dif, .. }: &SampledDif,
-    cells: CellBox,
-    goes_on: &dyn Fn(&Block) -> bool,
-) -> Option<Block> {
-    let (halo, walls) = (recipe.filters.halo(), facts.walls());
-    let dif = dif.gather_within(cells.grown(halo, halo), walls);
-    if !goes_on(&dif) {
-        return None;
+/// Whether a field is only wanted where the surface passes.
+#[derive(Clone, Copy)]
+enum Looking {
+    /// It is wanted in any case.
+    Away,
+    /// Where it can be cut at this isovalue.
+    For { iso: Isovalue, away_from_walls: bool },
+}
+
+impl Looking {
+    /// Whether a surface can pass between cells whose field is, at its greatest, such means of these samples.
+    fn may_cut(self, block: &Block) -> bool {
+        let Self::For { iso, away_from_walls } = self else { return true };
+        // A weighted mean lies on the same side as all that it is made of. All inside is no surface only away from walls.
+        let threshold = iso.threshold();
+        let mut pieces = block.samples().chunks(PIECE);
+        let any_inside = pieces.clone().any(|piece| maximum(piece) > threshold);
+        any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
-    let plain = recipe.filters.detail() == Detail::Smoothed;
-    let goes_on = |smooth: &Block| !plain || goes_on(smooth);
-    recipe.apply(&mut Blocks { walls, goes_on: &goes_on }, Rc::new(dif)).ok().map(Rc::unwrap_or_clone)
+
+    /// The same of whatever filters: nothing comes of nothing.
+    fn may_show_any(self, block: &Block) -> bool {
+        matches!(self, Self::Away) || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
+    }
+
+    /// The same of distances of which the calm surface is known and whether there is anything near.
+    fn may_show(self, calm: &Block, near: &Block) -> bool {
+        let Self::For { away_from_walls, iso } = self else { return true };
+        let any_near = near.samples().chunks(PIECE).any(|piece| maximum(piece) > NONE);
+        // Drops only ever add to the inside.
+        let outside = |piece: &[u16]| minimum(piece) <= iso.threshold();
+        let any_outside = || {
+            calm.samples().chunks(PIECE).any(outside)
+                || near.samples().chunks(PIECE).any(|piece| minimum(piece) == NONE)
+        };
+        any_near && (!away_from_walls || any_outside())
+    }
 }
 
 /// Fields in blocks.
 struct Blocks<'a> {
-    walls: Option<CellBox>,
-    /// Asked after each axis of a blur.
-    goes_on: &'a dyn Fn(&Block) -> bool,
+    sampled: &'a SampledDif,
+    /// Those of which the field is wanted.
+    cells: CellBox,
+    looking: Looking,
+    /// Whether blurred samples tell of all that follows.
+    decides: bool,
 }
 
-/// A blur did not go on.
+/// A field, and how wide its cells are.
+#[derive(Clone)]
+struct Field {
+    block: Rc<Block>,
+    level: u32,
+}
+
+/// There is no surface.
 struct Stopped;
 
+impl Blocks<'_> {
+    fn walls(&self, level: u32) -> Option<CellBox> {
+        walls_at(level, self.sampled.facts.walls())
+    }
+
+    fn field(&self, mut block: Block, level: u32) -> Field {
+        if let Some(walls) = self.walls(level) {
+            block.repeat_edges(walls);
+        }
+        Field { block: Rc::new(block), level }
+    }
+}
+
 impl Fields for Blocks<'_> {
-    type Field = Rc<Block>;
+    type Field = Field;
     type Error = Stopped;
 
-    fn blur(&mut self, field: Rc<Block>, kernel: &Kernel) -> Result<Rc<Block>, Stopped> {
-        blur_while(Rc::unwrap_or_clone(field), kernel, self.walls, self.goes_on).map(Rc::new).ok_or(Stopped)
+    fn samples(&mut self, level: u32, halo: i32) -> Result<Field, Stopped> {
+        let cells = wide_cells(level, self.cells).grown(halo, halo);
+        let block = self.sampled.wide(level).gather_within(cells, self.walls(level));
+        let goes_on =
+            if self.decides { self.looking.may_cut(&block) } else { self.looking.may_show_any(&block) };
+        if goes_on { Ok(Field { block: Rc::new(block), level }) } else { Err(Stopped) }
     }
 
-    fn lost(&mut self, dif: Rc<Block>, smooth: &Rc<Block>, iso: Isovalue) -> Result<Rc<Block>, Stopped> {
-        Ok(Rc::new(lost(&dif, smooth, iso)))
+    fn blur(&mut self, Field { block, level }: Field, kernel: &Kernel) -> Result<Field, Stopped> {
+        let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
+        let block = blur_while(Rc::unwrap_or_clone(block), kernel, self.walls(level), goes_on);
+        block.map(|block| Field { block: Rc::new(block), level }).ok_or(Stopped)
     }
 
-    fn greater(&mut self, mut field: Rc<Block>, other: Rc<Block>) -> Result<Rc<Block>, Stopped> {
-        raise(Rc::make_mut(&mut field), &other);
+    fn lost(&mut self, dif: Field, smooth: &Field, iso: Isovalue) -> Result<Field, Stopped> {
+        Ok(Field { block: Rc::new(lost(&dif.block, &smooth.block, iso)), level: dif.level })
+    }
+
+    fn greater(&mut self, mut field: Field, other: Field) -> Result<Field, Stopped> {
+        raise(Rc::make_mut(&mut field.block), &other.block);
         Ok(field)
     }
 
-    fn occupancy(&mut self, dif: Rc<Block>, least: u16) -> Result<Rc<Block>, Stopped> {
-        Ok(Rc::new(occupancy(Rc::unwrap_or_clone(dif), least)))
+    fn depths(&mut self, by: &Bulk, shares: [Field; 3]) -> Result<Depths<Field>, Stopped> {
+        let level = shares[0].level;
+        let Depths { calm, fine, apart } = depths(by, [0, 1, 2].map(|i: usize| &*shares[i].block));
+        let [calm, fine, apart] = [calm, fine, apart].map(|block| Field { block: Rc::new(block), level });
+        Ok(Depths { calm, fine, apart })
     }
 
-    fn spread(&mut self, field: &Rc<Block>, reach: i32) -> Result<Rc<Block>, Stopped> {
-        let mut near = spread(Block::clone(field), reach);
-        if let Some(walls) = self.walls {
-            near.repeat_edges(walls);
+    fn mixed(&mut self, by: &Bulk, Depths { calm, fine, apart }: Depths<Field>) -> Result<Field, Stopped> {
+        let level = calm.level;
+        let depths = Depths { calm: calm.block, fine: fine.block, apart: apart.block };
+        Ok(Field { block: Rc::new(mixed(by, &depths)), level })
+    }
+
+    fn outlying(&mut self, calm: &Field, clouds: Field, least: u16) -> Result<Field, Stopped> {
+        Ok(Field { block: Rc::new(outlying(&calm.block, &clouds.block, least)), level: calm.level })
+    }
+
+    fn spread(&mut self, Field { block, level }: Field, reach: i32) -> Result<Field, Stopped> {
+        Ok(self.field(spread(Rc::unwrap_or_clone(block), reach), level))
+    }
+
+    fn refined(&mut self, wide: Field, level: u32) -> Result<Field, Stopped> {
+        Ok(self.field(refined(&wide.block, level, self.cells), 0))
+    }
+
+    fn stand_out(&mut self, calm: &Field, near: &Field, gate: &Gate) -> Result<bool, Stopped> {
+        if !self.looking.may_show(&calm.block, &near.block) {
+            return Err(Stopped);
         }
-        Ok(Rc::new(near))
+        Ok(any_outlying(&near.block, gate))
     }
 
-    fn blend(
+    fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {
+        Ok(Field { block: Rc::new(quotient(&clouds.block, &around.block, bits)), level: clouds.level })
+    }
+
+    fn joined(
         &mut self,
-        fine: Rc<Block>,
-        smooth: Rc<Block>,
-        near: Rc<Block>,
-        iso: Isovalue,
-    ) -> Result<Rc<Block>, Stopped> {
-        Ok(Rc::new(blend(&fine, &smooth, Rc::unwrap_or_clone(near), iso)))
+        calm: Field,
+        near: Field,
+        drops: Option<(&Drops, Field)>,
+        gate: &Gate,
+    ) -> Result<Field, Stopped> {
+        let drops = drops.as_ref().map(|(drops, shares)| (*drops, &*shares.block));
+        let block = joined(Rc::unwrap_or_clone(calm.block), &near.block, drops, gate);
+        Ok(Field { block: Rc::new(block), level: calm.level })
     }
 }

@@ -1,5 +1,6 @@
 //! Regions of blocks to surfaces.
 
+use std::collections::VecDeque;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -8,15 +9,18 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::backend::Surfaces;
+use crate::brick::DifField;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::mesh::{BlockMesh, Tile};
+use crate::recipe::Source;
 use crate::stage::blur::Kernel;
+use crate::stage::distance::vulkan::tables;
 use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
 use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
 
-use super::fields::{Padded, PaddedFields};
+use super::fields::{Padded, PaddedBlocks, PaddedFields};
 use super::lane::{Lane, Layout, fly, part};
 use super::{BLOCK_BATCH, DeviceFrame, Resident, State, page_bytes};
 
@@ -50,7 +54,7 @@ impl DeviceFrame {
         let (mut tiles, mut ends) = (Growing::default(), Growing::default());
         let mut blocks = Vec::new();
         self.each_batch(state, surfaces, regions, &mut |_, lane, batch, begins| {
-            let totals = begins[batch.blocks.len()];
+            let totals = begins[batch.regions.len()];
             let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
             let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
             lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
@@ -139,8 +143,11 @@ fn block_of(region: CellBox) -> IVec3 {
 }
 
 /// What all batches of blocks need.
-struct Constants {
-    weights: HashMap<Kernel, View>,
+pub(super) struct Constants {
+    pub(super) weights: HashMap<Kernel, View>,
+    /// The committed tables of distances.
+    pub(super) depths: View,
+    pub(super) away: View,
     theta: View,
     decode: u32,
     lengths: View,
@@ -156,13 +163,17 @@ impl Constants {
             .iter()
             .map(|&theta| theta.into())
             .collect();
+        let [depths, away] = tables();
         Ok(Self {
             weights: surfaces
                 .recipe
                 .filters
                 .kernels()
+                .into_iter()
                 .map(|kernel| Ok((kernel.clone(), device.uploaded(kernel.half())?)))
                 .collect::<Result<_, VulkanError>>()?,
+            depths: device.uploaded(&depths)?,
+            away: device.uploaded(&away)?,
             theta: device.uploaded(&theta)?,
             decode: theta.len() as u32,
             lengths: device.uploaded(&lengths())?,
@@ -173,64 +184,105 @@ impl Constants {
 /// Regions on their way through a lane.
 struct BlockBatch {
     regions: Vec<CellBox>,
-    blocks: Vec<DeviceBlock>,
-    tables: Vec<u32>,
-    /// The bins whose pages are to be sent.
-    sent: Vec<IVec3>,
-    largest: u32,
-    words: u32,
+    /// Of each source of the recipe.
+    grids: Vec<Gathering>,
     /// Vertices that there is room for.
     room: u64,
+}
+
+/// Blocks that are cut out of samples.
+struct Gathering {
+    source: Source,
+    blocks: Vec<DeviceBlock>,
+    tables: Vec<u32>,
+    /// The bins whose pages are to be sent, and their numbers.
+    sent: Vec<IVec3>,
+    numbers: HashMap<IVec3, u32>,
+    largest: u32,
+    words: u32,
+}
+
+impl Gathering {
+    fn new(source: Source) -> Self {
+        Self {
+            source,
+            blocks: Vec::new(),
+            tables: Vec::new(),
+            sent: Vec::new(),
+            numbers: HashMap::new(),
+            largest: 0,
+            words: 0,
+        }
+    }
+
+    /// The block for a region, and the bins that it touches.
+    fn block(&self, work: &Contouring<'_>, region: CellBox) -> (DeviceBlock, Vec<IVec3>) {
+        let cells = self.source.cells(work.surfaces.normals.cells(region));
+        let block = DeviceBlock::new(cells, region.tiled());
+        let bins = block.bins(work.samples(self.source).shape().rim).collect();
+        (block, bins)
+    }
+
+    /// Pages that such bins add to those that are sent.
+    fn new_pages(&self, work: &Contouring<'_>, bins: &[IVec3]) -> u64 {
+        if work.resident(self.source).is_some() {
+            return 0;
+        }
+        let samples = work.samples(self.source);
+        let unknown = |bin: &&IVec3| samples.has_page(**bin) && !self.numbers.contains_key(*bin);
+        bins.iter().filter(unknown).count() as u64
+    }
+
+    fn push(&mut self, work: &Contouring<'_>, mut block: DeviceBlock, bins: Vec<IVec3>) {
+        let samples = work.samples(self.source);
+        block.field = self.words;
+        block.table = self.tables.len() as u32;
+        for bin in bins {
+            let number = match work.resident(self.source) {
+                Some(resident) => resident.numbers.get(&bin).copied(),
+                None if samples.has_page(bin) => Some(*self.numbers.entry(bin).or_insert_with(|| {
+                    self.sent.push(bin);
+                    self.sent.len() as u32 - 1
+                })),
+                None => None,
+            };
+            self.tables.push(number.map_or(0, |number| number + 1));
+        }
+        self.words += block.words();
+        self.largest = self.largest.max(block.words());
+        self.blocks.push(block);
+    }
 }
 
 impl BlockBatch {
     /// As many of the first regions as a batch may take, at least one.
     fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
-        let mut batch = Self {
-            regions: Vec::new(),
-            blocks: Vec::new(),
-            tables: Vec::new(),
-            sent: Vec::new(),
-            largest: 0,
-            words: 0,
-            room: MOST_VERTICES,
-        };
+        let sources = work.surfaces.recipe.filters.sources();
+        let grids = sources.into_iter().map(Gathering::new).collect();
+        let mut batch = Self { regions: Vec::new(), grids, room: MOST_VERTICES };
         let limit = work.frame.device.limits().storage_range;
-        let (dif, halo) = (&work.surfaces.sampled.dif, work.surfaces.recipe.filters.halo());
-        let page_bytes = page_bytes(dif.shape());
-        let mut numbers: HashMap<IVec3, u32> = HashMap::new();
         let mut taken = batch.room * work.vertex_bytes() * 2;
         for &region in regions.iter().take(BLOCK_BATCH) {
-            let cells = work.surfaces.normals.cells(region).grown(halo, halo);
-            let mut block = DeviceBlock::new(cells, region.tiled());
-            let bins: Vec<IVec3> = block.bins(dif.shape().rim).collect();
-            let unknown = |bin: &&IVec3| dif.has_page(**bin) && !numbers.contains_key(*bin);
-            let new = if work.resident.is_some() { 0 } else { bins.iter().filter(unknown).count() as u64 };
-            taken += work.block_bytes(&block) + new * 2 * page_bytes + 8 * bins.len() as u64;
-            let field_bytes = 4 * (u64::from(batch.words) + u64::from(block.words()));
-            let sent_bytes = (batch.sent.len() as u64 + new) * page_bytes;
-            if !batch.blocks.is_empty() && (taken > work.bytes || field_bytes.max(sent_bytes) > limit) {
+            let blocks: Vec<_> = batch.grids.iter().map(|grid| grid.block(work, region)).collect();
+            let mut longest = 0;
+            taken += work.region_bytes();
+            for (grid, (block, bins)) in batch.grids.iter().zip(&blocks) {
+                let page_bytes = page_bytes(work.samples(grid.source).shape());
+                let new = grid.new_pages(work, bins);
+                taken += 4 * grid.source.fields * u64::from(block.words());
+                taken += new * 2 * page_bytes + 8 * bins.len() as u64;
+                let field_bytes = 4 * (u64::from(grid.words) + u64::from(block.words()));
+                longest = longest.max(field_bytes).max((grid.sent.len() as u64 + new) * page_bytes);
+            }
+            if !batch.regions.is_empty() && (taken > work.bytes || longest > limit) {
                 break;
             }
-            block.field = batch.words;
-            block.table = batch.tables.len() as u32;
-            batch.tables.extend(bins.into_iter().map(|bin| {
-                let number = match work.resident {
-                    Some(resident) => resident.numbers.get(&bin).copied(),
-                    None if dif.has_page(bin) => Some(*numbers.entry(bin).or_insert_with(|| {
-                        batch.sent.push(bin);
-                        batch.sent.len() as u32 - 1
-                    })),
-                    None => None,
-                };
-                number.map_or(0, |number| number + 1)
-            }));
-            batch.words += block.words();
-            batch.largest = batch.largest.max(block.words());
-            batch.blocks.push(block);
+            for (grid, (block, bins)) in batch.grids.iter_mut().zip(blocks) {
+                grid.push(work, block, bins);
+            }
             batch.regions.push(region);
         }
-        batch.room = batch.room.max(batch.blocks.len() as u64 * BLOCK_ROOM);
+        batch.room = batch.room.max(batch.regions.len() as u64 * BLOCK_ROOM);
         batch
     }
 }
@@ -245,7 +297,13 @@ struct Contouring<'a> {
     bytes: u64,
 }
 
-impl Contouring<'_> {
+/// Names of a grid's buffers.
+const FIELD_NAMES: [[&str; 5]; 2] = [
+    ["first field", "second field", "third field", "fourth field", "fifth field"],
+    ["sixth field", "seventh field", "eighth field", "ninth field", "tenth field"],
+];
+
+impl<'a> Contouring<'a> {
     fn has_normals(&self) -> bool {
         self.surfaces.normals == Normals::Gradient
     }
@@ -255,17 +313,20 @@ impl Contouring<'_> {
         size_of::<[u16; 2]>() as u64 + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
     }
 
-    fn fields(&self) -> u64 {
-        self.surfaces.recipe.filters.fields().device
+    /// Where a source is cut out of.
+    fn samples(&self, source: Source) -> &'a DifField {
+        self.surfaces.sampled.wide(source.level)
     }
 
-    /// Bytes of a block, on the device and staged.
-    fn block_bytes(&self, block: &DeviceBlock) -> u64 {
+    /// The pages of a source, where they are on the device already.
+    fn resident(&self, source: Source) -> Option<&'a Resident> {
+        self.resident.filter(|_| source.level == 0)
+    }
+
+    /// Bytes of a region besides its fields, on the device and staged.
+    fn region_bytes(&self) -> u64 {
         let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<Slot>()) as u64;
-        4 * self.fields() * u64::from(block.words())
-            + tiles
-            + 8 * u64::from(SIGN_TILES)
-            + 2 * BLOCK_ROOM * self.vertex_bytes()
+        tiles + 8 * u64::from(SIGN_TILES) + 2 * BLOCK_ROOM * self.vertex_bytes()
     }
 
     /// Starts the next batch of `regions`, if there is one.
@@ -289,60 +350,77 @@ impl Contouring<'_> {
     fn start(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<(), VulkanError> {
         let device = &self.frame.device;
         let kernels = &self.frame.kernels;
-        let dif = &self.surfaces.sampled.dif;
-        let page_bytes = page_bytes(dif.shape());
         let mut layout = Layout::default();
-        let blocks_at = layout.place(size_of_val(&batch.blocks[..]) as u64);
-        let tables_at = layout.place(size_of_val(&batch.tables[..]) as u64);
-        let pages_at = layout.place(batch.sent.len() as u64 * page_bytes);
+        let places = batch.grids.iter().map(|grid| {
+            let page_bytes = page_bytes(self.samples(grid.source).shape());
+            let blocks = layout.place(size_of_val(&grid.blocks[..]) as u64);
+            let tables = layout.place(size_of_val(&grid.tables[..]) as u64);
+            (blocks, tables, layout.place(grid.sent.len() as u64 * page_bytes))
+        });
+        let places: Vec<_> = places.collect();
         lane.begin()?;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
-        let count = batch.blocks.len() as u64;
-        let field_bytes = 4 * u64::from(batch.words);
-        let first = lane.buffer(device, "first field", Place::Device, field_bytes)?;
-        let names = ["second field", "third field", "fourth field"];
-        let others = names[..self.fields() as usize - 1].iter();
-        let free = others.map(|name| lane.buffer(device, name, Place::Device, field_bytes));
-        let free = free.collect::<Result<_, VulkanError>>()?;
-        let outputs = self.outputs(lane, count, batch.room)?;
+        let mut buffers = Vec::new();
+        for (grid, names) in batch.grids.iter().zip(&FIELD_NAMES) {
+            let names = &names[..grid.source.fields as usize];
+            let bytes = 4 * u64::from(grid.words);
+            let of_grid = names.iter().map(|name| lane.buffer(device, name, Place::Device, bytes));
+            buffers.push(of_grid.collect::<Result<Vec<_>, VulkanError>>()?);
+        }
+        let outputs = self.outputs(lane, batch.regions.len() as u64, batch.room)?;
         let read = lane.buffer(device, "tallies read", Place::Download, outputs.tallies.bytes())?;
 
-        staged.write(blocks_at.start, &batch.blocks);
-        staged.write(tables_at.start, &batch.tables);
-        batch.sent.par_iter().enumerate().for_each_init(
-            || vec![0; dif.shape().bin_samples()],
-            |dense, (number, &bin)| {
-                dif.write_stored(bin, dense);
-                staged.write(pages_at.start + number as u64 * page_bytes, dense);
-            },
-        );
+        for (grid, (blocks_at, tables_at, pages_at)) in batch.grids.iter().zip(&places) {
+            let samples = self.samples(grid.source);
+            let page_bytes = page_bytes(samples.shape());
+            staged.write(blocks_at.start, &grid.blocks);
+            staged.write(tables_at.start, &grid.tables);
+            grid.sent.par_iter().enumerate().for_each_init(
+                || vec![0; samples.shape().bin_samples()],
+                |dense, (number, &bin)| {
+                    samples.write_stored(bin, dense);
+                    staged.write(pages_at.start + number as u64 * page_bytes, dense);
+                },
+            );
+        }
         let uploaded = lane.send(&staged, &inputs)?;
 
         let commands = &mut lane.compute;
-        let blocks = DeviceBlocks {
-            blocks: part(&inputs, &blocks_at),
-            count: count as u32,
-            largest: batch.largest,
-            words: batch.words,
-        };
-        let pages = DevicePages {
-            tables: part(&inputs, &tables_at),
-            pages: self.resident.map_or_else(|| part(&inputs, &pages_at), |resident| resident.pages.whole()),
-            shape: dif.shape(),
-            theta: self.constants.theta.clone(),
-            decode: self.constants.decode,
-        };
-        commands.stage("gather", pages.pages.bytes() + field_bytes);
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
-        gather(commands, &kernels.gather, &blocks, &pages, &first)?;
-        let dif = Rc::new(Padded { samples: first, margin: 0 });
-        let weights = &self.constants.weights;
-        let mut fields = PaddedFields { kernels, weights, walls, commands, blocks: &blocks, free };
-        let field = self.surfaces.recipe.apply(&mut fields, dif)?;
-        commands.stage("dual marching cubes", field_bytes);
-        let normals = self.has_normals();
-        contour(commands, &kernels.dual_mc, &blocks, &field.samples, iso, walls, normals, &outputs)?;
+        let (mut grids, mut gathered) = (Vec::new(), VecDeque::new());
+        for ((of, grid), ((blocks_at, tables_at, pages_at), mut free)) in
+            batch.grids.iter().enumerate().zip(places.iter().zip(buffers))
+        {
+            let blocks = DeviceBlocks {
+                blocks: part(&inputs, blocks_at),
+                count: grid.blocks.len() as u32,
+                largest: grid.largest,
+                words: grid.words,
+            };
+            let resident = self.resident(grid.source);
+            let pages = DevicePages {
+                tables: part(&inputs, tables_at),
+                pages: resident.map_or_else(|| part(&inputs, pages_at), |resident| resident.pages.whole()),
+                shape: self.samples(grid.source).shape(),
+                theta: self.constants.theta.clone(),
+                decode: self.constants.decode,
+            };
+            let samples = free.pop().expect("a source has a field at least");
+            commands.stage("gather", pages.pages.bytes() + samples.bytes());
+            gather(commands, &kernels.gather, &blocks, &pages, &samples)?;
+            gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
+            let Source { level, halo, .. } = grid.source;
+            grids.push(PaddedBlocks { blocks, level, halo, free });
+        }
+        let constants = &self.constants;
+        let mut fields = PaddedFields { kernels, constants, walls, commands, grids, gathered };
+        let field = self.surfaces.recipe.apply(&mut fields)?;
+        let blocks = &fields.grids[field.of].blocks;
+        fields.commands.stage("dual marching cubes", field.samples.bytes());
+        let (normals, samples) = (self.has_normals(), &field.samples);
+        contour(fields.commands, &kernels.dual_mc, blocks, samples, iso, walls, normals, &outputs)?;
+        let commands = fields.commands;
         commands.copy(&outputs.tallies, &read);
         commands.submit(&[uploaded])?;
         Ok(())
@@ -371,7 +449,7 @@ impl Contouring<'_> {
 
     /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for is emitted again, in parts if they are more than its share.
     fn finish(&self, lane: &mut Lane, mut batch: BlockBatch, take: &mut Take<'_>) -> Result<(), VulkanError> {
-        let count = batch.blocks.len();
+        let count = batch.regions.len();
         lane.compute.wait()?;
         let begins: Vec<Tally> = lane.buffers["tallies read"].read(0, count + 1);
         let vertices = u64::from(begins[count].vertices);
@@ -401,7 +479,7 @@ impl Contouring<'_> {
         begins: &[Tally],
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
-        let totals = begins[batch.blocks.len()];
+        let totals = begins[batch.regions.len()];
         let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
         let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
         let fall_bytes =

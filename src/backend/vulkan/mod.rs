@@ -21,9 +21,11 @@ use crate::brick::vulkan::{DeviceBins, GATHER, page_words};
 use crate::brick::{Bins, PageShape, Pages};
 use crate::grid::{CellBox, MortonKey};
 use crate::mesh::BlockMesh;
-use crate::stage::adaptive::vulkan::{BLEND, OCCUPANCY, SPREAD};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
+use crate::stage::distance::vulkan::{
+    DEPTHS_OF, JOIN, Kernels as Distance, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
@@ -61,9 +63,7 @@ struct Kernels {
     blur: Arc<Kernel>,
     lost: Arc<Kernel>,
     greater: Arc<Kernel>,
-    occupancy: Arc<Kernel>,
-    spread: Arc<Kernel>,
-    blend: Arc<Kernel>,
+    distance: Distance,
     dual_mc: DualMc,
 }
 
@@ -91,9 +91,15 @@ impl Vulkan {
             blur: kernel(&BLUR)?,
             lost: kernel(&LOST)?,
             greater: kernel(&GREATER)?,
-            occupancy: kernel(&OCCUPANCY)?,
-            spread: kernel(&SPREAD)?,
-            blend: kernel(&BLEND)?,
+            distance: Distance {
+                depths: kernel(&DEPTHS_OF)?,
+                mix: kernel(&MIX)?,
+                outlying: kernel(&OUTLYING)?,
+                spread: kernel(&SPREAD)?,
+                refine: kernel(&REFINE)?,
+                quotient: kernel(&QUOTIENT)?,
+                join: kernel(&JOIN)?,
+            },
             dual_mc: DualMc {
                 signs: kernel(&SIGNS)?,
                 tiles: kernel(&TILES)?,

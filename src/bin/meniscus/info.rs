@@ -108,7 +108,7 @@ fn inspect(path: &Path) -> Result<Info, Error> {
 }
 
 fn inspect_frame(path: &Path) -> Result<Info, Error> {
-    let SampledDif { facts, indicator, dif } = open_frame(path, 0)?;
+    let SampledDif { facts, indicator, dif, .. } = open_frame(path, 0)?;
     let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
     let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
     Ok(Info::Frame {

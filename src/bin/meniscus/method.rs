@@ -28,6 +28,10 @@ impl Options {
         if let Some(method) = self.rival()? {
             request.field = method.into();
         }
+        // A packed frame says by itself what it is of.
+        if let Some(asked) = request.field.indicator().filter(|_| !self.packed()) {
+            self.refuse_of_others(asked.kind)?;
+        }
         Ok(request)
     }
 
@@ -44,9 +48,9 @@ impl Options {
             MethodName::YuTurk => Method::YuTurk { iso },
         };
         let of_dif = [
+            ("--smooth", self.smooth.is_some()),
             ("--sigma", self.sigma.is_some()),
             ("--detail", self.detail),
-            ("--adaptive", self.adaptive),
             ("--indicator", self.sampling.indicator_given()),
             ("--mu0", self.sampling.mu0_given()),
             ("--backend vulkan", self.run.vulkan_given()),

@@ -22,8 +22,9 @@ use meniscus::sequence::inputs::Inputs;
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::Settings;
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
+use meniscus::stage::indicator::IndicatorKind;
 use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, Sigma, Tolerance};
+use meniscus::units::{Isovalue, Sigma, Smooth, Tolerance};
 use serde_json::json;
 
 use crate::Verdict;
@@ -51,19 +52,20 @@ pub struct Options {
     /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with.
     #[arg(long, value_enum, default_value = "dif")]
     pub method: MethodName,
-    /// Width of the Gaussian [default: 0.8 spacings for cloud and 1 for others, and a cell at the least].
+    /// How calm the water is: the width, in spacings, under which particles make one surface [default: 1.6]. More for the noise
+    /// of FLIP, less to see every ripple.
+    #[arg(long, value_name = "SPACINGS", allow_negative_numbers = true)]
+    pub smooth: Option<f64>,
+    /// Width of the Gaussian, for --indicator counting and symmetry [default: a spacing, and a cell at the least].
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
-    /// Where the surface is, between 0 and 1; auto: 0.47 of the field deep in the fluid, or of what the spacing tells it to be
-    /// where no fluid is deep.
+    /// Where the surface is, between 0 and 1, for --indicator counting and symmetry and for kernel methods; auto: 0.47 of the
+    /// field deep in the fluid, or of what the spacing tells it to be where no fluid is deep.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true)]
     pub iso: IsoOption,
-    /// Recover details that smoothing loses, such as drops.
+    /// Recover details that smoothing loses, such as drops, for --indicator counting and symmetry.
     #[arg(long)]
     pub detail: bool,
-    /// Smooth adaptively: less where there is no bulk. Keeps every drop and thin sheet, and surfaces as smooth.
-    #[arg(long, conflicts_with = "detail")]
-    pub adaptive: bool,
     /// Use fewer triangles, as long as no part of the surface moves farther than this.
     #[arg(long, value_name = "CELLS", allow_negative_numbers = true)]
     pub simplify: Option<f64>,
@@ -120,10 +122,10 @@ impl Options {
         };
         for (name, value) in [
             ("method", json!(self.method)),
+            ("smooth", json!(self.smooth)),
             ("sigma", json!(self.sigma)),
             ("iso", iso),
             ("detail", json!(self.detail)),
-            ("adaptive", json!(self.adaptive)),
             ("normals", json!(self.normals)),
             ("attributes", json!(self.attributes)),
             ("simplify", json!(self.simplify)),
@@ -138,18 +140,43 @@ impl Options {
 
     pub fn surfacing(&self) -> Result<Surfacing, Error> {
         Ok(Surfacing {
+            smooth: self.smooth.map_or(Ok(Smooth::USUAL), Smooth::new)?,
             sigma: self.sigma.map(Sigma::new).transpose()?,
             iso: match self.iso {
                 IsoOption::Auto => None,
                 IsoOption::Value(value) => Some(value),
             },
-            detail: match (self.detail, self.adaptive) {
-                (true, _) => Detail::Recovered,
-                (_, true) => Detail::Adaptive,
-                _ => Detail::Smoothed,
-            },
+            detail: if self.detail { Detail::Recovered } else { Detail::Smoothed },
             normals: if self.normals { Normals::Gradient } else { Normals::None },
         })
+    }
+
+    /// Whether all inputs are packed frames.
+    pub fn packed(&self) -> bool {
+        self.inputs.iter().all(|input| is_frame(input))
+    }
+
+    /// Refuses options of another indicator's surface.
+    pub fn refuse_of_others(&self, kind: IndicatorKind) -> Result<(), Error> {
+        let (given, why) = match kind {
+            IndicatorKind::Cloud => (
+                [
+                    ("--sigma", self.sigma.is_some()),
+                    ("--iso", matches!(self.iso, IsoOption::Value(_))),
+                    ("--detail", self.detail),
+                ],
+                "is for --indicator counting and symmetry: the surface lies where distances told by clouds are 0, and --smooth \
+                 says how calm it is",
+            ),
+            IndicatorKind::Counting | IndicatorKind::Symmetry => (
+                [("--smooth", self.smooth.is_some()), ("", false), ("", false)],
+                "is for --indicator cloud: --sigma says how smooth the surface of others is",
+            ),
+        };
+        match given.into_iter().find(|&(_, given)| given) {
+            None => Ok(()),
+            Some((option, _)) => Err(Error::Request(format!("{option} {why}"))),
+        }
     }
 
     /// Refuses what a frame that is sampled already cannot give.
@@ -288,6 +315,7 @@ impl Options {
         if is_frame(input) {
             let sampled = open_frame(input, resources.budget.0 / 4)?;
             laps.lap("open");
+            self.refuse_of_others(sampled.indicator.kind())?;
             let particles = sampled.facts.census.binned;
             notes.say(format!("{}: {particles} particles, packed frame", input.display()));
             if self.dry_run {
@@ -403,7 +431,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     ));
     report_laps(&laps, &notes);
     if options.stats.is_some() {
-        let iso = measured.map(|measured| measured.calibration.iso);
+        let iso = measured.and_then(|measured| measured.calibration.iso());
         let record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
         options.append_stats(&record)?;
     }

@@ -65,7 +65,19 @@ pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isova
     let &Calibrated { calibration, plateau, step_cells } = measured;
     notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
-    let (iso, share) = (calibration.iso.value(), f64::from(Isovalue::PLATEAU_PERCENT) / 100.0);
+    let Some(iso) = calibration.iso().map(Isovalue::value) else {
+        let density = measured.density(frame.facts().spacing_cells_or_one());
+        notes.say(match plateau {
+            Plateau::Interior { .. } => {
+                format!("{density:.4} particles in a cubed spacing deep in the fluid")
+            }
+            Plateau::Shallow { .. } => {
+                "a particle in each cubed spacing, as no fluid is deep enough to tell".to_owned()
+            }
+        });
+        return;
+    };
+    let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
     match (plateau, given) {
         (Plateau::Interior { lowest, .. }, Some(given)) if given.threshold() >= lowest => notes.say(format!(
             "warning: isovalue {iso:.4} is above the field's lowest interior value, {:.4}: expect bubbles inside",
@@ -92,10 +104,8 @@ pub fn advice(options: &Options, frame: Option<u64>) -> String {
     }
     if matches!(options.iso, IsoOption::Value(_)) {
         advice += "; a lower --iso, or --iso auto, shows more";
-    } else if options.method == MethodName::Dif && !options.adaptive {
-        advice += "; --adaptive keeps drops and sheets that smoothing loses";
-    } else if options.adaptive {
-        advice += "; larger cells keep more of drops and sheets";
+    } else if options.method == MethodName::Dif && !options.sampling.is_cloud() {
+        advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
     }
     advice + "; is their --spacing right?"
 }

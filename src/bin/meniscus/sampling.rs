@@ -41,7 +41,7 @@ pub struct SamplingOptions {
     /// How a cell's share of fluid is told from its particles [default: cloud].
     #[arg(long, value_enum)]
     indicator: Option<IndicatorName>,
-    /// Mean number of particles in a full cell, for counting and cloud [default: measured].
+    /// Mean number of particles in a full cell, for counting [default: measured].
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     mu0: Option<f64>,
     /// Drop particles that are not finite or too far away, and count them.
@@ -132,6 +132,11 @@ impl SamplingOptions {
         self.indicator.is_some()
     }
 
+    /// Whether that is cloud.
+    pub fn is_cloud(&self) -> bool {
+        matches!(self.indicator, None | Some(IndicatorName::Cloud))
+    }
+
     /// Whether there is one.
     pub fn mu0_given(&self) -> bool {
         self.mu0.is_some()
@@ -145,7 +150,7 @@ impl SamplingOptions {
             Some(IndicatorName::Symmetry) => IndicatorKind::Symmetry,
         };
         if self.mu0.is_some() && !kind.counts() {
-            return Err(Error::Request("--mu0 has no meaning for --indicator symmetry".into()));
+            return Err(Error::Request(format!("--mu0 has no meaning for --indicator {}", kind.name())));
         }
         let field = IndicatorRequest { kind, mean: self.mu0.map(MeanCount::new).transpose()? }.into();
         let spacing = match (self.spacing, self.radius) {

@@ -11,6 +11,7 @@ mod watch;
 use std::fmt::Write;
 use std::time::{Duration, Instant};
 
+use meniscus::calibration::Calibration;
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{Resources, Sampling, Surfacing};
 use meniscus::io::output::MeshFormat;
@@ -23,6 +24,7 @@ use meniscus::sequence::inputs::{FrameFile, Inputs};
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::{State, Store};
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
+use meniscus::stage::indicator::IndicatorKind;
 
 use crate::Verdict;
 use crate::interrupt;
@@ -251,7 +253,7 @@ impl Setup<'_> {
             if self.is_calibrated(&state, frames) {
                 return Ok(Some(state));
             }
-            let what = "mu0 or the isovalue is missing".into();
+            let what = "what was measured is missing, or of another surface".into();
             let damaged = SequenceError::State { path: store.state_path(), what };
             return if anew { Ok(None) } else { Err(damaged.into()) };
         }
@@ -270,7 +272,12 @@ impl Setup<'_> {
             (Some(_), None) => false,
             (Some(asked), Some(known)) => {
                 let packed = || frames.iter().all(|frame| is_frame(&frame.path));
-                known.mean.is_some() || !asked.kind.counts() || packed()
+                match asked.kind {
+                    _ if packed() => true,
+                    IndicatorKind::Cloud => matches!(known, Calibration::Clouds { .. }),
+                    IndicatorKind::Counting => known.mean().is_some(),
+                    IndicatorKind::Symmetry => known.iso().is_some(),
+                }
             }
         }
     }

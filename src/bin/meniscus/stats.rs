@@ -13,7 +13,7 @@ use meniscus::memory::peak_resident;
 use meniscus::mesh::source::MeshSource;
 use meniscus::rivals::Method;
 use meniscus::stage::indicator::SampledDif;
-use meniscus::units::{Isovalue, MeanCount};
+use meniscus::units::{Isovalue, MeanCount, Smooth};
 use serde_json::{Value, json};
 
 use crate::reconstruct::Options;
@@ -65,15 +65,15 @@ impl Options {
 
     fn dif_facts(&self, frame: &Frame, sampled: &SampledDif, iso: Option<Isovalue>) -> Value {
         let SampledDif { facts, indicator, .. } = sampled;
-        let sigma =
-            || Surfacing::PLAIN.width(indicator.kind(), facts.spacing, facts.grid.cell_size()).cells();
+        let of_paper = !sampled.is_clouds();
+        let sigma = || Surfacing::PLAIN.width(facts.spacing, facts.grid.cell_size()).cells();
         json!({
             "indicator": indicator.kind().name(),
             "mu0": indicator.mean().map(MeanCount::particles),
-            "sigma": self.sigma.unwrap_or_else(sigma),
+            "smooth": (!of_paper).then(|| self.smooth.unwrap_or(Smooth::USUAL.spacings())),
+            "sigma": of_paper.then(|| self.sigma.unwrap_or_else(sigma)),
             "isovalue": iso.map(Isovalue::value),
             "detail": self.detail,
-            "adaptive": self.adaptive,
             "backend": frame.backend(),
             "pages_on_device": frame.on_device().pages,
             "regions_on_device": frame.on_device().regions,

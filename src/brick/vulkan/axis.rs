@@ -21,6 +21,8 @@ push_block! {
         reach: u32,
         /// Cells at a block's faces that are not to be computed.
         margin: [u32; 3],
+        /// Bits that sums are shifted down by, where there are any.
+        shift: u32,
     }
 }
 
@@ -36,7 +38,7 @@ pub struct Window {
 }
 
 /// Runs a program with `axis.wgsl` along x, then y, then z: from `from` through `to` and `through` into `to`. Its buffers
-/// are the blocks, what is read, what is written, and then `further`.
+/// are the blocks, what is read, what is written, and then `further`. Sums are shifted down by as many bits as `shift` says of an axis.
 ///
 /// # Errors
 /// Those of the device.
@@ -47,13 +49,15 @@ pub fn along_each_axis(
     Window { reach, walls, margin }: Window,
     [from, through, to]: [&View; 3],
     further: &[View],
+    shift: impl Fn(usize) -> u32,
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let reach = reach as u32;
-    let mut push = AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3] };
-    for (axis, [from, to]) in (0..).zip([[from, to], [to, through], [through, to]]) {
-        push.axis = axis;
-        push.margin[axis as usize] += reach;
+    let mut push = AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3], shift: 0 };
+    for (axis, [from, to]) in (0_usize..).zip([[from, to], [to, through], [through, to]]) {
+        push.axis = axis as u32;
+        push.shift = shift(axis);
+        push.margin[axis] += reach;
         let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
         batch.dispatch(kernel, &buffers, &push, blocks.groups())?;
     }

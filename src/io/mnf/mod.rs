@@ -6,7 +6,7 @@
 //! | part | bytes | what |
 //! |---|---|---|
 //! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`: any change of line ends shows |
-//! | | 4 | version: 1 |
+//! | | 4 | version: 2 |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
 //! | pages | | each a zstd frame of its samples, in the order of their keys and without gaps |
 //! | footer | 3 x 8 | origin of the grid, f64 |
@@ -14,7 +14,7 @@
 //! | | 4 | 1 if there are walls, else 0 |
 //! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
 //! | | 6 x 8 | lower and upper corner of the walls, f64; 0 if there are none |
-//! | | 8 | mu0, f64; 0 for symmetry |
+//! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing of the particles, f64; 0 if it is not known |
 //! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
 //! | | 8 | number of pages |
@@ -33,8 +33,11 @@
 //! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
 //! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
 //! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has a
-//! rim of one more cell on every side, and its samples are what its own particles make of the DIF there, which is the sum
-//! over all bricks, at most 65535. A cell is full where what its own page holds of it is not 0.
+//! rim of one more cell on every side, and its samples are what its own particles add there, each in all as much as suits their
+//! spacing in cells ([`Amount`](crate::stage::indicator::Amount)); what lies in a cell is the sum over all bricks, at most 65535.
+//! A cell is full where what its own page holds of it is not 0.
+//!
+//! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is refused, all others are read.
 
 mod read;
 mod write;
@@ -44,7 +47,9 @@ pub use write::{FrameWriter, write_frame};
 
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// The version before, of which all but clouds are read.
+const FIRST_VERSION: u32 = 1;
 
 /// Bytes of the header.
 const HEADER: usize = 16;

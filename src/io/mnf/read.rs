@@ -15,10 +15,10 @@ use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
-use crate::stage::indicator::{Indicator, SampledDif};
+use crate::stage::indicator::{Amount, Indicator, SampledDif};
 use crate::units::{MeanCount, positive_length};
 
-use super::{END_MAGIC, ENTRY, FACTS, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
+use super::{END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
 
 /// Bytes of the map that are looked at before all of it is given back.
 const RELEASED: u64 = 4 << 20;
@@ -151,11 +151,15 @@ struct Index {
 }
 
 fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
-    let side = read_header(&bytes)?;
+    let (version, side) = read_header(&bytes)?;
     let window = Window { bytes, looked_at: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(&window.bytes, footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
+    if version == FIRST_VERSION && matches!(indicator, Indicator::Cloud(_)) {
+        let what = "clouds of version 1, which another surface was drawn of; pack the particles again";
+        return Err(ReadFault::Unsupported(what.into()));
+    }
     let index = window.bytes.len() - TAIL - cursor.at();
     if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
         let what = format!("an index of {index} bytes cannot be that of {count} pages");
@@ -197,23 +201,22 @@ fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
     Ok(Index { facts, indicator, infos, pages })
 }
 
-fn read_header(bytes: &[u8]) -> Result<BrickSide, ReadFault> {
+fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     let mut cursor = Cursor::new(bytes, 0, Endian::Little);
     if cursor.take("the header", MAGIC.len() as u64)? != MAGIC {
         return Err(malformed(0, "this is not a frame: it does not begin like one"));
     }
-    match cursor.u32("the version")? {
-        VERSION => (),
-        other => {
-            let what = format!("a frame of version {other}; this program reads version {VERSION}");
-            return Err(ReadFault::Unsupported(what));
-        }
+    let version = cursor.u32("the version")?;
+    if !(FIRST_VERSION..=VERSION).contains(&version) {
+        let what =
+            format!("a frame of version {version}; this program reads versions {FIRST_VERSION} to {VERSION}");
+        return Err(ReadFault::Unsupported(what));
     }
     let at = cursor.at();
     match cursor.u32("the brick side")? {
-        4 => Ok(BrickSide::Four),
-        8 => Ok(BrickSide::Eight),
-        16 => Ok(BrickSide::Sixteen),
+        4 => Ok((version, BrickSide::Four)),
+        8 => Ok((version, BrickSide::Eight)),
+        16 => Ok((version, BrickSide::Sixteen)),
         other => Err(malformed(at, format!("bricks of {other} cells; there are 4, 8 and 16"))),
     }
 }
@@ -265,15 +268,15 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     };
     let mean = cursor.f64("mu0")?;
     let mean = || MeanCount::new(mean).map_err(|e| fault(&e));
-    let indicator = match indicator {
-        0 => Indicator::Symmetry,
-        1 => Indicator::Counting(mean()?),
-        2 => Indicator::Cloud(mean()?),
-        other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
-    };
     let spacing = match cursor.f64("the spacing")? {
         0.0 => None,
         spacing => Some(positive_length("the spacing", spacing).map_err(|e| fault(&e))?),
+    };
+    let indicator = match indicator {
+        0 => Indicator::Symmetry,
+        1 => Indicator::Counting(mean()?),
+        2 => Indicator::Cloud(Amount::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()))),
+        other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
     };
     let mut particles = || {
         let count = cursor.u64("a number of particles")?;

@@ -9,8 +9,8 @@ use super::{Kernel, UNIT};
 
 /// A number that can be blurred.
 pub trait Sample: Copy + Default {
-    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the kernel's weights.
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel);
+    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the kernel's weights, along an axis.
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, axis: usize);
 }
 
 /// Blurs `block` with `kernel` along x, then y, then z. The edge cells before `walls` are repeated beyond them in what is
@@ -38,9 +38,9 @@ pub fn blur_while<T: Sample>(
     walls: Option<CellBox>,
     goes_on: impl Fn(&Block<T>) -> bool,
 ) -> Option<Block<T>> {
-    let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel);
     let mut spare = Vec::new();
     for axis in 0..3 {
+        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel, axis);
         block.along(axis, kernel.reach(), &mut spare, &fill);
         if !goes_on(&block) {
             return None;
@@ -54,21 +54,23 @@ pub fn blur_while<T: Sample>(
 
 /// Integers of the DIF, by the formula of `mod.rs`.
 impl Sample for u16 {
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel) {
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, axis: usize) {
+        let shift = kernel.shift(axis);
         match kernel.half() {
+            half if shift < UNIT.ilog2() => blur_wide(to, taps, step, half, shift),
             &[w0, w1] => blur_narrow(to, taps, step, &[w0, w1]),
             &[w0, w1, w2] => blur_narrow(to, taps, step, &[w0, w1, w2]),
             &[w0, w1, w2, w3] => blur_narrow(to, taps, step, &[w0, w1, w2, w3]),
             &[w0, w1, w2, w3, w4] => blur_narrow(to, taps, step, &[w0, w1, w2, w3, w4]),
             &[w0, w1, w2, w3, w4, w5] => blur_narrow(to, taps, step, &[w0, w1, w2, w3, w4, w5]),
-            half => blur_wide(to, taps, step, half),
+            half => blur_wide(to, taps, step, half, shift),
         }
     }
 }
 
 /// Sums of attributes: the same weights as fractions of 1, taps added in order.
 impl Sample for f64 {
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel) {
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, _: usize) {
         blur_float(to, taps, step, kernel.half());
     }
 }
@@ -89,11 +91,11 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
     }
 }
 
-/// For kernels of any width, one tap after the other.
+/// For kernels of any width and gain, one tap after the other.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32]) {
+fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
     let reach = half.len() - 1;
-    let mut sums = vec![1_u32 << 15; to.len()];
+    let mut sums = vec![1_u32 << (shift - 1); to.len()];
     for k in 0..=2 * reach {
         let weight = half[k.abs_diff(reach)];
         for (sum, &sample) in sums.iter_mut().zip(&taps[k * step..]) {
@@ -101,7 +103,7 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32]) {
         }
     }
     for (to, sum) in to.iter_mut().zip(sums) {
-        *to = (sum >> 16) as u16;
+        *to = (sum >> shift).min(u16::MAX.into()) as u16;
     }
 }
 

@@ -25,10 +25,10 @@ impl Smoothing {
         Self { filters }
     }
 
-    /// The standard deviation of what becomes of a particle of such an indicator, along an axis, in cells.
+    /// The standard deviation of what becomes of a particle, which may be anywhere in its cell, along an axis, in cells.
     #[must_use]
-    pub fn width(&self, kind: IndicatorKind) -> f64 {
-        (kind.variance() + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
+    pub fn width(&self) -> f64 {
+        (1.0 / 12.0 + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
     }
 
     /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.

@@ -34,5 +34,6 @@ pub fn blur(
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
     let window = Window { reach: kernel.reach(), walls, margin };
-    along_each_axis(batch, pipeline, blocks, window, views, std::slice::from_ref(weights))
+    let further = std::slice::from_ref(weights);
+    along_each_axis(batch, pipeline, blocks, window, views, further, |axis| kernel.shift(axis))
 }

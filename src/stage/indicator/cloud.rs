@@ -5,7 +5,6 @@ use multiversion::multiversion;
 
 use crate::brick::{BinContents, BrickSide, PageInfo, PageSamples, PageShape, unpack};
 use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
-use crate::units::{FULL, MeanCount};
 
 /// How far from its cell a cloud reaches, in cells.
 pub const RIM: i32 = 1;
@@ -13,18 +12,31 @@ pub const RIM: i32 = 1;
 pub const SHARE_BITS: u32 = 16;
 /// Bits that the square of a length has more than the share that is half of it: a length has one bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// theta is 1 where so many mu0 lie in a cell.
-const MEANS_A_CELL: f64 = 2.0;
 /// Of less than this nothing might be left in a particle's own cell, where half of its cloud lies along each axis.
 const LEAST_AMOUNT: u16 = 4;
+/// The most: in fine cells two particles at the very middle of one, and more elsewhere in it, still add up.
+const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;
 
-/// What a particle makes of the DIF, all around: a whole number, so that a mu0 of hundreds or more is rounded along.
-#[must_use]
-pub fn amount(mean: MeanCount) -> u16 {
-    // At most FULL, for a cast saturates.
-    ((f64::from(FULL) / (MEANS_A_CELL * mean.particles())).round() as u16).max(LEAST_AMOUNT)
+/// What a particle adds to the cells around it, all in all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Amount(u16);
+
+impl Amount {
+    /// For particles `spacing` cells apart. In cells of half a spacing and more 4096 lie in each deep in the fluid; where more
+    /// than sixteen times as many particles lie close together, cells hold no more.
+    #[must_use]
+    pub fn of_spacing(spacing: f64) -> Self {
+        let eighths = 8.0 / (spacing * spacing * spacing);
+        Self(((f64::from(GREATEST_AMOUNT) / eighths.max(1.0)) as u16).max(LEAST_AMOUNT))
+    }
+
+    /// As a number of samples' steps.
+    #[must_use]
+    pub fn steps(self) -> u16 {
+        self.0
+    }
 }
 
 /// Where clouds end along each axis.
@@ -78,7 +90,7 @@ pub(super) struct Clouds {
 }
 
 impl Clouds {
-    pub fn new(amount: u16, walls: Option<CellBox>, shape: PageShape) -> Self {
+    pub fn new(Amount(amount): Amount, walls: Option<CellBox>, shape: PageShape) -> Self {
         Self { amount, walls, shape, firsts: shape.firsts() }
     }
 
@@ -184,7 +196,8 @@ mod tests {
 
     #[test]
     fn of_the_least_amount_something_is_left_in_a_particles_own_cell() {
-        assert_eq!(amount(MeanCount::new(MeanCount::MAX).unwrap()), LEAST_AMOUNT);
+        assert_eq!(Amount::of_spacing(1e-3).steps(), LEAST_AMOUNT);
+        assert_eq!(Amount::of_spacing(4.0).steps(), GREATEST_AMOUNT);
         for offset in [0, FRACTIONS / 2, FRACTIONS - 1] {
             let [_, own, _] = shares(offset);
             assert!(part_of(part_of(part_of(LEAST_AMOUNT.into(), own), own), own) > 0, "{offset}");

@@ -10,7 +10,7 @@ use crate::brick::{Bins, CellSums, PageInfo, Pages};
 use crate::grid::{BIN, FRACTIONS};
 use crate::units::FULL;
 
-use super::cloud::{Clouds, amount};
+use super::cloud::Clouds;
 use super::{Content, PageRule};
 
 /// Steps of the rounded centroid distance per axis: 4 F, so that three squares fit 32 bits.
@@ -69,8 +69,8 @@ pub fn indicate(bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result
     let values = match rule.content {
         Content::Symmetry => symmetry_all,
         Content::Counts => counts,
-        Content::Clouds(mean) => {
-            let clouds = Clouds::new(amount(mean), rule.walls, shape);
+        Content::Clouds(amount) => {
+            let clouds = Clouds::new(amount, rule.walls, shape);
             let page = |room: &mut Vec<u16>, bin: usize| {
                 Ok(clouds.page(room, bins.keys()[bin].coord(), &bins.contents(bin)?))
             };

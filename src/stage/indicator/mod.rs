@@ -10,18 +10,19 @@
 //! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
 //! farthest centroid is half a step away from a corner.
 //!
-//! Cloud, which is this project's: theta = min(rho, 2 mu0) / (2 mu0), where rho counts particles as clouds. A particle
-//! lies around its place as the quadratic B-spline does, the triangular-shaped cloud of Hockney and Eastwood (Computer
-//! Simulation Using Particles, 1988): at u of a cell's edge along an axis, a share of (1 - u)^2 / 2 falls to the cell
-//! below, u^2 / 2 to the one above, and the rest to its own. Cells then hold the particles' number, their centroid and
-//! how wide they lie, save for a constant, and nothing jumps. theta can be more than 0 in all cells around a particle's own.
+//! Cloud, which is this project's, is no share of fluid but a density: rho A, at most 65535, where rho counts particles as
+//! clouds, and A is the [`Amount`] that suits the cells. A particle lies around its place as the quadratic B-spline does, the
+//! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at u of a cell's edge along an
+//! axis, a share of (1 - u)^2 / 2 falls to the cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold
+//! the particles' number, their centroid and how wide they lie, save for a constant, and nothing jumps. All cells around a
+//! particle's own can hold something of it. What is drawn by it: see [`distance`](super::distance).
 
 mod cloud;
 mod cpu;
 mod sampled;
 pub mod vulkan;
 
-pub use cloud::{RIM, SHARE_BITS, SQUARE_BITS, amount};
+pub use cloud::{Amount, RIM, SHARE_BITS, SQUARE_BITS};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
 
@@ -46,7 +47,7 @@ pub enum IndicatorKind {
 pub struct IndicatorRequest {
     /// Its kind.
     pub kind: IndicatorKind,
-    /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Symmetry has no use for it.
+    /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Only counting has a use for it.
     pub mean: Option<MeanCount>,
 }
 
@@ -57,8 +58,8 @@ pub enum Indicator {
     Symmetry,
     /// [`IndicatorKind::Counting`] with its `mu0`.
     Counting(MeanCount),
-    /// [`IndicatorKind::Cloud`] with its `mu0`.
-    Cloud(MeanCount),
+    /// [`IndicatorKind::Cloud`] with what a particle adds.
+    Cloud(Amount),
 }
 
 /// Meaning of the samples in pages.
@@ -68,8 +69,8 @@ pub enum Content {
     Symmetry,
     /// Numbers of particles, which become the DIF once `mu0` is known.
     Counts,
-    /// Sums of the clouds of a page's own particles, by their `mu0`.
-    Clouds(MeanCount),
+    /// Sums of the clouds of a page's own particles, of so much each.
+    Clouds(Amount),
 }
 
 /// How pages are made.
@@ -115,20 +116,7 @@ impl IndicatorKind {
     /// Whether it has to know mu0.
     #[must_use]
     pub fn counts(self) -> bool {
-        self != Self::Symmetry
-    }
-
-    /// How wide a Gaussian suits it, in spacings. Clouds have a width of their own.
-    #[must_use]
-    pub fn spacings_smoothed(self) -> f64 {
-        if self == Self::Cloud { 0.8 } else { 1.0 }
-    }
-
-    /// The variance of where a particle is, along an axis, as far as it is known from the DIF, in squared cells: that of a
-    /// cloud, or of the cell that it is in.
-    #[must_use]
-    pub fn variance(self) -> f64 {
-        if self == Self::Cloud { 1.0 / 4.0 } else { 1.0 / 12.0 }
+        self == Self::Counting
     }
 
     /// The bricks that suit it: rims weigh less around large ones.
@@ -141,16 +129,6 @@ impl IndicatorKind {
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
         PageShape { side, rim: if self == Self::Cloud { RIM } else { 0 } }
-    }
-
-    /// The indicator of this kind by a mu0, of which symmetry has no use.
-    #[must_use]
-    pub fn by(self, mean: MeanCount) -> Indicator {
-        match self {
-            Self::Symmetry => Indicator::Symmetry,
-            Self::Counting => Indicator::Counting(mean),
-            Self::Cloud => Indicator::Cloud(mean),
-        }
     }
 }
 
@@ -176,18 +154,8 @@ impl Indicator {
     #[must_use]
     pub fn mean(self) -> Option<MeanCount> {
         match self {
-            Self::Symmetry => None,
-            Self::Counting(mean) | Self::Cloud(mean) => Some(mean),
-        }
-    }
-
-    /// The least theta of cells that count as full where details are told from nothing: for clouds a thirtieth of a particle.
-    /// Cells of a layer of particles then hang together, and no particle is without one.
-    #[must_use]
-    pub fn least(self) -> u16 {
-        match self {
-            Self::Cloud(mean) => (amount(mean) / 30).max(1),
-            _ => 1,
+            Self::Symmetry | Self::Cloud(_) => None,
+            Self::Counting(mean) => Some(mean),
         }
     }
 
@@ -197,7 +165,7 @@ impl Indicator {
         match self {
             Self::Symmetry => Content::Symmetry,
             Self::Counting(_) => Content::Counts,
-            Self::Cloud(mean) => Content::Clouds(mean),
+            Self::Cloud(amount) => Content::Clouds(amount),
         }
     }
 

@@ -5,10 +5,9 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{page_words, wall_bounds};
-use crate::units::MeanCount;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
-use super::{Content, PageRule, amount};
+use super::{Amount, Content, PageRule};
 
 /// Edge of the part of a bin that a work group sums up: its sums fit the shared memory of every device.
 pub const OCTANT: u32 = 8;
@@ -91,7 +90,7 @@ pub fn indicate(
     match rule.content {
         Content::Symmetry => sums(batch, false),
         Content::Counts => sums(batch, true),
-        Content::Clouds(mean) => clouds(batch, &kernels.clouds, count, (rule, mean), &views),
+        Content::Clouds(amount) => clouds(batch, &kernels.clouds, count, (rule, amount), &views),
     }
 }
 
@@ -100,7 +99,7 @@ fn clouds(
     batch: &mut Batch,
     kernel: &Arc<Kernel>,
     count: u32,
-    (rule, mean): (&PageRule, MeanCount),
+    (rule, amount): (&PageRule, Amount),
     views: &[View; 3],
 ) -> Result<(), VulkanError> {
     let samples = rule.shape().bin_samples() as u32;
@@ -108,7 +107,7 @@ fn clouds(
     let [walls_lo, walls_hi] = wall_bounds(rule.walls);
     let push = CloudsPush {
         walls_lo,
-        amount: amount(mean).into(),
+        amount: amount.steps().into(),
         walls_hi,
         brick_bits: rule.side.cells().ilog2(),
         group_samples: samples / groups,

@@ -1,5 +1,6 @@
 //! What is measured once for all frames, on the first that can tell.
 
+use meniscus::calibration::{Calibration, Plateau};
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{FrameError, Resources};
 use meniscus::io::input::open_particles;
@@ -142,13 +143,21 @@ fn frozen(
 
 pub fn describe(frozen: &Frozen) -> String {
     let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], calibration, .. } = frozen;
+    let spacing_cells = spacing.map_or(1.0, |spacing| spacing / cell_size);
     let spacing = match (spacing, spacing_source) {
         (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), "),
         _ => String::new(),
     };
-    let mean = calibration.and_then(|known| known.mean);
+    let mean = calibration.and_then(|known| known.mean());
     let mu0 = mean.map_or(String::new(), |mean| format!(", mu0 {:.4}", mean.particles()));
-    let isovalue = calibration.map_or(String::new(), |known| format!(", isovalue {:.4}", known.iso.value()));
+    let isovalue = match calibration {
+        Some(Calibration::Indicator { iso, .. }) => format!(", isovalue {:.4}", iso.value()),
+        Some(Calibration::Clouds { plateau }) => {
+            let nominal = Plateau::nominal(spacing_cells);
+            format!(", {:.4} particles in a cubed spacing", f64::from(*plateau) / nominal)
+        }
+        None => String::new(),
+    };
     let origin =
         if [*x, *y, *z] == [0.0; 3] { String::new() } else { format!(", origin {x:.6},{y:.6},{z:.6}") };
     format!("{spacing}cell size {cell_size:.6}{origin}{mu0}{isovalue}")

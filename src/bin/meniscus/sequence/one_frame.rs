@@ -167,7 +167,7 @@ impl Conversion<'_> {
                 Some(sampled) => options.record(
                     [path, &target],
                     sampled,
-                    frozen.calibration.map(|known| known.iso),
+                    frozen.calibration.and_then(|known| known.iso()),
                     &*mesh,
                     bytes,
                     &laps,
@@ -280,7 +280,7 @@ impl Conversion<'_> {
                 warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
                 return Ok(None);
             }
-            Err(FrameError::NoKernelSurface) => {
+            Err(FrameError::NoKernelSurface | FrameError::NoDistance) => {
                 warn(empty("no cell's centre is inside of the surface"));
                 return Ok(None);
             }

@@ -1,0 +1,62 @@
+// Two surfaces of the bulk: distances told by the shares under three widths, and lines through two of them each to the width of 0.
+
+struct Push {
+    // Words of the field.
+    words: u32,
+    // What samples are taken by to be shares of the plateau.
+    scale: u32,
+    // The standard deviations.
+    narrow_width: i32,
+    middle_width: i32,
+    wide_width: i32,
+    // How far beyond the narrower of two widths, in what both differ by.
+    fine_share: i32,
+    calm_share: i32,
+}
+
+var<immediate> push: Push;
+// The field under each width, to become the fine surface, what both are apart by, and the calm surface.
+@group(0) @binding(0) var<storage, read_write> narrow: array<u32>;
+@group(0) @binding(1) var<storage, read_write> middle: array<u32>;
+@group(0) @binding(2) var<storage, read_write> wide: array<u32>;
+// The inverse of the normal distribution.
+@group(0) @binding(3) var<storage, read> depths: array<i32>;
+
+fn depth(sample: u32, width: i32) -> i32 {
+    let share = min((sample * push.scale) >> 14u, 32768u);
+    let at = share >> 5u;
+    let low = depths[at];
+    let deviations = 4 * low + (((depths[at + 1u] - low) * i32(share & 31u)) >> 3u);
+    return clamp((deviations * width) >> 14u, -FARTHEST, FARTHEST);
+}
+
+fn beyond(near: i32, far: i32, share: i32) -> i32 {
+    let distance = near + (((near - far) * share + 2048) >> 12u);
+    return clamp(distance + DISTANCE_ZERO, 1, 65535);
+}
+
+// The fine surface, what both are apart by, and the calm surface.
+fn surfaces(shares: vec3<u32>) -> vec3<u32> {
+    let a = depth(shares.x, push.narrow_width);
+    let b = depth(shares.y, push.middle_width);
+    let c = depth(shares.z, push.wide_width);
+    let fine = beyond(a, b, push.fine_share);
+    let calm = beyond(b, c, push.calm_share);
+    let apart = clamp(fine - calm, -MOST_APART, MOST_APART) + DISTANCE_ZERO;
+    return vec3(u32(fine), u32(apart), u32(calm));
+}
+
+@compute @workgroup_size(256)
+fn depths_of(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let word = id.x + 256u * groups.x * id.y;
+    if word >= push.words {
+        return;
+    }
+    let shares = vec3(narrow[word], middle[word], wide[word]);
+    let low = surfaces(shares & vec3(0xffffu));
+    let high = surfaces(shares >> vec3(16u));
+    let both = low | high << vec3(16u);
+    narrow[word] = both.x;
+    middle[word] = both.y;
+    wide[word] = both.z;
+}

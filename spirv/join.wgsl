@@ -1,0 +1,52 @@
+//! with gate
+// The calm surface, and where particles lie outside of it near by as much of the drops as they do so.
+
+struct Push {
+    // Words of the field.
+    words: u32,
+    // The sample from which on particles stand out.
+    begin: u32,
+    // Units until all of it is the drops'.
+    range: u32,
+    // Of a particle alone.
+    radius: i32,
+    // The standard deviation of a drop.
+    width: i32,
+}
+
+var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> near: array<u32>;
+@group(0) @binding(1) var<storage, read> shares: array<u32>;
+// How far from the middle of a normal density a share of its greatest is.
+@group(0) @binding(2) var<storage, read> away: array<i32>;
+// The calm surface, to become the field.
+@group(0) @binding(3) var<storage, read_write> field: array<u32>;
+
+fn joined(calm: u32, outlying: u32, share: u32) -> u32 {
+    if outlying == 0u {
+        return 0u;
+    }
+    let weight = passed(outlying, push.begin, push.range);
+    if weight == 0u {
+        return calm;
+    }
+    let of_table = min(share, 32768u);
+    let at = of_table >> 5u;
+    let low = away[at];
+    let deviations = low + (((away[at + 1u] - low) * i32(of_table & 31u)) >> 5u);
+    let distance = push.radius - ((deviations * push.width) >> 12u);
+    let out = max(distance + DISTANCE_ZERO - i32(calm), 0);
+    return u32(clamp(i32(calm) + ((out * i32(weight) + 2048) >> 12u), 1, 65535));
+}
+
+@compute @workgroup_size(256)
+fn join(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let word = id.x + 256u * groups.x * id.y;
+    if word >= push.words {
+        return;
+    }
+    let a = field[word];
+    let b = near[word];
+    let c = shares[word];
+    field[word] = joined(a & 0xffffu, b & 0xffffu, c & 0xffffu) | joined(a >> 16u, b >> 16u, c >> 16u) << 16u;
+}

@@ -1,0 +1,191 @@
+//! A field in cells twice as wide, made of the finer one bin by bin where it is asked for.
+//!
+//! Along each axis a wide cell takes 1/8, 3/8, 3/8 and 1/8 of the four cells around its middle, so that mass, centroid and, but
+//! for a constant, the width of what lies in them stay the same wherever it lies. Beyond walls the finer field repeats its
+//! edge cells, as for all filters.
+
+use std::sync::Arc;
+
+use glam::IVec3;
+use hashbrown::HashSet;
+use rayon::prelude::*;
+
+use crate::grid::{BIN, CellBox, MortonKey};
+use crate::units::FULL;
+
+use super::{BrickSide, DifField, PageInfo, PageShape, PageSource};
+
+/// Bits that the weights of the cells around the middle of a wide one sum to.
+const WEIGHT_BITS: u32 = 9;
+/// Bits of the factor that sums are taken by.
+const FACTOR_BITS: u32 = 16;
+
+/// The box of wide cells around a box of cells, or in which these leave something.
+#[must_use]
+pub fn halved_box(cells: CellBox) -> CellBox {
+    CellBox { lo: cells.lo >> 1, hi: (cells.hi + 1) >> 1 }
+}
+
+/// How pages of wide cells lie.
+const SHAPE: PageShape = PageShape { side: BrickSide::Sixteen, rim: 0 };
+
+/// Makes the pages of wide cells.
+#[derive(Debug)]
+struct Halving {
+    fine: Arc<DifField>,
+    walls: Option<CellBox>,
+    factor: u64,
+    bins: Vec<IVec3>,
+}
+
+impl Halving {
+    /// The samples of a bin, x fastest.
+    fn dense(&self, bin: IVec3) -> Vec<u16> {
+        let wide = CellBox::cube(bin, BIN);
+        let wide = self.walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
+        let mut dense = vec![0; BIN.pow(3) as usize];
+        if wide.is_empty() {
+            return dense;
+        }
+        let fine = CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 };
+        let fine = self.fine.gather_within(fine, self.walls);
+        let mut sums: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
+        let mut size = fine.cells().size().as_usizevec3();
+        for axis in 0..3 {
+            let strides = [1, size.x, size.x * size.y];
+            let step = strides[axis];
+            size[axis] = size[axis] / 2 - 1;
+            let mut to = Vec::with_capacity(size.element_product());
+            for z in 0..size.z {
+                for y in 0..size.y {
+                    let first = [0, y * strides[1], z * strides[2]];
+                    let along = if axis == 0 { 0 } else { first[axis] };
+                    let row = &sums[first[1] + first[2] + along..];
+                    let pitch = if axis == 0 { 2 } else { 1 };
+                    to.extend((0..size.x).map(|x| {
+                        let tap = |k: usize| row[pitch * x + k * step];
+                        tap(0) + 3 * (tap(1) + tap(2)) + tap(3)
+                    }));
+                }
+            }
+            sums = to;
+        }
+        let corner = bin * BIN;
+        let factor = self.factor;
+        for (sums, [y, z]) in sums
+            .chunks_exact(size.x)
+            .zip((wide.lo.z..wide.hi.z).flat_map(|z| (wide.lo.y..wide.hi.y).map(move |y| [y, z])))
+        {
+            let at = IVec3::new(wide.lo.x, y, z) - corner;
+            let first = (at.x + BIN * (at.y + BIN * at.z)) as usize;
+            for (to, &sum) in dense[first..].iter_mut().zip(sums) {
+                let bits = WEIGHT_BITS + FACTOR_BITS - 3;
+                let scaled = (u64::from(sum) * factor + (1 << (bits - 1))) >> bits;
+                *to = scaled.min(FULL.into()) as u16;
+            }
+        }
+        dense
+    }
+}
+
+impl PageSource for Halving {
+    fn samples(&self, page: usize) -> Vec<u16> {
+        self.dense(self.bins[page])
+    }
+}
+
+impl DifField {
+    /// The field in cells twice as wide, which hold what lies in them times `factor`, at most 1, and at most 65535. What is in
+    /// memory of this one is of that, too; else pages are made again as they are asked for, by as much of `cache_bytes`
+    /// as they need.
+    #[must_use]
+    pub fn halved(self: &Arc<Self>, walls: Option<CellBox>, factor: f64) -> Self {
+        let reach = self.reach();
+        let touched = |cells: CellBox| CellBox { lo: (cells.lo - 1) >> 1, hi: (cells.hi + 2) >> 1 };
+        let mut bins: Vec<IVec3> = self
+            .infos()
+            .iter()
+            .flat_map(|info| touched(info.full.grown(reach, reach)).cubes(BIN))
+            .collect::<HashSet<_>>()
+            .into_iter()
+            .collect();
+        bins.sort_unstable_by_key(|&bin| MortonKey::of(bin));
+        let factor = (factor * f64::from(1 << FACTOR_BITS)) as u64;
+        let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
+        let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), SHAPE);
+        match self.cache_bytes() {
+            None => Self::in_memory(SHAPE, halving.bins.par_iter().filter_map(page).collect()),
+            Some(cache_bytes) => {
+                let pages = halving.bins.par_iter().filter_map(|bin| Some((*bin, page(bin)?.0)));
+                let (bins, infos) = pages.collect::<Vec<_>>().into_iter().unzip();
+                Self::paged(SHAPE, infos, Box::new(Halving { bins, ..halving }), cache_bytes / 4)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brick::Pages;
+
+    /// A few bins of noise, sparse and dense.
+    fn noise() -> Arc<DifField> {
+        let mut state = 7_u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state >> 33
+        };
+        let bins = [IVec3::new(-1, 0, 0), IVec3::ZERO, IVec3::new(0, 0, 1), IVec3::new(3, 0, 1)];
+        let mut pages: Pages = bins
+            .into_iter()
+            .map(|bin| {
+                let dense: Vec<u16> = (0..BIN.pow(3))
+                    .map(|_| if random() % 3 == 0 { (random() % 30_000) as u16 + 1 } else { 0 })
+                    .collect();
+                PageInfo::from_dense(bin, &dense, SHAPE).expect("it holds something")
+            })
+            .collect();
+        pages.sort_by_key(|(info, _)| info.key);
+        Arc::new(DifField::in_memory(SHAPE, pages))
+    }
+
+    /// The formula, cell by cell.
+    fn plain(fine: &DifField, walls: Option<CellBox>, cell: IVec3, factor: f64) -> u16 {
+        let weights = [1.0, 3.0, 3.0, 1.0];
+        let around = CellBox { lo: cell * 2 - 1, hi: cell * 2 + 3 };
+        let mut sum = 0.0;
+        for z in 0..4 {
+            for y in 0..4 {
+                for x in 0..4 {
+                    let mut at = around.lo + IVec3::new(x, y, z);
+                    if let Some(walls) = walls {
+                        at = at.clamp(walls.lo, walls.hi - 1);
+                    }
+                    let sample = fine.gather(CellBox { lo: at, hi: at + 1 }).at(at);
+                    sum +=
+                        weights[x as usize] * weights[y as usize] * weights[z as usize] * f64::from(sample);
+                }
+            }
+        }
+        (sum / 64.0 * factor + 0.5).floor().min(65535.0) as u16
+    }
+
+    #[test]
+    fn wide_cells_hold_what_the_formula_says_with_walls_and_without() {
+        let fine = noise();
+        let odd = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
+        for (walls, factor) in [(None, 1.0), (None, 0.421_875), (Some(odd), 0.25)] {
+            let wide = fine.halved(walls, factor);
+            let cells = CellBox { lo: IVec3::new(-10, -3, -3), hi: IVec3::new(34, 11, 19) };
+            let cells = walls.map_or(cells, |walls| halved_box(walls));
+            let block = wide.gather(cells);
+            let mut any = 0;
+            for cell in cells.cubes(1) {
+                assert_eq!(block.at(cell), plain(&fine, walls, cell, factor), "{cell} of {walls:?}");
+                any += i32::from(block.at(cell) > 0);
+            }
+            assert!(any > 200);
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! See the room's `mod.rs` for the formulas.
+
+use glam::IVec3;
+use multiversion::multiversion;
+
+use crate::brick::Block;
+use crate::grid::CellBox;
+
+use super::table::{AWAY, DEPTHS};
+use super::{Bulk, Depths, Drops, FARTHEST, Gate, MOST_APART, NONE, ZERO, spline, spline_bits, wide_cells};
+
+/// Bits of a share that lie between two entries of a table of 1024 steps.
+const BETWEEN_BITS: u32 = 5;
+
+/// The greatest share, 1.
+const WHOLE: u32 = 1 << 15;
+
+/// An entry of a table, and that after it, at a share of 0 to 32768, and how far between them that is.
+#[inline(always)]
+fn place(share: u32) -> (usize, i32) {
+    ((share >> BETWEEN_BITS) as usize, (share & ((1 << BETWEEN_BITS) - 1)) as i32)
+}
+
+/// How deep a sample says that it is: a share of the plateau by the standard deviation that it was smoothed by.
+#[inline(always)]
+fn depth(sample: u16, scale: u32, width: i32) -> i32 {
+    let (at, between) = place(((u32::from(sample) * scale) >> 14).min(WHOLE));
+    let (low, high) = (i32::from(DEPTHS[at]), i32::from(DEPTHS[at + 1]));
+    let deviations = 4 * low + (((high - low) * between) >> 3);
+    ((deviations * width) >> 14).clamp(-FARTHEST, FARTHEST)
+}
+
+/// A distance as a sample.
+#[inline(always)]
+fn sample(distance: i32) -> u16 {
+    (distance + ZERO).clamp(i32::from(NONE) + 1, i32::from(u16::MAX)) as u16
+}
+
+/// Distances by the samples under each width, narrowest first, on the cells of the last.
+///
+/// # Panics
+/// Unless each block covers the last one.
+#[must_use]
+pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
+    let cells = shares[2].cells();
+    let width = cells.size().x as usize;
+    let [mut calm, mut fine, mut apart] = [(); 3].map(|()| Block::zero(cells));
+    let rows = shares.map(|shares| shares.rows(cells));
+    let [narrow, middle, wide] = rows;
+    let to = calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
+    let to = to.zip(apart.samples_mut().chunks_exact_mut(width));
+    for (((calm, fine), apart), ((narrow, middle), wide)) in to.zip(narrow.zip(middle).zip(wide)) {
+        for i in 0..width {
+            let depths = [narrow.1[i], middle.1[i], wide.1[i]];
+            let [a, b, c] = std::array::from_fn(|k| depth(depths[k], bulk.scale, bulk.widths[k].spacings));
+            let beyond = |near: i32, far: i32, share: i32| near + (((near - far) * share + 2048) >> 12);
+            let near = sample(beyond(a, b, bulk.shares[0]));
+            let far = sample(beyond(b, c, bulk.shares[1]));
+            (fine[i], calm[i]) = (near, far);
+            let difference = (i32::from(near) - i32::from(far)).clamp(-MOST_APART, MOST_APART);
+            apart[i] = (difference + ZERO) as u16;
+        }
+    }
+    Depths { calm, fine, apart }
+}
+
+/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid.
+///
+/// # Panics
+/// If the others do not cover what they are apart by.
+#[must_use]
+pub fn mixed(bulk: &Bulk, Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>) -> Block {
+    let mut field = apart.as_ref().clone();
+    let cells = field.cells();
+    let width = cells.size().x as usize;
+    let rows = calm.as_ref().rows(cells).zip(fine.as_ref().rows(cells));
+    for (to, ((_, calm), (_, fine))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        mixed_row(to, calm, fine, bulk);
+    }
+    field
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn mixed_row(to: &mut [u16], calm: &[u16], fine: &[u16], bulk: &Bulk) {
+    for ((to, &calm), &fine) in to.iter_mut().zip(calm).zip(fine) {
+        let apart = bulk.apart.of((i32::from(*to) - ZERO).unsigned_abs() as u16);
+        let shallow = 4096 - bulk.deep.of(calm);
+        let share = (apart * shallow) >> 12;
+        let (calm, fine) = (i32::from(calm), i32::from(fine));
+        *to = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
+    }
+}
+
+/// By how much a cell that holds a particle lies outside of the calm surface; [`NONE`] where it holds none.
+///
+/// # Panics
+/// If `clouds` does not cover `bulk`.
+#[must_use]
+pub fn outlying(bulk: &Block, clouds: &Block, least: u16) -> Block {
+    let cells = bulk.cells();
+    let width = cells.size().x as usize;
+    let mut field = Block::zero(cells);
+    let rows = bulk.rows(cells).zip(clouds.rows(cells));
+    for (to, ((_, bulk), (_, clouds))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        outlying_row(to, bulk, clouds, least);
+    }
+    field
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn outlying_row(to: &mut [u16], bulk: &[u16], clouds: &[u16], least: u16) {
+    for ((to, &bulk), &clouds) in to.iter_mut().zip(bulk).zip(clouds) {
+        *to = if clouds >= least { (u16::MAX - bulk).max(NONE + 1) } else { NONE };
+    }
+}
+
+/// The greatest sample within `reach` cells along each axis; the result is smaller by as much on every side.
+///
+/// # Panics
+/// If the block is too small for one cell to remain.
+#[must_use]
+pub fn spread(block: Block, reach: i32) -> Block {
+    block.along_each_axis(reach, |to, taps, step| greatest(to, taps, step, 2 * reach as usize + 1))
+}
+
+/// Fills `to[i]` with the greatest of so many taps, `step` apart.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn greatest(to: &mut [u16], taps: &[u16], step: usize, count: usize) {
+    to.copy_from_slice(&taps[..to.len()]);
+    for k in 1..count {
+        for (to, &sample) in to.iter_mut().zip(&taps[k * step..]) {
+            *to = (*to).max(sample);
+        }
+    }
+}
+
+/// A field of cells 2^`level` times as wide at the middles of `cells`: the quadratic B-spline whose control points it is, or
+/// itself at level 0.
+///
+/// # Panics
+/// Unless it covers the [wide cells](super::wide_cells) of `cells`.
+#[must_use]
+pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
+    if level == 0 {
+        return wide.part(cells);
+    }
+    let weights: Vec<[u32; 3]> = (0..1 << level).map(|place| spline(level, place)).collect();
+    let along_x = refined_along(&wide.part(wide_cells(level, cells)), 0, level, cells, &weights);
+    let along_y = refined_along(&along_x, 1, level, cells, &weights);
+    refined_along(&along_y, 2, level, cells, &weights)
+}
+
+/// The same along one axis.
+fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
+    let mut to = wide.cells();
+    (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
+    let mut field = Block::zero(to);
+    let step = wide.strides()[axis];
+    let shift = spline_bits(level);
+    let width = to.size().x as usize;
+    let mean = |weights: [u32; 3], taps: [u16; 3]| {
+        let sum: u32 = weights.iter().zip(taps).map(|(weight, tap)| weight * u32::from(tap)).sum();
+        ((sum + (1 << (shift - 1))) >> shift) as u16
+    };
+    let rows = (to.lo.z..to.hi.z).flat_map(|z| (to.lo.y..to.hi.y).map(move |y| [y, z]));
+    let samples = wide.samples();
+    for (row, [y, z]) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        let first = IVec3::new(to.lo.x, y, z);
+        let mut own = first;
+        own[axis] >>= level;
+        let place = |cell: i32| (cell & ((1 << level) - 1)) as usize;
+        let middle = wide.index(own);
+        if axis == 0 {
+            for (x, to) in (first.x..).zip(row) {
+                let at = middle + ((x >> level) - own.x) as usize;
+                *to = mean(weights[place(x)], [samples[at - 1], samples[at], samples[at + 1]]);
+            }
+        } else {
+            let weights = weights[place(first[axis])];
+            let taps = [middle - step, middle, middle + step].map(|at| &samples[at..][..width]);
+            for (i, to) in row.iter_mut().enumerate() {
+                *to = mean(weights, taps.map(|taps| taps[i]));
+            }
+        }
+    }
+    field
+}
+
+/// Shares of clouds in what is around them, in units of 1 / 2^`bits`, on the cells of `around`.
+///
+/// # Panics
+/// If `clouds` does not cover `around`.
+#[must_use]
+pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
+    let cells = around.cells();
+    let width = cells.size().x as usize;
+    let mut field = Block::zero(cells);
+    let rows = clouds.rows(cells).zip(around.rows(cells));
+    for (to, ((_, clouds), (_, around))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
+        for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
+            if clouds > 0 {
+                *to = ((u32::from(clouds) << bits) / u32::from(around.max(1))).min(u16::MAX.into()) as u16;
+            }
+        }
+    }
+    field
+}
+
+/// Whether anything stands out from the calm surface.
+#[must_use]
+pub fn any_outlying(near: &Block, gate: &Gate) -> bool {
+    near.samples().iter().any(|&near| near > gate.begin)
+}
+
+/// The field: the calm surface, and where particles lie outside of it near by as much of the drops as they do so.
+///
+/// # Panics
+/// If `near` or `drops` does not cover `bulk`.
+#[must_use]
+pub fn joined(mut bulk: Block, near: &Block, drops: Option<(&Drops, &Block)>, gate: &Gate) -> Block {
+    let cells = bulk.cells();
+    let width = cells.size().x as usize;
+    let near = near.rows(cells);
+    let rows = bulk.samples_mut().chunks_exact_mut(width).zip(near);
+    match drops {
+        None => rows.for_each(|(bulk, (_, near))| {
+            bulk.iter_mut().zip(near).for_each(|(bulk, &near)| {
+                if near == NONE {
+                    *bulk = NONE;
+                }
+            });
+        }),
+        Some((drops, shares)) => {
+            for ((bulk, (_, near)), (_, shares)) in rows.zip(shares.rows(cells)) {
+                for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
+                    *bulk = joined_sample(*bulk, near, share, drops, gate);
+                }
+            }
+        }
+    }
+    bulk
+}
+
+#[inline(always)]
+fn joined_sample(bulk: u16, near: u16, share: u16, drops: &Drops, gate: &Gate) -> u16 {
+    if near == NONE {
+        return NONE;
+    }
+    let weight = gate.of(near);
+    if weight == 0 {
+        return bulk;
+    }
+    let (at, between) = place(u32::from(share).min(WHOLE));
+    let (low, high) = (i32::from(AWAY[at]), i32::from(AWAY[at + 1]));
+    let away = low + (((high - low) * between) >> BETWEEN_BITS);
+    let distance = drops.radius - ((away * drops.width) >> 12);
+    let out = (distance + ZERO - i32::from(bulk)).max(0);
+    sample(i32::from(bulk) - ZERO + ((out * weight as i32 + 2048) >> 12))
+}

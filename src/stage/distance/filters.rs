@@ -1,0 +1,226 @@
+//! The filters of a frame, by its particles' spacing in cells.
+
+use crate::grid::{BLOCK, CellBox};
+use crate::stage::blur::Kernel;
+use crate::stage::indicator::Amount;
+use crate::units::Smooth;
+
+use super::{Bulk, Drops, Gate, UNITS, Width, ZERO, wide_cells};
+
+/// The least edge of the cells in which the calm surface is made, in spacings: finer ones are joined before.
+const LEAST_WIDE: f64 = 0.4;
+/// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the first two, the calm one by the
+/// last two.
+const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
+/// Where their Gaussians are cut off, in standard deviations.
+const CUT: f64 = 2.2;
+/// The standard deviation of what averages by how much the two surfaces are apart, in widths asked for, and where it is cut off.
+const AROUND: f64 = 0.5625;
+const AROUND_CUT: f64 = 1.7;
+/// By how much they are apart on average where noise ends and shape begins, in spacings, and where there is nothing but shape.
+const APART: [f64; 2] = [0.08, 0.16];
+/// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in spacings.
+const DEEP: [f64; 2] = [0.3, 0.9];
+/// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
+const LEAST_VARIANCE: f64 = 0.35;
+/// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all of any particle.
+const NEAR: f64 = 1.0;
+/// By how much a particle's centre has to lie outside of the calm surface to stand out, in spacings, and to do so wholly.
+const STANDS_OUT: [f64; 2] = [0.4, 1.0];
+/// The standard deviation of what makes drops of particles, in spacings.
+const DROP_WIDTH: f64 = 0.6;
+/// The radius of a particle alone in fine cells, in spacings, and by how much less it is in others, in spacings over a squared one: by as
+/// much as clouds in such cells are wider. A drop of one then holds four fifths of a cubed spacing in cells of any size.
+const DROP_RADIUS: [f64; 2] = [0.55, 0.29];
+/// The least radius, for cells that hardly tell of a particle alone.
+const LEAST_DROP_RADIUS: f64 = 0.38;
+/// Where its Gaussian is cut off, in standard deviations.
+const DROP_CUT: f64 = 2.6;
+
+/// All that makes distances of clouds but the plateau.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Distances {
+    /// A wide cell, in which the calm surface is made, is 2^`level` cells along an axis.
+    pub level: u32,
+    /// The calm surface.
+    pub bulk: Bulk,
+    /// Within how many wide cells of a particle along each axis there can be a surface.
+    pub near: i32,
+    /// The least sample of a wide cell that holds a particle's centre.
+    pub least: u16,
+    /// Where drops begin.
+    pub gate: Gate,
+    /// Drops.
+    pub drops: Drops,
+}
+
+/// The field of wide cells, by the particles' spacing in cells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WideCells {
+    /// Each is 2^`level` cells along an axis.
+    pub level: u32,
+    /// Edge of a wide cell in spacings.
+    pub edge: f64,
+}
+
+impl WideCells {
+    /// For particles so many cells apart.
+    #[must_use]
+    pub fn of_spacing(spacing: f64) -> Self {
+        let mut wide = Self { level: 0, edge: 1.0 / spacing };
+        while 2.0 * wide.edge < 2.0 * LEAST_WIDE {
+            wide = Self { level: wide.level + 1, edge: 2.0 * wide.edge };
+        }
+        wide
+    }
+
+    /// What a particle adds in all.
+    #[must_use]
+    pub fn amount(self) -> Amount {
+        Amount::of_spacing(1.0 / self.edge)
+    }
+
+    /// The sample deep in a fluid with a particle in each cubed spacing, before any gain.
+    #[must_use]
+    pub fn plateau(self) -> f64 {
+        f64::from(self.amount().steps()) * self.edge * self.edge * self.edge
+    }
+}
+
+/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes half of what a sample can be.
+pub const BULK_GAIN: u32 = 3;
+
+/// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
+fn gaussian(cells: f64, cut: f64) -> (Kernel, f64) {
+    let variance = (cells * cells - 0.25).max(LEAST_VARIANCE);
+    let kernel = Kernel::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
+    let width = (kernel.variance() + 0.25).sqrt();
+    (kernel, width)
+}
+
+/// From one distance to another, in spacings, over a value that stands for 0.
+fn gate([begin, end]: [f64; 2], zero: i32) -> Gate {
+    let units = |spacings: f64| (spacings * UNITS).round() as i32;
+    Gate { begin: (zero + units(begin)) as u16, range: (units(end) - units(begin)) as u16 }
+}
+
+impl Distances {
+    /// For particles `spacing` cells apart.
+    #[must_use]
+    pub fn new(smooth: Smooth, spacing: f64) -> Self {
+        let wide = WideCells::of_spacing(spacing);
+        let widths = WIDTHS.map(|times| {
+            let (kernel, width) = gaussian(times * smooth.spacings() / wide.edge, CUT);
+            Width { kernel: kernel.gaining(BULK_GAIN), spacings: (width * wide.edge * 4096.0).round() as i32 }
+        });
+        let share = |narrow: usize| {
+            let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
+            (a / (b - a) * 4096.0).round() as i32
+        };
+        let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
+        let around = Kernel::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
+        let amount = f64::from(wide.amount().steps());
+        let bulk = Bulk {
+            shares: [share(0), share(1)],
+            scale: scale(wide.plateau() * f64::from(1 << BULK_GAIN)),
+            widths,
+            around,
+            apart: gate(APART, 0),
+            deep: gate(DEEP, ZERO),
+        };
+        Self {
+            level: wide.level,
+            bulk,
+            near: (NEAR / wide.edge).round().max(1.0) as i32,
+            least: ((amount / 9.0) as u16).max(1),
+            gate: gate(STANDS_OUT, ZERO),
+            drops: Drops::new(spacing),
+        }
+    }
+
+    /// The same by a plateau that was measured: the sample under the narrowest width deep in the fluid.
+    #[must_use]
+    pub fn with_plateau(mut self, plateau: u16) -> Self {
+        self.bulk.scale = scale(plateau.into());
+        self
+    }
+
+    /// The widest filter of the calm surface reaches so many wide cells.
+    #[must_use]
+    pub fn bulk_reach(&self) -> i32 {
+        self.bulk.widths.iter().map(|width| width.kernel.reach()).max().unwrap_or(0)
+    }
+
+    /// The wide cells on which the calm surface is needed for a field on `cells`.
+    #[must_use]
+    pub fn wide_cells(&self, cells: CellBox) -> CellBox {
+        wide_cells(self.level, cells)
+    }
+
+    /// How far beyond those wide cells decide the field.
+    #[must_use]
+    pub fn wide_halo(&self) -> i32 {
+        self.bulk_reach() + self.near.max(self.bulk.around.reach())
+    }
+
+    /// How far cells decide the drops.
+    #[must_use]
+    pub fn drops_halo(&self) -> i32 {
+        self.drops.around.reach() + self.drops.spread.reach()
+    }
+
+    /// How far from a full cell there can be a surface, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        (self.near + 2) << self.level
+    }
+
+    /// Every filter.
+    pub fn kernels(&self) -> impl Iterator<Item = &Kernel> {
+        let widths = self.bulk.widths.iter().map(|width| &width.kernel);
+        widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread])
+    }
+
+    /// Bytes of a block while its field is made, at the most.
+    #[must_use]
+    pub fn block_bytes(&self) -> u64 {
+        let cells = CellBox { lo: glam::IVec3::NEG_ONE, hi: glam::IVec3::splat(BLOCK + 2) };
+        let volume = |cells: CellBox| cells.volume() as u64 * size_of::<u16>() as u64;
+        let wide = self.wide_cells(cells);
+        let (halo, near) = (self.wide_halo(), self.near);
+        let bulk = 5 * volume(wide.grown(halo, halo)) + 2 * volume(wide.grown(near, near));
+        let halo = self.drops_halo();
+        bulk.max(4 * volume(cells.grown(halo, halo)) + 3 * volume(cells))
+    }
+}
+
+/// What samples are taken by to be shares of a plateau.
+fn scale(plateau: f64) -> u32 {
+    ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
+}
+
+impl Drops {
+    fn new(spacing: f64) -> Self {
+        let (kernel, width) = gaussian(DROP_WIDTH * spacing, DROP_CUT);
+        let [fine, less] = DROP_RADIUS;
+        let radius = (fine - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
+        let amount = f64::from(Amount::of_spacing(spacing).steps());
+        // What is around a particle alone, at its place: about 2048 to 4096 with the gain.
+        let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
+        let bits_between = |value: f64, most: f64| {
+            (0..15).take_while(|&bits| value * f64::from(1 << (bits + 1)) <= most).count() as u32
+        };
+        let gain = bits_between(alone, 4096.0);
+        // Of its cloud no more than 27/64 lie in one cell.
+        let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
+        let bits = bits_between(share, 49152.0);
+        Self {
+            around: kernel.clone().gaining(gain),
+            // 1 becomes 32768.
+            spread: kernel.gaining((15 + gain).saturating_sub(bits).min(15)),
+            bits,
+            radius: (radius * UNITS).round() as i32,
+            width: (width / spacing * UNITS).round() as i32,
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Signed distances from clouds: a calm surface, and the drops that stand out of it.
+//!
+//! All lengths are in particle spacings, so that what is drawn does not depend on the cells.
+
+mod cpu;
+mod filters;
+mod table;
+pub mod vulkan;
+
+pub use cpu::{any_outlying, depths, joined, mixed, outlying, quotient, refined, spread};
+pub use filters::{BULK_GAIN, Distances, WideCells};
+pub use table::{AWAY, DEPTHS};
+
+use crate::grid::CellBox;
+use crate::stage::blur::Kernel;
+
+/// Units of distance in a spacing.
+pub const UNITS: f64 = 8192.0;
+/// The sample of a distance of 0, less which is outside of the fluid.
+pub const ZERO: i32 = 1 << 15;
+/// The sample where no particle is near.
+pub const NONE: u16 = 0;
+/// The greatest distance that a width tells, in units: deep in the fluid noise under one width would else be taken for shape, and far
+/// outside of it what is left of few particles.
+pub const FARTHEST: i32 = 5 << 12;
+/// The most that two surfaces of the bulk count as apart, in units.
+pub const MOST_APART: i32 = UNITS as i32;
+
+/// The wide cells, each 2^`level` cells along an axis, that decide a field of such at the middles of `cells`.
+#[must_use]
+pub fn wide_cells(level: u32, cells: CellBox) -> CellBox {
+    if level == 0 {
+        return cells;
+    }
+    CellBox { lo: (cells.lo >> level) - 1, hi: ((cells.hi - 1) >> level) + 2 }
+}
+
+/// Bits of what [`spline`] weights sum to.
+#[must_use]
+pub fn spline_bits(level: u32) -> u32 {
+    2 * level + 3
+}
+
+/// The quadratic B-spline at the middle of cell number `place` of the 2^`level` along a wide one: the weights of the wide cell below,
+/// of its own, and of the one above, in 2^[`spline_bits`].
+#[must_use]
+pub fn spline(level: u32, place: u32) -> [u32; 3] {
+    let (edge, at) = (2 << level, 2 * place + 1);
+    let [below, above] = [edge - at, at].map(|length: u32| length * length);
+    [below, 2 * edge * edge - below - above, above]
+}
+
+/// A width under which clouds are smoothed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Width {
+    /// In wide cells.
+    pub kernel: Kernel,
+    /// The standard deviation of what it makes of a particle, in 4096ths of a spacing.
+    pub spacings: i32,
+}
+
+/// The surface of the bulk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bulk {
+    /// Narrowest first.
+    pub widths: [Width; 3],
+    /// How far beyond the narrower of two widths that of 0 is, in 4096ths of what both differ by: of the first two, and of the last
+    /// two.
+    pub shares: [i32; 2],
+    /// What samples are taken by to be shares of the plateau, in 16384ths of 32768ths.
+    pub scale: u32,
+    /// Averages by how much the two surfaces are apart.
+    pub around: Kernel,
+    /// From where to where that makes the fine surface of the calm one, in units.
+    pub apart: Gate,
+    /// From which sample of the calm surface to which it stays what it is.
+    pub deep: Gate,
+}
+
+/// Where one thing gives way to another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gate {
+    /// Where the other begins.
+    pub begin: u16,
+    /// After how much more there is nothing but the other.
+    pub range: u16,
+}
+
+impl Gate {
+    /// The other's share, 0 to 4096, as 3 x^2 - 2 x^3 rises from 0 to 1.
+    #[must_use]
+    #[inline(always)]
+    pub fn of(self, value: u16) -> u32 {
+        let range = u32::from(self.range);
+        let x = u32::from(value.saturating_sub(self.begin)).min(range) * 4096 / range;
+        (((x * x) >> 8) * (3 * 4096 - 2 * x)) >> 16
+    }
+}
+
+/// Two surfaces of the bulk, as distances, and by how much the fine one lies farther out.
+#[derive(Debug, Clone)]
+pub struct Depths<T> {
+    /// By the wider widths.
+    pub calm: T,
+    /// By the narrower ones.
+    pub fine: T,
+    /// Their difference, as a distance.
+    pub apart: T,
+}
+
+/// The surface around particles alone or in small numbers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Drops {
+    /// Makes what is around a cloud.
+    pub around: Kernel,
+    /// Spreads shares of it.
+    pub spread: Kernel,
+    /// Of a share, before it is spread.
+    pub bits: u32,
+    /// In units.
+    pub radius: i32,
+    /// The standard deviation, in units.
+    pub width: i32,
+}
