@@ -8,6 +8,7 @@ struct Push {
     begin: u32,
     // Units until all of it is the drops'.
     range: u32,
+    slope: u32,
     // Of a particle alone.
     radius: i32,
     // The standard deviation of a drop.
@@ -26,7 +27,7 @@ fn joined(calm: u32, outlying: u32, share: u32) -> u32 {
     if outlying == 0u {
         return 0u;
     }
-    let weight = passed(outlying, push.begin, push.range);
+    let weight = passed(outlying, Gate(push.begin, push.range, push.slope));
     if weight == 0u {
         return calm;
     }

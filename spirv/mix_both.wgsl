@@ -7,9 +7,11 @@ struct Push {
     // From where to where what both are apart by makes the fine surface of the calm one.
     apart_begin: u32,
     apart_range: u32,
+    apart_slope: u32,
     // From which sample of the calm surface to which it stays what it is.
     deep_begin: u32,
     deep_range: u32,
+    deep_slope: u32,
 }
 
 var<immediate> push: Push;
@@ -21,8 +23,9 @@ var<immediate> push: Push;
 
 fn mixed(calm: u32, fine: u32, apart: u32) -> u32 {
     let distance = u32(abs(i32(apart) - DISTANCE_ZERO));
-    let shallow = 4096u - passed(calm, push.deep_begin, push.deep_range);
-    let share = (passed(distance, push.apart_begin, push.apart_range) * shallow) >> 12u;
+    let shallow = 4096u - passed(calm, Gate(push.deep_begin, push.deep_range, push.deep_slope));
+    let told = passed(distance, Gate(push.apart_begin, push.apart_range, push.apart_slope));
+    let share = (told * shallow) >> 12u;
     return u32(i32(calm) + (((i32(fine) - i32(calm)) * i32(share) + 2048) >> 12u));
 }
 

@@ -7,7 +7,7 @@ use crate::calibration::Calibration;
 use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::{FieldCount, Filter, Kernel, Smoothing};
 use crate::stage::detail::Recovery;
-use crate::stage::distance::{Bulk, Depths, Distances, Drops, Gate, Width, wide_cells};
+use crate::stage::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width, wide_cells};
 use crate::stage::indicator::IndicatorKind;
 use crate::units::{Isovalue, Sigma};
 
@@ -123,6 +123,15 @@ impl Filters {
         }
     }
 
+    /// The part of some cells in which dual cells can be mixed, as far as the filters say.
+    #[must_use]
+    pub fn not_inside(&self, cells: CellBox) -> CellBox {
+        match self {
+            Self::Distances(distances) if !cells.is_empty() => distances.not_inside(cells),
+            _ => cells,
+        }
+    }
+
     /// Bytes of a block in the memory of a thread while its field is made, at the most.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
@@ -181,7 +190,10 @@ impl Recipe {
     pub fn apply<F: Fields>(&self, fields: &mut F) -> Result<F::Field, F::Error> {
         match &self.filters {
             Filters::Paper(paper) => paper.apply(fields, self.iso),
-            Filters::Distances(distances) => apply_distances(distances, fields),
+            Filters::Distances(distances) => {
+                let bulk = bulk(distances, fields)?;
+                joined(distances, fields, bulk)
+            }
         }
     }
 }
@@ -201,9 +213,21 @@ impl PaperFilters {
     }
 }
 
-/// The calm surface in wide cells, and the drops in cells where any can be seen.
-fn apply_distances<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F::Field, F::Error> {
-    let Distances { level, bulk, near, least, gate, drops } = distances;
+/// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one near by.
+#[derive(Debug, Clone)]
+pub struct WideFields<T> {
+    /// Distances.
+    pub bulk: T,
+    /// The greatest within reach of a drop.
+    pub outlying: T,
+}
+
+/// All that distances need of wide cells: it is made once for whatever cells lie between these.
+///
+/// # Errors
+/// Those of `fields`.
+pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFields<F::Field>, F::Error> {
+    let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
     let mut share = |width: &Width| fields.blur(clouds.clone(), &width.kernel);
     let [narrow, middle, wide] = &bulk.widths;
@@ -211,18 +235,30 @@ fn apply_distances<F: Fields>(distances: &Distances, fields: &mut F) -> Result<F
     let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
     let outlying = fields.outlying(&calm, clouds, *least)?;
     let apart = fields.blur(apart, &bulk.around)?;
-    let calm = fields.mixed(bulk, Depths { calm, fine, apart })?;
-    let near = fields.spread(outlying, *near)?;
-    let calm = fields.refined(calm, *level)?;
-    let near = fields.refined(near, *level)?;
-    if !fields.stand_out(&calm, &near, gate)? {
-        return fields.joined(calm, near, None, gate);
+    let bulk = fields.mixed(bulk, inside, Depths { calm, fine, apart })?;
+    Ok(WideFields { bulk, outlying: fields.spread(outlying, *near)? })
+}
+
+/// The field, of what is known of wide cells, and of drops in cells where any can be seen.
+///
+/// # Errors
+/// Those of `fields`.
+pub fn joined<F: Fields>(
+    distances: &Distances,
+    fields: &mut F,
+    WideFields { bulk, outlying }: WideFields<F::Field>,
+) -> Result<F::Field, F::Error> {
+    let Distances { level, gate, drops, .. } = distances;
+    let bulk = fields.refined(bulk, *level)?;
+    let near = fields.refined(outlying, *level)?;
+    if !fields.stand_out(&bulk, &near, gate)? {
+        return fields.joined(bulk, near, None, gate);
     }
     let clouds = fields.samples(0, distances.drops_halo())?;
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let shares = fields.blur(shares, &drops.spread)?;
-    fields.joined(calm, near, Some((drops, shares)), gate)
+    fields.joined(bulk, near, Some((drops, shares)), gate)
 }
 
 /// Where fields are kept, and the filters on them. A clone of a field is the same field.
@@ -254,8 +290,13 @@ pub trait Fields {
     /// Two surfaces of the bulk, by the samples under each of its widths.
     fn depths(&mut self, bulk: &Bulk, shares: [Self::Field; 3]) -> Result<Depths<Self::Field>, Self::Error>;
 
-    /// The one that is drawn, of both and of what they are apart by on average.
-    fn mixed(&mut self, bulk: &Bulk, depths: Depths<Self::Field>) -> Result<Self::Field, Self::Error>;
+    /// The one that is drawn, of both and of what they are apart by on average; at its greatest inside.
+    fn mixed(
+        &mut self,
+        bulk: &Bulk,
+        inside: &Inside,
+        depths: Depths<Self::Field>,
+    ) -> Result<Self::Field, Self::Error>;
 
     /// By how much particles lie outside of the calm surface.
     fn outlying(
@@ -271,7 +312,7 @@ pub trait Fields {
     /// A field of wide cells on those that it is asked for on, linear between the middles of wide ones.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether drops are to be made; `false` only where none can be seen.
+    /// Whether drops are to be made: `false` only where none can be seen. From then on samples are those around where any can.
     fn stand_out(&mut self, calm: &Self::Field, near: &Self::Field, gate: &Gate)
     -> Result<bool, Self::Error>;
 

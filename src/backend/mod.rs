@@ -10,6 +10,8 @@ use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::brick::{Bins, Pages};
 use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
@@ -80,7 +82,8 @@ impl Surfaces<'_> {
         let reach = dif.reach() + self.recipe.filters.reach();
         let within = self.walls().map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        let regions = dif.regions(reach + 1, reach).into_iter().map(cut);
+        let regions = dif.regions(reach + 1, reach);
+        let regions = regions.into_par_iter().map(|cells| self.recipe.filters.not_inside(cut(cells)));
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 

@@ -7,7 +7,7 @@ use crate::grid::{BLOCK, Domain, Grid};
 use crate::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::rivals::Method;
 use crate::stage::blur::{Filter, Smoothing};
-use crate::stage::distance::Distances;
+use crate::stage::distance::{BULK_GAIN, Distances, Inside};
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::units::{Isovalue, Sigma, Smooth};
@@ -210,6 +210,15 @@ impl Surfacing {
     #[must_use]
     pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
+        let filters = match (filters, calibration) {
+            (Filters::Distances(distances), Calibration::Clouds { plateau }) => {
+                let wide = frame.wide_cells();
+                let samples = f64::from(*plateau) / f64::from(1 << BULK_GAIN);
+                let inside = Inside::of(frame.wide(wide.level), wide.edge, samples);
+                Filters::Distances(distances.skipping(inside))
+            }
+            (filters, _) => filters,
+        };
         Recipe::new(filters, calibration)
     }
 }

@@ -4,12 +4,12 @@ use std::rc::Rc;
 
 use crate::brick::Block;
 use crate::grid::CellBox;
-use crate::recipe::{Fields, Filters, Recipe, walls_at};
+use crate::recipe::{Fields, Filters, Recipe, bulk, joined as joined_fields, walls_at};
 use crate::stage::blur::{Kernel, blur_while};
 use crate::stage::detail::{lost, raise};
 use crate::stage::distance::{
-    Bulk, Depths, Drops, Gate, NONE, any_outlying, depths, joined, mixed, outlying, quotient, refined,
-    spread, wide_cells,
+    Bulk, Depths, Drops, Gate, Inside, NONE, depths, joined, mixed, outlying, outlying_part, quotient,
+    refined, spread, wide_cells,
 };
 use crate::stage::indicator::SampledDif;
 use crate::units::Isovalue;
@@ -28,25 +28,38 @@ fn minimum(samples: &[u16]) -> u16 {
 /// The final field on `cells` of a frame.
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
-    apply(recipe, sampled, cells, Looking::Away).expect("nothing stops it")
+    let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, Looking::Away)).ok();
+    field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// The final field on `cells` where the surface can pass between them, as far as can be told before there is a field.
-pub(super) fn cut_field(
+/// The final field on each of some boxes of cells near one another where the surface can pass between them, as far as can be told
+/// before there is a field; and whether each is away from walls.
+pub(super) fn cut_fields(
     recipe: &Recipe,
     sampled: &SampledDif,
-    cells: CellBox,
-    away_from_walls: bool,
-) -> Option<Block> {
-    apply(recipe, sampled, cells, Looking::For { iso: recipe.iso, away_from_walls })
-}
-
-fn apply(recipe: &Recipe, sampled: &SampledDif, cells: CellBox, looking: Looking) -> Option<Block> {
-    // The paper's smoothing is a mean of the DIF, and decides where nothing brings details back.
-    let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
-    let mut blocks = Blocks { sampled, cells, looking, decides };
-    let field = recipe.apply(&mut blocks).ok();
-    field.map(|field| Rc::unwrap_or_clone(field.block))
+    boxes: &[CellBox],
+    away_from_walls: &[bool],
+) -> Vec<Option<Block>> {
+    let looking =
+        away_from_walls.iter().map(|&away_from_walls| Looking::For { iso: recipe.iso, away_from_walls });
+    let boxes = boxes.iter().copied().zip(looking);
+    let blocks = |cells, looking| Blocks::new(recipe, sampled, cells, looking);
+    let block = |field: Result<Field, Stopped>| Some(Rc::unwrap_or_clone(field.ok()?.block));
+    let Filters::Distances(distances) = &recipe.filters else {
+        return boxes.map(|(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))).collect();
+    };
+    let halo = distances.wide_halo();
+    let volume = |cells: CellBox| distances.wide_cells(cells).grown(halo, halo).volume();
+    let all = boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
+    let together = volume(all) <= boxes.clone().map(|(cells, _)| volume(cells)).sum();
+    let made = |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
+    let of_all =
+        if together { made(all, Looking::For { iso: recipe.iso, away_from_walls: true }) } else { None };
+    let field = |(cells, looking)| {
+        let wide = if together { of_all.clone() } else { made(cells, looking) };
+        block(joined_fields(distances, &mut blocks(cells, looking), wide?))
+    };
+    boxes.map(field).collect()
 }
 
 /// Whether a field is only wanted where the surface passes.
@@ -91,11 +104,21 @@ impl Looking {
 /// Fields in blocks.
 struct Blocks<'a> {
     sampled: &'a SampledDif,
-    /// Those of which the field is wanted.
+    /// Those of which the field is asked for.
     cells: CellBox,
+    /// Those of them that samples are taken for.
+    wanted: CellBox,
     looking: Looking,
     /// Whether blurred samples tell of all that follows.
     decides: bool,
+}
+
+impl<'a> Blocks<'a> {
+    fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, looking: Looking) -> Self {
+        // The paper's smoothing is a mean of the DIF, and decides where nothing brings details back.
+        let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
+        Self { sampled, cells, wanted: cells, looking, decides }
+    }
 }
 
 /// A field, and how wide its cells are.
@@ -126,7 +149,7 @@ impl Fields for Blocks<'_> {
     type Error = Stopped;
 
     fn samples(&mut self, level: u32, halo: i32) -> Result<Field, Stopped> {
-        let cells = wide_cells(level, self.cells).grown(halo, halo);
+        let cells = wide_cells(level, self.wanted).grown(halo, halo);
         let block = self.sampled.wide(level).gather_within(cells, self.walls(level));
         let goes_on =
             if self.decides { self.looking.may_cut(&block) } else { self.looking.may_show_any(&block) };
@@ -155,10 +178,17 @@ impl Fields for Blocks<'_> {
         Ok(Depths { calm, fine, apart })
     }
 
-    fn mixed(&mut self, by: &Bulk, Depths { calm, fine, apart }: Depths<Field>) -> Result<Field, Stopped> {
+    fn mixed(
+        &mut self,
+        by: &Bulk,
+        inside: &Inside,
+        Depths { calm, fine, apart }: Depths<Field>,
+    ) -> Result<Field, Stopped> {
         let level = calm.level;
         let depths = Depths { calm: calm.block, fine: fine.block, apart: apart.block };
-        Ok(Field { block: Rc::new(mixed(by, &depths)), level })
+        let mut block = mixed(by, &depths);
+        inside.raise(&mut block);
+        Ok(Field { block: Rc::new(block), level })
     }
 
     fn outlying(&mut self, calm: &Field, clouds: Field, least: u16) -> Result<Field, Stopped> {
@@ -177,7 +207,8 @@ impl Fields for Blocks<'_> {
         if !self.looking.may_show(&calm.block, &near.block) {
             return Err(Stopped);
         }
-        Ok(any_outlying(&near.block, gate))
+        self.wanted = outlying_part(&near.block, gate);
+        Ok(!self.wanted.is_empty())
     }
 
     fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {

@@ -7,17 +7,18 @@ pub use fields::field;
 use std::io;
 use std::ops::Range;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Pages};
-use crate::grid::CellBox;
+use crate::grid::{BLOCK, CellBox};
 use crate::mesh::BlockMesh;
 use crate::stage::dual_mc::{block_mesh, dual_cells};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
 use super::{Backend, Stages, Surfaces, Work};
-use fields::cut_field;
+use fields::cut_fields;
 
 /// All threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
@@ -47,7 +48,10 @@ impl Stages for Cpu {
     }
 
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        regions.par_iter().map(|&region| mesh(surfaces, region)).collect()
+        // Neighbours follow one another along the Morton curve.
+        let together = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
+        let groups: Vec<_> = regions.chunk_by(together).collect();
+        groups.into_par_iter().flat_map_iter(|group| meshes(surfaces, group)).collect()
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -59,10 +63,19 @@ impl Stages for Cpu {
     }
 }
 
-fn mesh(surfaces: &Surfaces<'_>, region: CellBox) -> Option<BlockMesh> {
+/// Where the eight blocks are of which a region's is one.
+fn parent(region: &CellBox) -> IVec3 {
+    region.lo.div_euclid(IVec3::splat(2 * BLOCK))
+}
+
+/// The surfaces through some regions, of which those near one another share what they can.
+fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
     let &Surfaces { sampled, recipe, normals } = surfaces;
     let walls = surfaces.walls();
-    let away_from_walls = walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-    let field = cut_field(recipe, sampled, normals.cells(region), away_from_walls)?;
-    block_mesh(&field, region, recipe.iso, normals, walls)
+    let cells: Vec<_> = regions.iter().map(|&region| normals.cells(region)).collect();
+    let away = |region: &CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(*region)));
+    let away: Vec<_> = regions.iter().map(away).collect();
+    let fields = cut_fields(recipe, sampled, &cells, &away);
+    let fields = regions.iter().zip(fields);
+    fields.map(|(&region, field)| block_mesh(&field?, region, recipe.iso, normals, walls)).collect()
 }

@@ -10,7 +10,7 @@ use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
 use crate::stage::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
-use crate::stage::distance::{Bulk, Depths, Drops, Gate};
+use crate::stage::distance::{Bulk, Depths, Drops, Gate, Inside};
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
 
@@ -136,6 +136,7 @@ impl Fields for PaddedFields<'_> {
     fn mixed(
         &mut self,
         by: &Bulk,
+        _: &Inside,
         Depths { calm, fine, apart }: Depths<Rc<Padded>>,
     ) -> Result<Rc<Padded>, VulkanError> {
         let of = calm.of;

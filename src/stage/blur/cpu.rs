@@ -91,18 +91,31 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
     }
 }
 
-/// For kernels of any width and gain, one tap after the other.
+/// For kernels of any width and gain.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
-    let reach = half.len() - 1;
-    let mut sums = vec![1_u32 << (shift - 1); to.len()];
-    for k in 0..=2 * reach {
-        let weight = half[k.abs_diff(reach)];
-        for (sum, &sample) in sums.iter_mut().zip(&taps[k * step..]) {
-            *sum += weight * u32::from(sample);
+    // So many sums stay in registers.
+    const LANES: usize = 32;
+    let (centre, pairs) = half.split_first().expect("a kernel has a centre");
+    let reach = pairs.len();
+    let (many, rest) = to.as_chunks_mut::<LANES>();
+    let done = many.len() * LANES;
+    for (first, to) in (0..).step_by(LANES).zip(many) {
+        let taps = |k: usize| taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample");
+        let own = taps(reach);
+        let mut sums: [u32; LANES] = std::array::from_fn(|i| centre * u32::from(own[i]) + (1 << (shift - 1)));
+        for (k, weight) in (1..).zip(pairs) {
+            let (below, above) = (taps(reach - k), taps(reach + k));
+            for i in 0..LANES {
+                sums[i] += weight * (u32::from(below[i]) + u32::from(above[i]));
+            }
         }
+        *to = sums.map(|sum| (sum >> shift).min(u16::MAX.into()) as u16);
     }
-    for (to, sum) in to.iter_mut().zip(sums) {
+    for (first, to) in (done..).zip(rest) {
+        let tap = |k: usize| u32::from(taps[first + k * step]);
+        let of_pairs = (1..).zip(pairs).map(|(k, weight)| weight * (tap(reach - k) + tap(reach + k)));
+        let sum = centre * tap(reach) + (1 << (shift - 1)) + of_pairs.sum::<u32>();
         *to = (sum >> shift).min(u16::MAX.into()) as u16;
     }
 }

@@ -49,19 +49,36 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     let [narrow, middle, wide] = rows;
     let to = calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
     let to = to.zip(apart.samples_mut().chunks_exact_mut(width));
+    let nothing = surfaces(bulk, [0; 3]);
     for (((calm, fine), apart), ((narrow, middle), wide)) in to.zip(narrow.zip(middle).zip(wide)) {
-        for i in 0..width {
-            let depths = [narrow.1[i], middle.1[i], wide.1[i]];
-            let [a, b, c] = std::array::from_fn(|k| depth(depths[k], bulk.scale, bulk.widths[k].spacings));
-            let beyond = |near: i32, far: i32, share: i32| near + (((near - far) * share + 2048) >> 12);
-            let near = sample(beyond(a, b, bulk.shares[0]));
-            let far = sample(beyond(b, c, bulk.shares[1]));
-            (fine[i], calm[i]) = (near, far);
-            let difference = (i32::from(near) - i32::from(far)).clamp(-MOST_APART, MOST_APART);
-            apart[i] = (difference + ZERO) as u16;
+        for first in (0..width).step_by(RUN) {
+            let run = first..(first + RUN).min(width);
+            // Narrower widths reach less far.
+            let empty = wide.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0
+                && middle.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0
+                && narrow.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0;
+            for i in run {
+                let distances =
+                    if empty { nothing } else { surfaces(bulk, [narrow.1[i], middle.1[i], wide.1[i]]) };
+                [calm[i], fine[i], apart[i]] = distances;
+            }
         }
     }
     Depths { calm, fine, apart }
+}
+
+/// Samples that are looked at together: often there is nothing.
+const RUN: usize = 16;
+
+/// The calm surface, the fine one, and what both are apart by.
+#[inline(always)]
+fn surfaces(bulk: &Bulk, shares: [u16; 3]) -> [u16; 3] {
+    let [a, b, c] = std::array::from_fn(|k| depth(shares[k], bulk.scale, bulk.widths[k].spacings));
+    let beyond = |near: i32, far: i32, share: i32| near + (((near - far) * share + 2048) >> 12);
+    let fine = sample(beyond(a, b, bulk.shares[0]));
+    let calm = sample(beyond(b, c, bulk.shares[1]));
+    let apart = (i32::from(fine) - i32::from(calm)).clamp(-MOST_APART, MOST_APART) + ZERO;
+    [calm, fine, apart as u16]
 }
 
 /// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid.
@@ -158,10 +175,6 @@ fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights:
     let step = wide.strides()[axis];
     let shift = spline_bits(level);
     let width = to.size().x as usize;
-    let mean = |weights: [u32; 3], taps: [u16; 3]| {
-        let sum: u32 = weights.iter().zip(taps).map(|(weight, tap)| weight * u32::from(tap)).sum();
-        ((sum + (1 << (shift - 1))) >> shift) as u16
-    };
     let rows = (to.lo.z..to.hi.z).flat_map(|z| (to.lo.y..to.hi.y).map(move |y| [y, z]));
     let samples = wide.samples();
     for (row, [y, z]) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
@@ -173,17 +186,31 @@ fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights:
         if axis == 0 {
             for (x, to) in (first.x..).zip(row) {
                 let at = middle + ((x >> level) - own.x) as usize;
-                *to = mean(weights[place(x)], [samples[at - 1], samples[at], samples[at + 1]]);
+                *to = mean(weights[place(x)], [samples[at - 1], samples[at], samples[at + 1]], shift);
             }
         } else {
             let weights = weights[place(first[axis])];
             let taps = [middle - step, middle, middle + step].map(|at| &samples[at..][..width]);
-            for (i, to) in row.iter_mut().enumerate() {
-                *to = mean(weights, taps.map(|taps| taps[i]));
-            }
+            means(row, weights, taps, shift);
         }
     }
     field
+}
+
+#[inline(always)]
+fn mean(weights: [u32; 3], taps: [u16; 3], shift: u32) -> u16 {
+    let sum = weights[0] * u32::from(taps[0])
+        + weights[1] * u32::from(taps[1])
+        + weights[2] * u32::from(taps[2])
+        + (1 << (shift - 1));
+    (sum >> shift) as u16
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
+    for (((to, &below), &own), &above) in to.iter_mut().zip(below).zip(own).zip(above) {
+        *to = mean(weights, [below, own, above], shift);
+    }
 }
 
 /// Shares of clouds in what is around them, in units of 1 / 2^`bits`, on the cells of `around`.
@@ -206,36 +233,44 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     field
 }
 
-/// Whether anything stands out from the calm surface.
+/// The part in which particles stand out from the calm surface.
 #[must_use]
-pub fn any_outlying(near: &Block, gate: &Gate) -> bool {
-    near.samples().iter().any(|&near| near > gate.begin)
+pub fn outlying_part(near: &Block, gate: &Gate) -> CellBox {
+    let cells = near.cells();
+    let mut part = CellBox::EMPTY;
+    for ([y, z], row) in near.rows(cells) {
+        if row.iter().fold(0, |most: u16, &near| most.max(near)) <= gate.begin {
+            continue;
+        }
+        let stands_out = |near: &u16| *near > gate.begin;
+        let first = row.iter().position(stands_out).unwrap_or(0) as i32;
+        let last = row.iter().rposition(stands_out).unwrap_or(0) as i32;
+        let lo = IVec3::new(cells.lo.x + first, y, z);
+        part = part.union(&CellBox { lo, hi: IVec3::new(cells.lo.x + last, y, z) + 1 });
+    }
+    part
 }
 
-/// The field: the calm surface, and where particles lie outside of it near by as much of the drops as they do so.
+/// The field: the surface of the bulk, and where particles lie outside of the calm one near by as much of the drops as they do so.
+/// Drops need only be known where they do.
 ///
 /// # Panics
-/// If `near` or `drops` does not cover `bulk`.
+/// If `near` does not cover `bulk`, or `bulk` the drops.
 #[must_use]
 pub fn joined(mut bulk: Block, near: &Block, drops: Option<(&Drops, &Block)>, gate: &Gate) -> Block {
     let cells = bulk.cells();
     let width = cells.size().x as usize;
-    let near = near.rows(cells);
-    let rows = bulk.samples_mut().chunks_exact_mut(width).zip(near);
-    match drops {
-        None => rows.for_each(|(bulk, (_, near))| {
-            bulk.iter_mut().zip(near).for_each(|(bulk, &near)| {
-                if near == NONE {
-                    *bulk = NONE;
-                }
-            });
-        }),
-        Some((drops, shares)) => {
-            for ((bulk, (_, near)), (_, shares)) in rows.zip(shares.rows(cells)) {
-                for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
-                    *bulk = joined_sample(*bulk, near, share, drops, gate);
-                }
-            }
+    for (bulk, (_, near)) in bulk.samples_mut().chunks_exact_mut(width).zip(near.rows(cells)) {
+        bulk.iter_mut().zip(near).for_each(|(bulk, &near)| *bulk = if near == NONE { NONE } else { *bulk });
+    }
+    let Some((drops, shares)) = drops else { return bulk };
+    let part = shares.cells();
+    let width = part.size().x as usize;
+    for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
+        let first = bulk.index(IVec3::new(part.lo.x, y, z));
+        let bulk = &mut bulk.samples_mut()[first..first + width];
+        for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
+            *bulk = joined_sample(*bulk, near, share, drops, gate);
         }
     }
     bulk

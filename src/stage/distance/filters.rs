@@ -1,14 +1,16 @@
 //! The filters of a frame, by its particles' spacing in cells.
 
+use std::sync::Arc;
+
 use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::Kernel;
 use crate::stage::indicator::Amount;
 use crate::units::Smooth;
 
-use super::{Bulk, Drops, Gate, UNITS, Width, ZERO, wide_cells};
+use super::{Bulk, Drops, Gate, Inside, UNITS, Width, ZERO, wide_cells};
 
 /// The least edge of the cells in which the calm surface is made, in spacings: finer ones are joined before.
-const LEAST_WIDE: f64 = 0.4;
+const LEAST_WIDE: f64 = 0.55;
 /// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the first two, the calm one by the
 /// last two.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
@@ -18,7 +20,7 @@ const CUT: f64 = 2.2;
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
 /// By how much they are apart on average where noise ends and shape begins, in spacings, and where there is nothing but shape.
-const APART: [f64; 2] = [0.08, 0.16];
+const APART: [f64; 2] = [0.07, 0.14];
 /// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in spacings.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
@@ -52,6 +54,8 @@ pub struct Distances {
     pub gate: Gate,
     /// Drops.
     pub drops: Drops,
+    /// The deep inside, where nothing is made.
+    pub inside: Arc<Inside>,
 }
 
 /// The field of wide cells, by the particles' spacing in cells.
@@ -68,7 +72,8 @@ impl WideCells {
     #[must_use]
     pub fn of_spacing(spacing: f64) -> Self {
         let mut wide = Self { level: 0, edge: 1.0 / spacing };
-        while 2.0 * wide.edge < 2.0 * LEAST_WIDE {
+        // A quotient of decimals is off by a rounding.
+        while wide.edge < LEAST_WIDE - 1e-9 {
             wide = Self { level: wide.level + 1, edge: 2.0 * wide.edge };
         }
         wide
@@ -101,7 +106,7 @@ fn gaussian(cells: f64, cut: f64) -> (Kernel, f64) {
 /// From one distance to another, in spacings, over a value that stands for 0.
 fn gate([begin, end]: [f64; 2], zero: i32) -> Gate {
     let units = |spacings: f64| (spacings * UNITS).round() as i32;
-    Gate { begin: (zero + units(begin)) as u16, range: (units(end) - units(begin)) as u16 }
+    Gate::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
 }
 
 impl Distances {
@@ -135,6 +140,7 @@ impl Distances {
             least: ((amount / 9.0) as u16).max(1),
             gate: gate(STANDS_OUT, ZERO),
             drops: Drops::new(spacing),
+            inside: Arc::default(),
         }
     }
 
@@ -143,6 +149,26 @@ impl Distances {
     pub fn with_plateau(mut self, plateau: u16) -> Self {
         self.bulk.scale = scale(plateau.into());
         self
+    }
+
+    /// The same without what lies deep inside.
+    #[must_use]
+    pub fn skipping(self, inside: Inside) -> Self {
+        Self { inside: Arc::new(inside), ..self }
+    }
+
+    /// The part of some cells in which dual cells can be mixed, their lowest corners among them: all but those between cells that are
+    /// inside.
+    #[must_use]
+    pub fn not_inside(&self, cells: CellBox) -> CellBox {
+        let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
+        if rest.is_empty() {
+            return rest;
+        }
+        let further = i32::from(self.level > 0);
+        let rest = rest.grown(further, further);
+        let near = CellBox { lo: rest.lo << self.level, hi: rest.hi << self.level };
+        near.grown(1, 0).intersection(&cells)
     }
 
     /// The widest filter of the calm surface reaches so many wide cells.

@@ -4,11 +4,13 @@
 
 mod cpu;
 mod filters;
+mod inside;
 mod table;
 pub mod vulkan;
 
-pub use cpu::{any_outlying, depths, joined, mixed, outlying, quotient, refined, spread};
+pub use cpu::{depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
 pub use filters::{BULK_GAIN, Distances, WideCells};
+pub use inside::{BRICK, Inside};
 pub use table::{AWAY, DEPTHS};
 
 use crate::grid::CellBox;
@@ -84,15 +86,22 @@ pub struct Gate {
     pub begin: u16,
     /// After how much more there is nothing but the other.
     pub range: u16,
+    /// 2^28 over that range, rounded up: what is beyond the beginning is taken by this, which is no division.
+    pub slope: u32,
 }
 
 impl Gate {
+    /// From `begin` on, and after `range` more there is nothing but the other.
+    #[must_use]
+    pub fn new(begin: u16, range: u16) -> Self {
+        Self { begin, range, slope: (1_u32 << 28).div_ceil(range.into()) }
+    }
+
     /// The other's share, 0 to 4096, as 3 x^2 - 2 x^3 rises from 0 to 1.
     #[must_use]
     #[inline(always)]
     pub fn of(self, value: u16) -> u32 {
-        let range = u32::from(self.range);
-        let x = u32::from(value.saturating_sub(self.begin)).min(range) * 4096 / range;
+        let x = (u32::from(value.saturating_sub(self.begin).min(self.range)) * self.slope) >> 16;
         (((x * x) >> 8) * (3 * 4096 - 2 * x)) >> 16
     }
 }

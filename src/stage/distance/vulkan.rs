@@ -27,8 +27,10 @@ push_block! {
         words: u32,
         apart_begin: u32,
         apart_range: u32,
+        apart_slope: u32,
         deep_begin: u32,
         deep_range: u32,
+        deep_slope: u32,
     }
 }
 
@@ -64,6 +66,7 @@ push_block! {
         words: u32,
         begin: u32,
         range: u32,
+        slope: u32,
         radius: i32,
         width: i32,
     }
@@ -199,8 +202,10 @@ pub fn mixed(
         words: blocks.words,
         apart_begin: by.apart.begin.into(),
         apart_range: by.apart.range.into(),
+        apart_slope: by.apart.slope,
         deep_begin: by.deep.begin.into(),
         deep_range: by.deep.range.into(),
+        deep_slope: by.deep.slope,
     };
     batch.dispatch(&kernels.mix, &[calm, fine, apart].map(Clone::clone), &push, blocks.flat_groups())
 }
@@ -283,6 +288,7 @@ pub fn join(
         words: blocks.words,
         begin: gate.begin.into(),
         range: gate.range.into(),
+        slope: gate.slope,
         radius: drops.radius,
         width: drops.width,
     };
