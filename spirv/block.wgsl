@@ -9,7 +9,8 @@ struct Block {
     table: u32,
     // The lowest cell of the tiles that are meshed.
     tiles_lo: vec3<i32>,
-    spare: u32,
+    // Its first word among the bits of bricks of all blocks, where there are any.
+    marks: u32,
     // In cells.
     tiles_size: vec3<u32>,
     spare_too: u32,

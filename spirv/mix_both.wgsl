@@ -1,9 +1,8 @@
-//! with gate
-// The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid.
+//! with block gate
+// The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. It is at its
+// greatest in bricks that are inside.
 
 struct Push {
-    // Words of the field.
-    words: u32,
     // From where to where what both are apart by makes the fine surface of the calm one.
     apart_begin: u32,
     apart_range: u32,
@@ -15,11 +14,23 @@ struct Push {
 }
 
 var<immediate> push: Push;
+@group(0) @binding(0) var<storage, read> blocks: array<Block>;
 // The calm surface, to become the one that is drawn.
-@group(0) @binding(0) var<storage, read_write> calm: array<u32>;
-@group(0) @binding(1) var<storage, read> fine: array<u32>;
+@group(0) @binding(1) var<storage, read_write> calm: array<u32>;
+@group(0) @binding(2) var<storage, read> fine: array<u32>;
 // What both are apart by on average.
-@group(0) @binding(2) var<storage, read> apart: array<u32>;
+@group(0) @binding(3) var<storage, read> apart: array<u32>;
+// A bit for each brick that a block touches, x fastest: whether it is inside.
+@group(0) @binding(4) var<storage, read> marks: array<u32>;
+
+fn is_inside(block: Block, cell: vec3<i32>) -> bool {
+    let first = block.lo >> vec3(INSIDE_BITS);
+    let last = (block.lo + vec3<i32>(block.size) - 1) >> vec3(INSIDE_BITS);
+    let at = vec3<u32>((cell >> vec3(INSIDE_BITS)) - first);
+    let size = vec3<u32>(last - first + 1);
+    let index = at.x + size.x * (at.y + size.y * at.z);
+    return (marks[block.marks + index / 32u] >> (index % 32u) & 1u) != 0u;
+}
 
 fn mixed(calm: u32, fine: u32, apart: u32) -> u32 {
     let distance = u32(abs(i32(apart) - DISTANCE_ZERO));
@@ -30,13 +41,19 @@ fn mixed(calm: u32, fine: u32, apart: u32) -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn mix_both(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let word = id.x + 256u * groups.x * id.y;
-    if word >= push.words {
+fn mix_both(@builtin(global_invocation_id) id: vec3<u32>) {
+    let block = blocks[id.y];
+    let at = cell_of(block, id.x);
+    if at.z >= block.size.z {
         return;
     }
+    let word = word_of(block, at);
     let a = calm[word];
     let b = fine[word];
     let c = apart[word];
-    calm[word] = mixed(a & 0xffffu, b & 0xffffu, c & 0xffffu) | mixed(a >> 16u, b >> 16u, c >> 16u) << 16u;
+    let both = vec2(mixed(a & 0xffffu, b & 0xffffu, c & 0xffffu), mixed(a >> 16u, b >> 16u, c >> 16u));
+    let cell = block.lo + vec3<i32>(at);
+    let inside = vec2(is_inside(block, cell), is_inside(block, cell + vec3(1, 0, 0)));
+    let drawn = select(both, vec2(FULL), inside);
+    calm[word] = drawn.x | drawn.y << 16u;
 }

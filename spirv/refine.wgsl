@@ -21,7 +21,9 @@ var<immediate> push: Push;
 @group(0) @binding(3) var<storage, read_write> field: array<u32>;
 
 fn wide_sample(block: Block, cell: vec3<i32>) -> u32 {
-    let at = vec3<u32>(clamp(cell - block.lo, vec3(0), vec3<i32>(block.size) - 1));
+    // Beyond walls nothing is known, and only cells that nobody asked for lie beyond the block.
+    let inside = clamp(cell, push.walls_lo >> vec3(push.level), push.walls_hi >> vec3(push.level));
+    let at = vec3<u32>(clamp(inside - block.lo, vec3(0), vec3<i32>(block.size) - 1));
     return half_of(wide[word_of(block, at)], at.x);
 }
 

@@ -13,7 +13,7 @@ use crate::brick::DifField;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages, gather};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::mesh::{BlockMesh, Tile};
-use crate::recipe::Source;
+use crate::recipe::{Filters, Source};
 use crate::stage::blur::Kernel;
 use crate::stage::distance::vulkan::tables;
 use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
@@ -193,8 +193,12 @@ struct BlockBatch {
 /// Blocks that are cut out of samples.
 struct Gathering {
     source: Source,
+    /// Whether it is the recipe's first, which may skip what is inside.
+    of_bulk: bool,
     blocks: Vec<DeviceBlock>,
     tables: Vec<u32>,
+    /// Bits of the bricks that are inside.
+    marks: Vec<u32>,
     /// The bins whose pages are to be sent, and their numbers.
     sent: Vec<IVec3>,
     numbers: HashMap<IVec3, u32>,
@@ -203,11 +207,13 @@ struct Gathering {
 }
 
 impl Gathering {
-    fn new(source: Source) -> Self {
+    fn new((number, source): (usize, Source)) -> Self {
         Self {
             source,
+            of_bulk: number == 0,
             blocks: Vec::new(),
             tables: Vec::new(),
+            marks: Vec::new(),
             sent: Vec::new(),
             numbers: HashMap::new(),
             largest: 0,
@@ -237,6 +243,12 @@ impl Gathering {
         let samples = work.samples(self.source);
         block.field = self.words;
         block.table = self.tables.len() as u32;
+        if let Filters::Distances(distances) = &work.surfaces.recipe.filters
+            && self.of_bulk
+        {
+            block.marks = self.marks.len() as u32;
+            self.marks.extend(distances.inside.marks(block.cells()));
+        }
         for bin in bins {
             let number = match work.resident(self.source) {
                 Some(resident) => resident.numbers.get(&bin).copied(),
@@ -258,7 +270,7 @@ impl BlockBatch {
     /// As many of the first regions as a batch may take, at least one.
     fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let sources = work.surfaces.recipe.filters.sources();
-        let grids = sources.into_iter().map(Gathering::new).collect();
+        let grids = sources.into_iter().enumerate().map(Gathering::new).collect();
         let mut batch = Self { regions: Vec::new(), grids, room: MOST_VERTICES };
         let limit = work.frame.device.limits().storage_range;
         let mut taken = batch.room * work.vertex_bytes() * 2;
@@ -355,7 +367,8 @@ impl<'a> Contouring<'a> {
             let page_bytes = page_bytes(self.samples(grid.source).shape());
             let blocks = layout.place(size_of_val(&grid.blocks[..]) as u64);
             let tables = layout.place(size_of_val(&grid.tables[..]) as u64);
-            (blocks, tables, layout.place(grid.sent.len() as u64 * page_bytes))
+            let marks = layout.place(size_of_val(&grid.marks[..]) as u64);
+            (blocks, tables, marks, layout.place(grid.sent.len() as u64 * page_bytes))
         });
         let places: Vec<_> = places.collect();
         lane.begin()?;
@@ -371,11 +384,12 @@ impl<'a> Contouring<'a> {
         let outputs = self.outputs(lane, batch.regions.len() as u64, batch.room)?;
         let read = lane.buffer(device, "tallies read", Place::Download, outputs.tallies.bytes())?;
 
-        for (grid, (blocks_at, tables_at, pages_at)) in batch.grids.iter().zip(&places) {
+        for (grid, (blocks_at, tables_at, marks_at, pages_at)) in batch.grids.iter().zip(&places) {
             let samples = self.samples(grid.source);
             let page_bytes = page_bytes(samples.shape());
             staged.write(blocks_at.start, &grid.blocks);
             staged.write(tables_at.start, &grid.tables);
+            staged.write(marks_at.start, &grid.marks);
             grid.sent.par_iter().enumerate().for_each_init(
                 || vec![0; samples.shape().bin_samples()],
                 |dense, (number, &bin)| {
@@ -389,7 +403,7 @@ impl<'a> Contouring<'a> {
         let commands = &mut lane.compute;
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
         let (mut grids, mut gathered) = (Vec::new(), VecDeque::new());
-        for ((of, grid), ((blocks_at, tables_at, pages_at), mut free)) in
+        for ((of, grid), ((blocks_at, tables_at, marks_at, pages_at), mut free)) in
             batch.grids.iter().enumerate().zip(places.iter().zip(buffers))
         {
             let blocks = DeviceBlocks {
@@ -411,7 +425,8 @@ impl<'a> Contouring<'a> {
             gather(commands, &kernels.gather, &blocks, &pages, &samples)?;
             gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
             let Source { level, halo, .. } = grid.source;
-            grids.push(PaddedBlocks { blocks, level, halo, free });
+            let marks = part(&inputs, marks_at);
+            grids.push(PaddedBlocks { blocks, level, halo, marks, free });
         }
         let constants = &self.constants;
         let mut fields = PaddedFields { kernels, constants, walls, commands, grids, gathered };

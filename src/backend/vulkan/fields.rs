@@ -32,6 +32,8 @@ pub struct PaddedBlocks {
     pub level: u32,
     /// Cells around those that the field is asked for on.
     pub halo: i32,
+    /// Bits of the bricks that are inside, if there are such.
+    pub marks: View,
     /// Buffers that are not in use.
     pub free: Vec<View>,
 }
@@ -142,7 +144,8 @@ impl Fields for PaddedFields<'_> {
         let of = calm.of;
         self.stage("distances", 3, of);
         let views = [&calm.samples, &fine.samples, &apart.samples];
-        mixed(self.commands, &self.kernels.distance, &self.grids[of].blocks, by, views)?;
+        let PaddedBlocks { blocks, marks, .. } = &self.grids[of];
+        mixed(self.commands, &self.kernels.distance, blocks, by, marks, views)?;
         let (samples, margin) = (calm.samples.clone(), apart.margin);
         self.give(fine);
         self.give(apart);

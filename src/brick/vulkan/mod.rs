@@ -46,7 +46,8 @@ pub struct DeviceBlock {
     pub table: u32,
     /// The lowest cell of the tiles to be meshed.
     pub tiles_lo: [i32; 3],
-    spare: u32,
+    /// Its first word among the bits of bricks of all blocks, where there are any.
+    pub marks: u32,
     /// In cells.
     pub tiles_size: [u32; 3],
     spare_too: u32,
@@ -65,7 +66,7 @@ impl DeviceBlock {
             size: (hi - lo).as_uvec3().to_array(),
             table: 0,
             tiles_lo: region.lo.to_array(),
-            spare: 0,
+            marks: 0,
             tiles_size: region.size().as_uvec3().to_array(),
             spare_too: 0,
         }

@@ -24,7 +24,6 @@ push_block! {
 push_block! {
     /// Of [`MIX`].
     struct MixPush {
-        words: u32,
         apart_begin: u32,
         apart_range: u32,
         apart_slope: u32,
@@ -85,7 +84,7 @@ pub const DEPTHS_OF: Program = Program {
 pub const MIX: Program = Program {
     name: "mix_both",
     code: include_bytes!("../../../spirv/mix_both.spv"),
-    buffers: &["calm", "fine", "apart"],
+    buffers: &["blocks", "calm", "fine", "apart", "marks"],
     push: MixPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -187,7 +186,7 @@ pub fn depths(
     batch.dispatch(&kernels.depths, &views, &push, blocks.flat_groups())
 }
 
-/// Makes the surface of the bulk in place of the calm one.
+/// Makes the surface of the bulk in place of the calm one; `marks` are the bricks that are inside, by block.
 ///
 /// # Errors
 /// Those of the device.
@@ -196,10 +195,10 @@ pub fn mixed(
     kernels: &Kernels,
     blocks: &DeviceBlocks,
     by: &Bulk,
+    marks: &View,
     [calm, fine, apart]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = MixPush {
-        words: blocks.words,
         apart_begin: by.apart.begin.into(),
         apart_range: by.apart.range.into(),
         apart_slope: by.apart.slope,
@@ -207,7 +206,8 @@ pub fn mixed(
         deep_range: by.deep.range.into(),
         deep_slope: by.deep.slope,
     };
-    batch.dispatch(&kernels.mix, &[calm, fine, apart].map(Clone::clone), &push, blocks.flat_groups())
+    let views = [&blocks.blocks, calm, fine, apart, marks].map(Clone::clone);
+    batch.dispatch(&kernels.mix, &views, &push, blocks.groups())
 }
 
 /// Makes of clouds by how much those that hold a particle lie outside of the calm surface.
