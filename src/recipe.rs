@@ -3,7 +3,6 @@
 //! A request says which [`Filters`] there are, and so how far they reach and what they take. A [`Recipe`] also has
 //! what only a calibration tells: where the surface is.
 
-use crate::calibration::Calibration;
 use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::{FieldCount, Filter, Kernel, Smoothing};
 use crate::stage::detail::Recovery;
@@ -165,22 +164,16 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// By what was measured.
-    ///
-    /// # Panics
-    /// If the calibration is not one of such filters.
+    /// The paper's, for an isovalue.
     #[must_use]
-    pub fn new(filters: Filters, calibration: &Calibration) -> Self {
-        match (filters, calibration) {
-            (Filters::Paper(paper), &Calibration::Indicator { iso, .. }) => {
-                Self { filters: Filters::Paper(paper), iso }
-            }
-            (Filters::Distances(distances), &Calibration::Clouds { plateau }) => Self {
-                filters: Filters::Distances(distances.with_plateau(plateau)),
-                iso: Isovalue::NO_DISTANCE,
-            },
-            _ => unreachable!("filters and calibration are of one indicator"),
-        }
+    pub fn of_paper(filters: PaperFilters, iso: Isovalue) -> Self {
+        Self { filters: Filters::Paper(filters), iso }
+    }
+
+    /// By distances, which are 0 on the surface.
+    #[must_use]
+    pub fn of_distances(distances: Distances) -> Self {
+        Self { filters: Filters::Distances(distances), iso: Isovalue::NO_DISTANCE }
     }
 
     /// From the samples to the field, wherever fields are kept.

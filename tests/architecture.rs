@@ -32,7 +32,7 @@ const ROOMS: [&str; 30] = [
     "stage/indicator",
     "stage/blur",
     "stage/detail",
-    "stage/adaptive",
+    "stage/distance",
     "stage/dual_mc",
     "stage/attribute",
     "recipe",

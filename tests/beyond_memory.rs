@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use common::scene::{Random, splash};
-use common::{INDICATORS, reconstruct, sampling, splashes, surfacing, tank};
+use common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
 use meniscus::estimate::{Drawing, Estimate, Plan};
@@ -17,7 +17,7 @@ use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sa
 use meniscus::laps::Laps;
 use meniscus::particles::{AttributeInfo, Particles};
 use meniscus::stage::indicator::{PageRule, indicate};
-use meniscus::units::{MeanCount, MemoryBudget};
+use meniscus::units::MemoryBudget;
 use tempfile::TempDir;
 
 /// Particles that move and have a temperature.
@@ -91,14 +91,13 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
         for (indicator, side) in
             INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            let content = indicator.by(MeanCount::new(2.0).unwrap()).content();
+            let content = by(indicator, 2.0).content();
             let rule = PageRule { content, side, walls: None };
             let plan =
                 BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
             let plan = plan.unwrap();
             let drawing = Drawing {
-                halo: 3,
-                cell_bytes: 4,
+                block_bytes: 4 * 41_u64.pow(3),
                 carried_halo: 3,
                 keeps_details: false,
                 normals: false,
@@ -197,7 +196,7 @@ fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
     let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
     fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
     let reconstruct = |arguments: &str| {
-        let fixed = "reconstruct spray.xyz --spacing 1 --cell-size 1 --adaptive --threads 2 --backend cpu";
+        let fixed = "reconstruct spray.xyz --spacing 1 --cell-size 1 --threads 2 --backend cpu";
         let run = meniscus(folder.path(), "", &format!("{fixed} --overwrite {arguments}"));
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()

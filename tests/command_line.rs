@@ -122,7 +122,15 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--mu0", "3", "--indicator", "symmetry"]), "symmetry"),
         (ball(&["--method", "guess"]), "guess"),
         (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
-        (ball(&["--method", "yu-turk", "--adaptive"]), "--adaptive"),
+        (ball(&["--method", "yu-turk", "--smooth", "2"]), "--smooth"),
+        (ball(&["--adaptive"]), "--adaptive"),
+        (ball(&["--smooth", "0.5"]), "--smooth must be from 0.8 to 4 spacings"),
+        (ball(&["--smooth", "nan"]), "--smooth"),
+        (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
+        (ball(&["--iso", "0.4"]), "--iso is for --indicator counting and symmetry"),
+        (ball(&["--detail"]), "--detail is for --indicator counting and symmetry"),
+        (ball(&["--mu0", "3"]), "--mu0 has no meaning for --indicator cloud"),
+        (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth is for --indicator cloud"),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
@@ -175,19 +183,19 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
-fn cells_are_two_thirds_of_the_spacing_and_clouds_smoothed_over_four_fifths_of_it_or_a_cell() {
+fn cells_are_two_thirds_of_the_spacing_and_others_than_clouds_smoothed_over_all_of_it_or_a_cell() {
     let folder = folder_with_ball();
-    for (more, cell, sigma, indicator) in [
-        (&[][..], 2.0 / 6.0, 1.2, "cloud"),
-        (&["--adaptive"], 2.0 / 6.0, 1.2, "cloud"),
-        (&["--detail"], 2.0 / 6.0, 1.2, "cloud"),
+    for (more, cell, width, indicator) in [
+        (&[][..], 2.0 / 6.0, 1.6, "cloud"),
+        (&["--smooth", "2.5"], 2.0 / 6.0, 2.5, "cloud"),
         (&["--cell", "0.5"], 0.25, 1.6, "cloud"),
-        (&["--cell", "2"], 1.0, 1.0, "cloud"),
-        (&["--cell", "0.5", "--sigma", "0.8"], 0.25, 0.8, "cloud"),
-        (&["--cell-size", "0.2"], 0.2, 2.0, "cloud"),
+        (&["--cell-size", "0.2"], 0.2, 1.6, "cloud"),
         (&["--indicator", "counting"], 2.0 / 6.0, 1.5, "counting"),
+        (&["--indicator", "counting", "--cell", "2"], 1.0, 1.0, "counting"),
+        (&["--indicator", "counting", "--cell", "0.5", "--sigma", "1.2"], 0.25, 1.2, "counting"),
         (&["--indicator", "symmetry", "--cell", "1"], 0.5, 1.0, "symmetry"),
     ] {
+        let name = if indicator == "cloud" { "smooth" } else { "sigma" };
         let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
         let given = [&given[..], &["--spacing", "0.5"], more].concat();
         assert!(meniscus(folder.path(), &given).status.success());
@@ -195,7 +203,7 @@ fn cells_are_two_thirds_of_the_spacing_and_clouds_smoothed_over_four_fifths_of_i
         let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
         let number = |name: &str| record[name].as_f64().unwrap();
         assert!(
-            (number("cell_size") - cell).abs() < 1e-12 && (number("sigma") - sigma).abs() < 1e-12,
+            (number("cell_size") - cell).abs() < 1e-12 && (number(name) - width).abs() < 1e-12,
             "{record}"
         );
         assert_eq!(record["indicator"], indicator, "{more:?}");
@@ -379,7 +387,6 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
             "16MiB",
             "--spacing",
             "1",
-            "--adaptive",
         ];
         meniscus(folder.path(), &[&options[..], &["--cell-size", cell]].concat())
     };
@@ -779,16 +786,16 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let folder = folder_with_ball();
     let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
     assert!(!notes(&[]).contains("warning"));
-    let lost = notes(&["--iso", "0.145"]);
+    let lost = notes(&["--indicator", "counting", "--iso", "0.6"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
     // A ball, and three times as much spray.
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
     fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball).collect::<Vec<_>>())).unwrap();
-    let lost = notes(&[]);
-    assert!(lost.contains("% of the volume of") && lost.contains("--adaptive keeps"), "{lost}");
-    assert!(!notes(&["--adaptive"]).contains("% of the volume of"));
+    let lost = notes(&["--indicator", "counting"]);
+    assert!(lost.contains("% of the volume of") && lost.contains("--indicator cloud keeps"), "{lost}");
+    assert!(!notes(&[]).contains("% of the volume of"));
 }
 
 #[test]

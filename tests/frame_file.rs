@@ -7,7 +7,7 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use common::{INDICATORS, full_cells, sampling, splashes, tank};
+use common::{INDICATORS, by, full_cells, sampling, splashes, tank};
 use glam::{DVec3, IVec3};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
 use meniscus::grid::{CellBox, Domain, Grid};
@@ -35,8 +35,13 @@ fn sample(
         .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let indicator = indicator.by(MeanCount::measured(census.binned as u64, full_cells(&bins)).unwrap());
     let facts = FrameFacts { grid, domain, census, spacing: Some(0.5) };
+    // What a particle adds is told by the spacing.
+    let mean = match indicator {
+        IndicatorKind::Cloud => (grid.cell_size() / 0.5).powi(3),
+        _ => census.binned as f64 / full_cells(&bins) as f64,
+    };
+    let indicator = by(indicator, mean);
     let rule = PageRule { content: indicator.content(), side, walls: facts.walls() };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
     SampledDif::new(facts, indicator, DifField::in_memory(rule.shape(), pages))

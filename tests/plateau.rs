@@ -10,9 +10,7 @@ use common::dense::Method;
 use common::scene::Random;
 use common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::calibration::{
-    COARSEST_STEP, Calibrated, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
-};
+use meniscus::calibration::{COARSEST_STEP, Calibrated, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine};
 use meniscus::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
 use meniscus::grid::{CellBox, Domain};
 use meniscus::laps::Laps;
@@ -99,7 +97,7 @@ fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
 /// The median of the smoothed DIF in f64, over the cells that lie deeper in a cube than the filters reach.
 fn oracle(particles: &[[f64; 3]], frame: &Frame, edge: f64) -> f64 {
     let (indicator, facts) = (dif(frame).indicator, frame.facts());
-    let sigma = surfacing().width(indicator.kind(), facts.spacing, facts.grid.cell_size());
+    let sigma = surfacing().width(facts.spacing, facts.grid.cell_size());
     let method = Method { indicator, sigma: sigma.cells(), detail: Detail::Smoothed, iso: 1.0, walls: None };
     let field = method.real(particles);
     let depth = Smoothing::new(indicator.kind(), sigma).reach() + 1;
@@ -202,20 +200,18 @@ fn bodies() -> [(&'static str, Vec<[f64; 3]>, DVec3); 6] {
 
 #[test]
 fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
-    let adaptive = Surfacing { detail: Detail::Adaptive, ..surfacing() };
+    let recovered = Surfacing { detail: Detail::Recovered, ..surfacing() };
     for (name, body, place) in bodies() {
-        for (cell, indicator) in
-            [(1.0 / 1.5, CLOUD), (1.0 / 3.0, CLOUD), (1.0 / 1.5, COUNTING), (0.4, COUNTING)]
-        {
+        for (cell, indicator) in [(1.0 / 1.5, COUNTING), (0.4, COUNTING)] {
             let spacing = 1.0 / cell;
             let particles = scaled(&body, spacing);
             // Detail is drawn by the isovalue whatever that is, so it is looked at too, as particles in a cell.
             let isovalue = |frame: &Frame| {
-                let Calibration { mean, iso } = recipe(frame, &surfacing()).1.calibration;
-                iso.value() * mean.unwrap().particles()
+                let known = recipe(frame, &surfacing()).1.calibration;
+                known.iso().unwrap().value() * known.mean().unwrap().particles()
             };
             let of_clean = sample(&particles, &sampling_at(spacing, indicator));
-            let clean = draw(&of_clean, &adaptive);
+            let clean = draw(&of_clean, &recovered);
             let beside = [20.0, 0.0, 0.0];
             for (clump, count) in [(place.to_array(), 1), (place.to_array(), 10), (beside, 30)] {
                 let [at] = scaled(&[clump], spacing)[..] else { unreachable!() };
@@ -226,7 +222,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                     (ratio - 1.0).abs() < 0.03,
                     "{name}, {indicator:?}, cells of {cell}, {count} more: {ratio}"
                 );
-                let with = draw(&of_with, &adaptive);
+                let with = draw(&of_with, &recovered);
                 let there = (DVec3::from(at), 4.0 * spacing);
                 for moved in [moved(&clean, &with, there), moved(&with, &clean, there)] {
                     // Along an edge that is nearly tangent to the surface a vertex moves far, and one that comes or goes with

@@ -46,9 +46,7 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         indicator: sampling.field.indicator().unwrap(),
         invalid: InvalidParticles::Refuse,
         spacing: sampling.spacing,
-        sigma: surfacing.sigma.unwrap_or(Sigma::at_least_a_cell(None)),
-        detail: surfacing.detail,
-        iso: surfacing.iso,
+        surfacing: *surfacing,
     }
 }
 
@@ -63,7 +61,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5), (Detail::Adaptive, 1.0)] {
+        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5)] {
             for walls in [false, true] {
                 let mut sampling = Sampling { field: indicator.into(), spacing: Some(0.8), ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
@@ -126,7 +124,8 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     };
     assert!(matches!(surface(&[], &scene), FrameError::NoParticles(_)));
     assert!(matches!(surface(&[[f64::NAN; 3]], &scene), FrameError::Bin(_)));
-    let above = Settings { iso: Some(Isovalue::new(0.9).unwrap()), ..scene };
+    let iso = Some(Isovalue::new(0.9).unwrap());
+    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     assert_eq!(device.allocated(), kept);
 }

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use common::device::{self, Watched};
 use common::scene::Random;
 use common::{
-    INDICATORS, Reconstructed, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+    INDICATORS, Reconstructed, by, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
@@ -21,13 +21,13 @@ use meniscus::grid::{CellBox, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::mesh::Mesh;
-use meniscus::recipe::{Filters, Recipe};
+use meniscus::recipe::{PaperFilters, Recipe};
 use meniscus::stage::blur::{self, Kernel};
-use meniscus::stage::indicator::{Indicator, IndicatorKind, PageRule};
-use meniscus::units::{Isovalue, MeanCount, MemoryBudget, Sigma};
+use meniscus::stage::indicator::{IndicatorKind, PageRule};
+use meniscus::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
-const DETAILS: [Detail; 3] = [Detail::Smoothed, Detail::Recovered, Detail::Adaptive];
+const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
 
 /// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
@@ -135,9 +135,9 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
     for indicator in INDICATORS {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
             let frame = device.start(budget);
-            let mean = MeanCount::measured(particles.len() as u64, full_cells(&bins)).unwrap();
+            let mean = particles.len() as f64 / full_cells(&bins) as f64;
             let rule = PageRule {
-                content: indicator.by(mean).content(),
+                content: by(indicator, mean).content(),
                 side,
                 walls: Some(CellBox::cube(IVec3::ZERO, 9)),
             };
@@ -179,7 +179,8 @@ fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: M
         for walls in [false, true] {
             let mut sampling = Sampling { field: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
-            for (detail, sigma) in [(DETAILS[0], 1.0), (DETAILS[1], 1.5), (DETAILS[2], 0.8)] {
+            for (detail, sigma, spacing) in [(DETAILS[0], 1.0, 1.0), (DETAILS[1], 1.5, 2.5)] {
+                sampling.spacing = Some(spacing);
                 let sigma = Some(Sigma::new(sigma).unwrap());
                 let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);
@@ -240,8 +241,8 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let mut pages: Vec<_> = pages.collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
-    let filters = Filters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
-    let recipe = Recipe::new(filters, Indicator::Symmetry, Isovalue::new(0.5).unwrap());
+    let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
+    let recipe = Recipe::of_paper(filters, Isovalue::new(0.5).unwrap());
     let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
     let regions = surfaces.regions();
     let budget = MemoryBudget(8 << 30);

@@ -11,8 +11,8 @@ use crate::brick::equal_steps;
 use crate::grid::CellBox;
 use crate::recipe::walls_at;
 use crate::stage::blur::{Filter, Smoothing, blur};
-use crate::stage::distance::{BULK_GAIN, Distances, WideCells};
-use crate::stage::indicator::{RIM, SampledDif};
+use crate::stage::distance::{BULK_GAIN, Distances};
+use crate::stage::indicator::{RIM, SampledDif, WideCells};
 use crate::units::Isovalue;
 
 use super::expected::expected;

@@ -10,6 +10,7 @@ use crate::brick::vulkan::DeviceBinError;
 use crate::brick::{BinError, Census};
 use crate::calibration::{NoMeanCount, TooFine};
 use crate::estimate::OverBudget;
+use crate::recipe::{Filters, Recipe};
 use crate::rivals::TooManyCells;
 use crate::units::Isovalue;
 use crate::vulkan::VulkanError;
@@ -110,6 +111,16 @@ fn explain(census: &Census) -> String {
         Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
         Census { not_finite, too_far, outside, .. } => {
             format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
+        }
+    }
+}
+
+impl FrameError {
+    /// There is no surface by a recipe.
+    pub(super) fn no_surface(recipe: &Recipe) -> Self {
+        match recipe.filters {
+            Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },
+            Filters::Distances(_) => Self::NoDistance,
         }
     }
 }

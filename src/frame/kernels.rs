@@ -52,6 +52,7 @@ impl SampledKernels {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,
             attribute_smoothing: self.attribute_smoothing.clone(),
+            nothing: FrameError::NoKernelSurface,
             // One pass over the blocks: sums of kernels and of attributes leave each other what they do not use of a core.
             contour: Box::new(move |regions, finish| {
                 let block = |&region: &CellBox| {

@@ -210,15 +210,15 @@ impl Surfacing {
     #[must_use]
     pub fn recipe(&self, frame: &SampledDif, calibration: &Calibration) -> Recipe {
         let filters = self.filters(frame.indicator.kind(), frame.facts.spacing, &frame.facts.grid);
-        let filters = match (filters, calibration) {
+        match (filters, *calibration) {
+            (Filters::Paper(paper), Calibration::Indicator { iso, .. }) => Recipe::of_paper(paper, iso),
             (Filters::Distances(distances), Calibration::Clouds { plateau }) => {
                 let wide = frame.wide_cells();
-                let samples = f64::from(*plateau) / f64::from(1 << BULK_GAIN);
+                let samples = f64::from(plateau) / f64::from(1 << BULK_GAIN);
                 let inside = Inside::of(frame.wide(wide.level), wide.edge, samples);
-                Filters::Distances(distances.skipping(inside))
+                Recipe::of_distances(distances.with_plateau(plateau).skipping(inside))
             }
-            (filters, _) => filters,
-        };
-        Recipe::new(filters, calibration)
+            _ => unreachable!("filters and calibration are of one indicator"),
+        }
     }
 }

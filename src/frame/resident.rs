@@ -116,10 +116,7 @@ impl Pipeline {
         let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
         if parts.blocks.is_empty() {
-            return Err(match recipe.iso {
-                Isovalue::NO_DISTANCE => FrameError::NoDistance,
-                iso => FrameError::NoSurface { iso },
-            });
+            return Err(FrameError::no_surface(&recipe));
         }
 
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;

@@ -19,7 +19,6 @@ use crate::stage::blur::Smoothing;
 use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
 use crate::stage::indicator::SampledDif;
 use crate::stitch::Stitched;
-use crate::units::Isovalue;
 
 use super::{FrameError, Resources};
 
@@ -39,6 +38,8 @@ pub(super) struct Drawn<'a> {
     /// How vertices lie on their edges.
     pub(super) crossings: Crossings,
     pub(super) attribute_smoothing: Smoothing,
+    /// What is wrong where there is no surface.
+    pub(super) nothing: FrameError,
 }
 
 impl<'a> Drawn<'a> {
@@ -53,6 +54,7 @@ impl<'a> Drawn<'a> {
         Self {
             regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
             crossings: recipe.iso.into(),
+            nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
             contour: Box::new(move |regions, finish| {
                 let blocks = stages.contour(&Surfaces { sampled, recipe: &recipe, normals }, regions);
@@ -93,14 +95,10 @@ impl CalibratedFrame<'_> {
         let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
         self.mesh_blocks(&mut spool).map_err(self.resources.scratch_error())?;
         laps.lap("mesh");
-        match self.drawn.crossings {
-            _ if !spool.is_empty() => {
-                Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
-            }
-            Crossings::Samples(Isovalue::NO_DISTANCE) => Err(FrameError::NoDistance),
-            Crossings::Samples(iso) => Err(FrameError::NoSurface { iso }),
-            Crossings::Fractions => Err(FrameError::NoKernelSurface),
+        if spool.is_empty() {
+            return Err(self.drawn.nothing);
         }
+        Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
     }
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many

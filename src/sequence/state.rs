@@ -143,7 +143,7 @@ mod tests {
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,
             origin: [1e-17, -0.1, 1.0 / 3.0],
-            calibration: Some(Calibration { mean, iso }),
+            calibration: Some(Calibration::Indicator { mean, iso }),
         }
     }
 

@@ -51,7 +51,7 @@ impl<T: Copy + Default> Dense<T> {
     }
 
     /// The value of the cell of the box that is nearest to `cell`.
-    fn nearest(&mut self, cell: IVec3) -> &mut T {
+    pub fn nearest(&mut self, cell: IVec3) -> &mut T {
         let (local, size) = (cell.clamp(self.cells.lo, self.cells.hi - 1) - self.cells.lo, self.cells.size());
         &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
     }
@@ -79,17 +79,6 @@ fn integer_weights(half: &[f64]) -> Vec<u64> {
     let mut weights: Vec<u64> = half.iter().map(|w| (w * 65536.0).round() as u64).collect();
     weights[0] = 65536 - 2 * weights[1..].iter().sum::<u64>();
     weights
-}
-
-/// A cell and its neighbours, from it.
-fn cube() -> impl Iterator<Item = IVec3> {
-    (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)
-}
-
-/// The quadratic B-spline, 1 wide on either side and a half more.
-fn b_spline(x: f64) -> f64 {
-    let x = x.abs();
-    if x < 0.5 { 0.75 - x * x } else { 0.5 * (1.5 - x).max(0.0).powi(2) }
 }
 
 impl Method {
@@ -120,22 +109,11 @@ impl Method {
         by_cell
     }
 
-    /// The greatest value within 1 + ceil(sigma) cells along each axis.
-    fn near<T: Copy + Default + PartialOrd>(&self, field: &Dense<T>) -> Dense<T> {
-        let reach = 1 + self.sigma.ceil() as i32;
-        (0..3).fold(field.clone(), |field, axis| {
-            Dense::new(field.cells, |cell| {
-                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, self.walls));
-                taps.fold(T::default(), |most, value| if value > most { value } else { most })
-            })
-        })
-    }
-
     /// The field in f64.
     pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
-        let mut theta = Dense::new(cells, |cell| {
+        let theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0.0 };
             let n = offsets.len() as f64;
             match self.indicator {
@@ -144,20 +122,9 @@ impl Method {
                     let centroid = offsets.iter().sum::<DVec3>() / n;
                     1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
                 }
-                Indicator::Cloud(_) => 0.0,
+                Indicator::Cloud(_) => unreachable!("clouds have an oracle of their own"),
             }
         });
-        if let Indicator::Cloud(_) = self.indicator {
-            for (cell, offset) in
-                by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
-            {
-                for away in cube() {
-                    let share = |axis| b_spline(f64::from(away[axis]) + 0.5 - offset[axis]);
-                    *theta.nearest(IVec3::from(*cell) + away) += (0..3).map(share).product::<f64>();
-                }
-            }
-            theta.values.iter_mut().for_each(|rho| *rho = (*rho / (2.0 * self.mu0())).min(1.0));
-        }
         let blur = |field: &Dense<f64>, half: &[f64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
@@ -174,9 +141,6 @@ impl Method {
             smooth = blur(&smooth, &[1.0 / 3.0; 2]);
         }
         let c = self.iso / 65535.0;
-        // A thirtieth of a particle.
-        let least =
-            if let Indicator::Cloud(_) = self.indicator { 1.0 / 30.0 / (2.0 * self.mu0()) } else { 0.0 };
         let [theta, smooth] = [&theta, &smooth].map(|field| |cell| field.at(cell, None));
         let dense = |value: &dyn Fn(IVec3) -> f64| Dense::new(cells, value);
         match self.detail {
@@ -186,16 +150,6 @@ impl Method {
                 let details = blur(&lost, &gaussian(self.sigma / 2.0));
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
             }
-            Detail::Adaptive => {
-                let occupancy = dense(&|cell| if theta(cell) > least { 1.0 } else { 0.0 });
-                let blurred = blur(&occupancy, &gaussian((self.sigma / 2.0).min(0.5)));
-                let near = self.near(&dense(&smooth));
-                dense(&|cell| {
-                    let w = ((near.at(cell, None) - c) / (c / 2.0)).clamp(0.0, 1.0);
-                    let fine = (3.0 * c * blurred.at(cell, None)).min(1.0).max(smooth(cell));
-                    (1.0 - w) * fine + w * smooth(cell)
-                })
-            }
         }
     }
 
@@ -203,11 +157,11 @@ impl Method {
     pub fn integer(&self, particles: &[[f64; 3]]) -> Dense<u16> {
         let by_cell = self.particles_by_cell(particles);
         let cells = self.cells(particles);
-        let mut theta = Dense::new(cells, |cell| {
+        let theta = Dense::new(cells, |cell| {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
             match self.indicator {
-                Indicator::Cloud(_) => 0,
+                Indicator::Cloud(_) => unreachable!("clouds have an oracle of their own"),
                 Indicator::Counting(_) => {
                     (((n as f64).min(self.mu0()) / self.mu0()) * 65535.0).round() as u16
                 }
@@ -225,36 +179,6 @@ impl Method {
                 }
             }
         });
-        let amount = ((65535.0 / (2.0 * self.mu0())).round() as u64).max(4);
-        if let Indicator::Cloud(_) = self.indicator {
-            let mut sums = Dense::new(cells, |_| 0);
-            for (cell, offset) in
-                by_cell.iter().flat_map(|(cell, offsets)| offsets.iter().map(move |o| (cell, o)))
-            {
-                let cell = IVec3::from(*cell);
-                let shares = [0, 1, 2].map(|axis| {
-                    let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
-                    let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
-                    // By how far from the cell; what would lie beyond a wall lies in the cell before it.
-                    let mut shares = BTreeMap::new();
-                    for (away, share) in [(-1, below), (0, 65536 - below - above), (1, above)] {
-                        let mut to = cell;
-                        to[axis] += away;
-                        let within = self.walls.map_or(to, |walls| to.clamp(walls.lo, walls.hi - 1));
-                        *shares.entry(within[axis] - cell[axis]).or_insert(0) += share;
-                    }
-                    shares
-                });
-                let part = |amount: u64, share: u64| (amount * share + 32768) / 65536;
-                for away in cube() {
-                    let of_axis = |axis: usize| shares[axis].get(&away[axis]).copied().unwrap_or(0);
-                    let share = part(part(part(amount, of_axis(2)), of_axis(1)), of_axis(0));
-                    *sums.nearest(cell + away) += share;
-                }
-            }
-            theta = Dense::new(cells, |cell| sums.at(cell, None).min(65535) as u16);
-        }
-        let least = if let Indicator::Cloud(_) = self.indicator { (amount / 30).max(1) } else { 1 };
         let blur = |field: &Dense<u16>, half: &[u64]| {
             (0..3).fold(field.clone(), |field, axis| {
                 Dense::new(field.cells, |cell| {
@@ -280,17 +204,6 @@ impl Method {
                 let lost = dense(&|cell| if u64::from(smooth(cell)) <= t { theta(cell) } else { 0 });
                 let details = blur(&lost, &integer_weights(&gaussian(self.sigma / 2.0)));
                 dense(&|cell| smooth(cell).max(details.at(cell, None)))
-            }
-            Detail::Adaptive => {
-                let occupancy = dense(&|cell| if u64::from(theta(cell)) >= least { 65535 } else { 0 });
-                let blurred = blur(&occupancy, &integer_weights(&gaussian((self.sigma / 2.0).min(0.5))));
-                let near = self.near(&dense(&smooth));
-                dense(&|cell| {
-                    let w = (2 * u64::from(near.at(cell, None)).saturating_sub(t)).min(t + 1);
-                    let [blurred, smooth] = [blurred.at(cell, None), smooth(cell)].map(u64::from);
-                    let fine = (blurred * ((3 * t + 2) / 4) / (1 << 14)).min(65535).max(smooth);
-                    (((t + 1 - w) * fine + w * smooth + t.div_ceil(2)) / (t + 1)) as u16
-                })
             }
         }
     }

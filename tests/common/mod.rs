@@ -3,20 +3,21 @@
 
 pub mod dense;
 pub mod device;
+pub mod distances;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 
 use glam::{DVec3, IVec3};
 use meniscus::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
 use meniscus::calibration::Calibrated;
-use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
 use meniscus::grid::{Domain, Grid};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
 use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::{Indicator, IndicatorKind, SampledDif};
-use meniscus::units::{Isovalue, MemoryBudget};
+use meniscus::stage::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
+use meniscus::units::{Isovalue, MeanCount, MemoryBudget};
 use scene::Random;
 
 pub const INDICATORS: [IndicatorKind; 3] =
@@ -37,7 +38,7 @@ pub fn sampling() -> Sampling {
 }
 
 pub fn surfacing() -> Surfacing {
-    Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None }
+    Surfacing::PLAIN
 }
 
 /// A surface, all of it in memory.
@@ -71,14 +72,27 @@ pub fn reconstruct(
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).unwrap();
     let calibrated = frame.calibrate(surfacing, None, &mut laps).unwrap();
-    let iso = calibrated.measured().unwrap().calibration.iso;
+    let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::NO_DISTANCE);
     let mesh = calibrated.surface(&mut laps).unwrap().to_mesh().unwrap();
     (frame, Reconstructed { mesh, iso })
 }
 
+/// What pages hold by an indicator, of particles so many to a full cell.
+pub fn by(kind: IndicatorKind, mean: f64) -> Indicator {
+    match kind {
+        IndicatorKind::Symmetry => Indicator::Symmetry,
+        IndicatorKind::Counting => Indicator::Counting(MeanCount::new(mean).unwrap()),
+        IndicatorKind::Cloud => Indicator::Cloud(Amount::of_spacing(mean.cbrt().recip())),
+    }
+}
+
 /// Cells that hold particles.
 pub fn full_cells(bins: &Bins) -> u64 {
-    (0..bins.keys().len()).map(|bin| bins.full_cells(bin).unwrap()).sum()
+    let of_bin = |bin: usize| {
+        let contents = bins.contents(bin).unwrap();
+        contents.particles().map(|(cell, _)| cell).collect::<std::collections::BTreeSet<_>>().len() as u64
+    };
+    (0..bins.keys().len()).map(of_bin).sum()
 }
 
 /// A few blobs, a sheet and spray around the origin, about 40 cells across, at some two particles a cell.

@@ -68,15 +68,16 @@ at_every_place! {
         a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much
         cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved;
     sampled:
-        mu0_of_clouds_is_told_by_some_bins_and_near_that_of_all
-        spray_in_most_bins_does_not_tell_mu0_of_a_pool
         the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool;
     surfaces:
         sphere_slab_and_torus_have_their_genus_and_their_volume_within_one_percent_at_32_cells
         normals_point_out_of_a_sphere
         white_noise_over_27_blocks_is_a_closed_oriented_manifold
         every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold
-        an_adaptive_blur_keeps_every_drop_and_a_sheet_whole_and_leaves_a_pool_as_it_is
+        clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is
+        a_drop_of_one_particle_has_its_volume_in_cells_of_any_size
+        chains_and_balls_of_air_are_whole_and_a_ball_holds_its_volume
+        a_pool_is_as_level_in_fine_cells_as_in_coarse_ones
         splashes_are_watertight_with_every_indicator_filter_and_wall
         a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume
         a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else

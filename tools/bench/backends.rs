@@ -12,7 +12,7 @@ use clap::Parser;
 use glam::DVec3;
 use meniscus::backend::Vulkan;
 use meniscus::brick::{BrickSide, InvalidParticles};
-use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{Detail, Frame, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
@@ -107,7 +107,7 @@ fn sampling(cell: f64) -> Sampling {
 
 /// The laps of a frame, and a checksum of its mesh.
 fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
-    let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Recovered, normals: Normals::None };
+    let surfacing = Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN };
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).expect("a frame");
     let surface = frame.surface(&surfacing, &mut laps).expect("a surface");

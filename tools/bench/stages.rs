@@ -10,16 +10,16 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::backend::field;
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
-use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::frame::{Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{CellBox, Grid};
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
 use meniscus::mesh::spool::Spool;
 use meniscus::stage::blur::{Kernel, blur};
 use meniscus::stage::dual_mc::contour;
-use meniscus::stage::indicator::{IndicatorKind, PageRule, indicate};
+use meniscus::stage::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
 use meniscus::stitch::Stitched;
-use meniscus::units::{MeanCount, MemoryBudget, Sigma};
+use meniscus::units::{MemoryBudget, Sigma};
 use rayon::prelude::*;
 
 /// The best of a few runs: what the machine can do when nobody disturbs it.
@@ -63,10 +63,12 @@ fn main() {
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Counting, IndicatorKind::Cloud] {
-        let full_cells =
-            (0..bins.keys().len()).map(|bin| bins.full_cells(bin).expect("bins in memory")).sum();
-        let mean = MeanCount::measured(particles.len() as u64, full_cells).expect("a mean count");
-        let rule = PageRule { content: kind.by(mean).content(), side: BrickSide::Eight, walls: None };
+        let content = match kind {
+            IndicatorKind::Symmetry => Content::Symmetry,
+            IndicatorKind::Counting => Content::Counts,
+            IndicatorKind::Cloud => Content::Clouds(Amount::of_spacing(1.0)),
+        };
+        let rule = PageRule { content, side: BrickSide::Eight, walls: None };
         let (seconds, _) = best_seconds(3, || indicate(&bins, 0..bins.keys().len(), &rule));
         let name = kind.name();
         row(&format!("accumulate, {name}"), count, "M particles/s", seconds);
@@ -97,13 +99,13 @@ fn main() {
         spacing: None,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
-    let surfacing = Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::None };
+    let surfacing = Surfacing::PLAIN;
     let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
     let sampled = frame.dif().expect("an indicator makes the field");
     let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
     let recipe = surfacing.recipe(sampled, &measured.calibration);
     let blocks = sampled.dif.regions(0, 0);
-    let (halo, reach) = (recipe.filters.halo(), recipe.filters.reach());
+    let (halo, reach) = (recipe.filters.sources()[0].halo, recipe.filters.reach());
     let (seconds, samples) = best_seconds(3, || {
         let gathered = blocks.par_iter().map(|cells| sampled.dif.gather(cells.grown(halo, halo)));
         gathered.map(|block| block.samples().len()).sum::<usize>()

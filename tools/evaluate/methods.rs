@@ -83,8 +83,8 @@ impl Method {
     }
 
     /// By default, with what smoothing loses treated otherwise.
-    pub fn detailed(detail: Detail) -> [Self; 3] {
-        [IndicatorKind::Symmetry, COUNTING, CLOUD].map(|indicator| Self::by_default(indicator, detail))
+    pub fn detailed(detail: Detail) -> [Self; 2] {
+        [IndicatorKind::Symmetry, COUNTING].map(|indicator| Self::by_default(indicator, detail))
     }
 
     const fn by_default(indicator: IndicatorKind, detail: Detail) -> Self {
@@ -106,7 +106,6 @@ impl Method {
                 let detail = match detail {
                     Detail::Smoothed => "",
                     Detail::Recovered => ", details recovered",
-                    Detail::Adaptive => ", adaptive",
                 };
                 format!("{}{filter}{at}{detail}", indicator.name())
             }
@@ -187,5 +186,5 @@ pub fn sampling(grid: Grid, spacing: f64, field: impl Into<FieldRequest>) -> Sam
 }
 
 pub fn surfacing(sigma: Option<Sigma>, iso: Option<Isovalue>) -> Surfacing {
-    Surfacing { sigma, iso, detail: Detail::Smoothed, normals: Normals::None }
+    Surfacing { sigma, iso, ..Surfacing::PLAIN }
 }

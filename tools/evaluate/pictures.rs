@@ -81,7 +81,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     fs::create_dir_all(&options.out)?;
     let scene = Scene::new(options)?;
     println!("pictures in {}:\n", options.out.display());
-    for method in Method::ALL.iter().copied().chain(Method::detailed(Detail::Adaptive)) {
+    for method in Method::ALL.iter().copied().chain(Method::detailed(Detail::Recovered)) {
         let file = options.out.join(format!("frame-{}.png", method.slug()));
         scene.picture(&method, SIZE)?.write(&file)?;
         println!("- {}: {}", file.display(), method.name());

@@ -137,11 +137,7 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
 fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
     let mut table = Table::new(&["c", "surface", "seconds", "components", "volume", "triangles"]);
     let sampling = sampling(grid(side / options.choose(256.0, 64.0))?, 1.0, COUNTING);
-    let kinds = [
-        ("smoothed", Detail::Smoothed),
-        ("details recovered", Detail::Recovered),
-        ("adaptive", Detail::Adaptive),
-    ];
+    let kinds = [("smoothed", Detail::Smoothed), ("details recovered", Detail::Recovered)];
     let all =
         [("0.2", Iso::At(0.2)), ("auto", Iso::Auto)].into_iter().flat_map(|c| kinds.map(|kind| (c, kind)));
     for ((c, iso), (name, detail)) in all {

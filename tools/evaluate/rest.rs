@@ -53,7 +53,7 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     let asked = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
     let Measured { grid, calibration, .. } = measure(&raised(0)[..], &free, Origin::Free, &asked)?;
-    let mean = calibration.and_then(|known| known.mean);
+    let mean = calibration.and_then(|known| known.mean());
     let frozen = Sampling { grid, field: IndicatorRequest { kind: indicator, mean }.into(), ..free };
 
     let height = |step: u32| -> Outcome<f64> {

@@ -42,7 +42,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     for &cell in options.choose(&CELLS[..], &CELLS[1..2]) {
         let narrower = [Method::symmetry(0.8, Iso::Auto), Method::counting(0.8, Iso::Auto)];
         let lower = [Method::symmetry(1.0, Iso::At(0.1)), Method::counting(1.0, Iso::At(0.1))];
-        let detailed = [Detail::Recovered, Detail::Adaptive].into_iter().flat_map(Method::detailed);
+        let detailed = Method::detailed(Detail::Recovered);
         let methods = Method::ALL.iter().copied().chain(narrower).chain(lower).chain(detailed);
         for method in &methods.collect::<Vec<_>>() {
             let about = || [figure(cell), method.name()].into_iter();

@@ -8,11 +8,10 @@ use std::error::Error;
 use ash::vk;
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::frame::Detail;
+use meniscus::frame::Surfacing;
 use meniscus::frame::resident::{Pipeline, Settings};
 use meniscus::grid::Grid;
 use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::Sigma;
 use meniscus::vulkan::{Device, DeviceOptions, Foreign, Place, Queue};
 
 /// The vertices and the triangles of a surface.
@@ -121,9 +120,7 @@ unsafe fn mesh(
         indicator: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         spacing: Some(cell),
-        sigma: Sigma::new(1.0)?,
-        detail: Detail::Smoothed,
-        iso: None,
+        surfacing: Surfacing::PLAIN,
     };
     let surface = pipeline.surface(&[positions], &settings)?;
 

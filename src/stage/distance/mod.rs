@@ -9,7 +9,7 @@ mod table;
 pub mod vulkan;
 
 pub use cpu::{depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
-pub use filters::{BULK_GAIN, Distances, WideCells};
+pub use filters::{BULK_GAIN, Distances};
 pub use inside::{BRICK, Inside};
 pub use table::{AWAY, DEPTHS};
 

@@ -21,10 +21,12 @@ mod cloud;
 mod cpu;
 mod sampled;
 pub mod vulkan;
+mod wide;
 
 pub use cloud::{Amount, RIM, SHARE_BITS, SQUARE_BITS};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
+pub use wide::WideCells;
 
 use crate::brick::{BrickSide, DifField, PageShape};
 use crate::grid::CellBox;

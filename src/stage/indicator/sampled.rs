@@ -3,9 +3,8 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::brick::{DifField, FrameFacts};
-use crate::stage::distance::WideCells;
 
-use super::{Amount, Indicator, IndicatorKind};
+use super::{Amount, Indicator, IndicatorKind, WideCells};
 
 /// A frame whose DIF is known: what a packed frame holds.
 #[derive(Debug)]

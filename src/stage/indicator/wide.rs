@@ -1,0 +1,39 @@
+//! Wide cells: those in which distances are made of clouds, of about the same size whatever the cells of the mesh are.
+
+use super::Amount;
+
+/// The least edge of the cells in which the calm surface is made, in spacings: finer ones are joined before.
+const LEAST_WIDE: f64 = 0.55;
+/// The field of wide cells, by the particles' spacing in cells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WideCells {
+    /// Each is 2^`level` cells along an axis.
+    pub level: u32,
+    /// Edge of a wide cell in spacings.
+    pub edge: f64,
+}
+
+impl WideCells {
+    /// For particles so many cells apart.
+    #[must_use]
+    pub fn of_spacing(spacing: f64) -> Self {
+        let mut wide = Self { level: 0, edge: 1.0 / spacing };
+        // A quotient of decimals is off by a rounding.
+        while wide.edge < LEAST_WIDE - 1e-9 {
+            wide = Self { level: wide.level + 1, edge: 2.0 * wide.edge };
+        }
+        wide
+    }
+
+    /// What a particle adds in all.
+    #[must_use]
+    pub fn amount(self) -> Amount {
+        Amount::of_spacing(1.0 / self.edge)
+    }
+
+    /// The sample deep in a fluid with a particle in each cubed spacing, before any gain.
+    #[must_use]
+    pub fn plateau(self) -> f64 {
+        f64::from(self.amount().steps()) * self.edge * self.edge * self.edge
+    }
+}

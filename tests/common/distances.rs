@@ -1,0 +1,292 @@
+//! The oracle of distances from clouds: the formulas on one dense array, as plainly as they can be said, in the integers that the
+//! sparse field must equal to the bit.
+//!
+//! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin is 0.
+
+use glam::{DVec3, IVec3};
+use meniscus::grid::CellBox;
+use meniscus::stage::distance::{AWAY, DEPTHS};
+
+use super::dense::Dense;
+
+/// What is to be computed.
+pub struct Distances {
+    /// Cells of a spacing.
+    pub spacing: f64,
+    /// The width asked for, in spacings.
+    pub smooth: f64,
+    /// What was measured.
+    pub plateau: u16,
+    pub walls: Option<CellBox>,
+}
+
+/// Units of a spacing.
+const UNITS: f64 = 8192.0;
+
+/// Half of a Gaussian's mask of such a variance, cut off at a reach, centre first, in 65536ths.
+fn gaussian(variance: f64, cut: f64) -> Vec<u64> {
+    let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
+    let mask = |square: f64| -> Vec<f64> {
+        (0..=reach).map(|k| (-f64::from(k * k) / (2.0 * square)).exp()).collect()
+    };
+    let sum = |mask: &[f64]| mask[0] + 2.0 * mask[1..].iter().sum::<f64>();
+    let second = |mask: &[f64]| {
+        2.0 * (0_u32..).zip(mask).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>() / sum(mask)
+    };
+    let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
+    for _ in 0..60 {
+        let middle = (below + above) / 2.0;
+        *(if second(&mask(middle)) < variance { &mut below } else { &mut above }) = middle;
+    }
+    let mask = mask(below);
+    let mut weights: Vec<u64> = mask.iter().map(|w| (w / sum(&mask) * 65536.0).round() as u64).collect();
+    weights[0] = 65536 - 2 * weights[1..].iter().sum::<u64>();
+    weights
+}
+
+/// The variance of a mask.
+fn variance(half: &[u64]) -> f64 {
+    let moments = (0_u64..).zip(half).map(|(k, weight)| k * k * weight);
+    2.0 * moments.sum::<u64>() as f64 / 65536.0
+}
+
+/// Along each axis; a gain of bits is that of the last one.
+fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> Dense<u16> {
+    (0..3).fold(field.clone(), |field, axis| {
+        let shift = if axis == 2 { 16 - gain } else { 16 };
+        let reach = half.len() as i32 - 1;
+        Dense::new(field.cells, |cell| {
+            let tap = |k: i32| {
+                half[k.unsigned_abs() as usize] * u64::from(field.at(cell + IVec3::AXES[axis] * k, walls))
+            };
+            let sum: u64 = (-reach..=reach).map(tap).sum();
+            (((sum + (1 << (shift - 1))) >> shift).min(65535)) as u16
+        })
+    })
+}
+
+/// Between two entries of a table of 1024 steps.
+fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
+    let (at, between) = ((share / 32) as usize, share % 32);
+    let low = table(at) << bits;
+    low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
+}
+
+/// 3 x^2 - 2 x^3 in 4096ths, from where something begins and over a range.
+fn passed(value: i64, begin: i64, range: i64) -> i64 {
+    let slope = ((1_i64 << 28) + range - 1) / range;
+    let x = ((value - begin).clamp(0, range) * slope) >> 16;
+    (((x * x) >> 8) * (3 * 4096 - 2 * x)) >> 16
+}
+
+fn units(spacings: f64) -> i64 {
+    (spacings * UNITS).round() as i64
+}
+
+/// What a particle adds, by the spacing in cells.
+pub fn amount(spacing: f64) -> u64 {
+    ((32768.0 / (8.0 / spacing.powi(3)).max(1.0)) as u64).max(4)
+}
+
+/// The clouds of particles, of so much each.
+pub fn clouds(particles: &[[f64; 3]], cells: CellBox, walls: Option<CellBox>, amount: u64) -> Dense<u16> {
+    let mut sums = Dense::new(cells, |_| 0_u64);
+    let inside = |cell: IVec3| walls.is_none_or(|walls| walls.contains(cell));
+    for particle in particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3())) {
+        let cell = particle.floor().as_ivec3();
+        let offset = particle - cell.as_dvec3();
+        // By how far from the cell; what would lie beyond a wall lies in the cell before it.
+        let shares = [0, 1, 2].map(|axis: usize| {
+            let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
+            let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);
+            let mut shares = [0; 3];
+            for (away, share) in [(-1, below), (0, 65536 - below - above), (1, above)] {
+                let mut to = cell;
+                to[axis] += away;
+                let within = walls.map_or(to, |walls| to.clamp(walls.lo, walls.hi - 1));
+                shares[(within[axis] - cell[axis] + 1) as usize] += share;
+            }
+            shares
+        });
+        let part = |amount: u64, share: u64| (amount * share + 32768) / 65536;
+        for away in CellBox::cube(IVec3::ZERO, 3).cubes(1) {
+            let share = |axis: usize| shares[axis][away[axis] as usize];
+            let share = part(part(part(amount, share(2)), share(1)), share(0));
+            *sums.nearest(cell + away - 1) += share;
+        }
+    }
+    Dense { cells, values: sums.values.iter().map(|&sum| sum.min(65535) as u16).collect() }
+}
+
+/// In cells twice as wide, by a factor in 65536ths.
+fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16> {
+    let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
+    Dense::new(cells, |wide| {
+        let weight = |away: IVec3| {
+            [1, 3, 3, 1][away.x as usize] * [1, 3, 3, 1][away.y as usize] * [1, 3, 3, 1][away.z as usize]
+        };
+        let tap = |away: IVec3| weight(away) * u64::from(field.at(2 * wide - 1 + away, walls));
+        let sum: u64 = CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum();
+        ((sum * factor + (1 << 21)) >> 22).min(65535) as u16
+    })
+}
+
+impl Distances {
+    /// The wide cells' level, and their edge in spacings.
+    fn wide(&self) -> (u32, f64) {
+        let mut wide = (0, 1.0 / self.spacing);
+        while wide.1 < 0.55 - 1e-9 {
+            wide = (wide.0 + 1, 2.0 * wide.1);
+        }
+        wide
+    }
+
+    /// The field; `inside` are wide cells that are, by definition.
+    pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
+        let (level, edge) = self.wide();
+        let cells = self.walls.unwrap_or_else(|| {
+            let reach = 14 << level;
+            let around = particles
+                .iter()
+                .map(|&p| DVec3::from(p).floor().as_ivec3())
+                .fold(CellBox::EMPTY, |all, cell| all.union(&CellBox { lo: cell, hi: cell + 1 }));
+            let edge = IVec3::splat(1 << level);
+            let CellBox { lo, hi } = around.grown(reach, reach);
+            CellBox { lo: lo.div_euclid(edge) * edge, hi: (hi.div_euclid(edge) + 1) * edge }
+        });
+        let fine = clouds(particles, cells, self.walls, amount(self.spacing));
+        let (mut wide, mut walls) = (fine.clone(), self.walls);
+        for level in 0..level {
+            let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
+            wide = halved(&wide, walls, (of(level + 1) / of(level) * 65536.0) as u64);
+            walls = walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 });
+        }
+        let (bulk, outlying) = self.bulk(&wide, walls, edge, inside);
+        let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, walls));
+        self.joined(&fine, &bulk, &outlying)
+    }
+
+    /// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one near by.
+    fn bulk(
+        &self,
+        wide: &Dense<u16>,
+        walls: Option<CellBox>,
+        edge: f64,
+        inside: impl Fn(IVec3) -> bool,
+    ) -> (Dense<u16>, Dense<u16>) {
+        let widths = [0.625, 1.0, 1.5].map(|times| {
+            let cells = times * self.smooth / edge;
+            let half = gaussian((cells * cells - 0.25).max(0.35), 2.2);
+            let width = ((variance(&half) + 0.25).sqrt() * edge * 4096.0).round() as i64;
+            (blur(wide, &half, 3, walls), width)
+        });
+        let scale = ((f64::from(1 << 29) / f64::from(self.plateau)).round() as i64).min(65535);
+        let depth = |which: usize, cell: IVec3| {
+            let (field, width) = &widths[which];
+            let share = ((i64::from(field.at(cell, None)) * scale) >> 14).min(32768);
+            let deviations = {
+                let (at, between) = ((share / 32) as usize, share % 32);
+                let [low, high] = [at, at + 1].map(|at| i64::from(DEPTHS[at]));
+                4 * low + (((high - low) * between) >> 3)
+            };
+            ((deviations * width) >> 14).clamp(-20480, 20480)
+        };
+        let share = |narrow: usize| {
+            let [a, b] = [narrow, narrow + 1].map(|which| (widths[which].1 as f64).powi(2));
+            (a / (b - a) * 4096.0).round() as i64
+        };
+        let surface = |narrow: usize| {
+            let share = share(narrow);
+            Dense::new(wide.cells, |cell| {
+                let [near, far] = [narrow, narrow + 1].map(|which| depth(which, cell));
+                (near + (((near - far) * share + 2048) >> 12) + 32768).clamp(1, 65535) as u16
+            })
+        };
+        let [fine, calm] = [surface(0), surface(1)];
+        let [of_fine, of_calm] = [&fine, &calm].map(|field| |cell| i64::from(field.at(cell, None)));
+        let apart = Dense::new(wide.cells, |cell| {
+            ((of_fine(cell) - of_calm(cell)).clamp(-8192, 8192) + 32768) as u16
+        });
+        let around = (0.5625 * self.smooth / edge).powi(2).max(0.35);
+        let apart = blur(&apart, &gaussian(around, 1.7), 0, walls);
+        let [told, told_range] = [units(0.07), units(0.14) - units(0.07)];
+        let [deep, deep_range] = [32768 + units(0.3), units(0.9) - units(0.3)];
+        let bulk = Dense::new(wide.cells, |cell| {
+            if inside(cell) {
+                return u16::MAX;
+            }
+            let distance = (i64::from(apart.at(cell, None)) - 32768).abs();
+            let shallow = 4096 - passed(of_calm(cell), deep, deep_range);
+            let share = (passed(distance, told, told_range) * shallow) >> 12;
+            (of_calm(cell) + (((of_fine(cell) - of_calm(cell)) * share + 2048) >> 12)) as u16
+        });
+        let least = ((amount(1.0 / edge) as f64 / 9.0) as u16).max(1);
+        let outlying = Dense::new(wide.cells, |cell| {
+            if wide.at(cell, None) >= least { (65535 - of_calm(cell)).max(1) as u16 } else { 0 }
+        });
+        let reach = (1.0 / edge).round().max(1.0) as i32;
+        let outlying = (0..3).fold(outlying, |field, axis| {
+            Dense::new(field.cells, |cell| {
+                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, walls));
+                taps.max().unwrap_or(0)
+            })
+        });
+        (bulk, outlying)
+    }
+
+    /// The surface of the bulk, and of drops where particles stand out.
+    fn joined(&self, fine: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
+        let cells = 0.6 * self.spacing;
+        let half = gaussian((cells * cells - 0.25).max(0.35), 2.6);
+        let width = (variance(&half) + 0.25).sqrt();
+        let amount = amount(self.spacing) as f64;
+        let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
+        let doublings =
+            |value: f64, most: f64| (0..15).take_while(|&n| value * 2_f64.powi(n + 1) <= most).count() as u32;
+        let gain = doublings(alone, 4096.0);
+        let bits = doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0);
+        let around = blur(fine, &half, gain, self.walls);
+        let shares = Dense::new(fine.cells, |cell| {
+            let [own, all] = [fine, &around].map(|field| u64::from(field.at(cell, None)));
+            ((own << bits) / all.max(1)).min(65535) as u16
+        });
+        let shares = blur(&shares, &half, (15 + gain).saturating_sub(bits).min(15), self.walls);
+        let radius = units((0.55 - 0.29 / self.spacing.powi(2)).max(0.38));
+        let width = units(width / self.spacing);
+        let [begin, range] = [32768 + units(0.4), units(1.0) - units(0.4)];
+        Dense::new(fine.cells, |cell| {
+            let [bulk, outlying] = [bulk, outlying].map(|field| i64::from(field.at(cell, None)));
+            let weight = passed(outlying, begin, range);
+            if outlying == 0 || weight == 0 {
+                return if outlying == 0 { 0 } else { bulk as u16 };
+            }
+            let share = i64::from(shares.at(cell, None)).min(32768);
+            let away = looked_up(|at| AWAY[at].into(), share, 0);
+            let out = (radius - ((away * width) >> 12) + 32768 - bulk).max(0);
+            (bulk + ((out * weight + 2048) >> 12)).clamp(1, 65535) as u16
+        })
+    }
+}
+
+/// The quadratic B-spline whose control points a field of wide cells is, at the middles of cells.
+fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<u16> {
+    if level == 0 {
+        return wide.clone();
+    }
+    let mut field = wide.clone();
+    for axis in 0..3 {
+        let mut to = field.cells;
+        (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
+        field = Dense::new(to, |cell| {
+            let (edge, at) = (2_u64 << level, 2 * u64::from(cell[axis] as u32 & ((1 << level) - 1)) + 1);
+            let [below, above] = [(edge - at).pow(2), at.pow(2)];
+            let weights = [below, 2 * edge * edge - below - above, above];
+            let mut own = cell;
+            own[axis] >>= level;
+            let tap = |k: i32| u64::from(field.at(own + IVec3::AXES[axis] * k, walls));
+            let sum: u64 = (-1..=1).map(|k| weights[(k + 1) as usize] * tap(k)).sum();
+            ((sum + (edge * edge)) / (2 * edge * edge)) as u16
+        });
+    }
+    field
+}
