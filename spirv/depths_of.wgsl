@@ -5,10 +5,13 @@ struct Push {
     words: u32,
     // What samples are taken by to be shares of the plateau.
     scale: u32,
-    // The standard deviations.
+    // The standard deviations, and how many of them the greatest distance is.
     narrow_width: i32,
     middle_width: i32,
     wide_width: i32,
+    narrow_most: i32,
+    middle_most: i32,
+    wide_most: i32,
     // How far beyond the narrower of two widths, in what both differ by.
     fine_share: i32,
     calm_share: i32,
@@ -22,12 +25,12 @@ var<immediate> push: Push;
 // The inverse of the normal distribution.
 @group(0) @binding(3) var<storage, read> depths: array<i32>;
 
-fn depth(sample: u32, width: i32) -> i32 {
+fn depth(sample: u32, width: i32, most: i32) -> i32 {
     let share = min((sample * push.scale) >> 14u, 32768u);
     let at = share >> 5u;
     let low = depths[at];
     let deviations = 4 * low + (((depths[at + 1u] - low) * i32(share & 31u)) >> 3u);
-    return clamp((deviations * width) >> 14u, -FARTHEST, FARTHEST);
+    return (clamp(deviations, -most, most) * width) >> 14u;
 }
 
 fn beyond(near: i32, far: i32, share: i32) -> i32 {
@@ -37,9 +40,9 @@ fn beyond(near: i32, far: i32, share: i32) -> i32 {
 
 // The fine surface, what both are apart by, and the calm surface.
 fn surfaces(shares: vec3<u32>) -> vec3<u32> {
-    let a = depth(shares.x, push.narrow_width);
-    let b = depth(shares.y, push.middle_width);
-    let c = depth(shares.z, push.wide_width);
+    let a = depth(shares.x, push.narrow_width, push.narrow_most);
+    let b = depth(shares.y, push.middle_width, push.middle_most);
+    let c = depth(shares.z, push.wide_width, push.wide_most);
     let fine = beyond(a, b, push.fine_share);
     let calm = beyond(b, c, push.calm_share);
     let apart = clamp(fine - calm, -MOST_APART, MOST_APART) + DISTANCE_ZERO;

@@ -8,7 +8,7 @@ use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::distance::vulkan::{DEPTHS_OF, JOIN, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD};
-use crate::stage::distance::{BRICK, FARTHEST, MOST_APART, ZERO};
+use crate::stage::distance::{BRICK, MOST_APART, ZERO};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
 use crate::stage::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
@@ -33,7 +33,6 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("DISTANCE_ZERO", "i32", ZERO.into()),
         ("MOST_APART", "i32", MOST_APART.into()),
         ("INSIDE_BITS", "u32", BRICK.ilog2().into()),
-        ("FARTHEST", "i32", FARTHEST.into()),
         ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
         ("AXIS_BITS", "u32", AXIS_BITS.into()),
         ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),

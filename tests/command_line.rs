@@ -93,7 +93,8 @@ fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
     particles.reverse();
     fs::write(folder.path().join("b.xyz"), raw(&particles)).unwrap();
     let bytes = |input: &str, threads: &str| {
-        let options = ["--cell-size", "0.9", "--normals", "--detail", "--overwrite", "--threads", threads];
+        let options =
+            ["--cell-size", "0.9", "--normals", "--smooth", "1.4", "--overwrite", "--threads", threads];
         let run = meniscus(folder.path(), &[&["reconstruct", input, "-o", "out.ply"], &options[..]].concat());
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         fs::read(folder.path().join("out.ply")).unwrap()
@@ -220,7 +221,7 @@ fn an_existing_output_is_replaced_only_when_allowed() {
     // A failure keeps what was there, even where it may be replaced.
     assert_refused(
         folder.path(),
-        &["ball.xyz", "-o", "out.ply", "--overwrite", "--iso", "0.999"],
+        &["ball.xyz", "-o", "out.ply", "--overwrite", "--indicator", "counting", "--iso", "0.999"],
         3,
         &["empty"],
     );
@@ -378,16 +379,7 @@ fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
     let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
     fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
     let run = |cell: &str| {
-        let options = [
-            "reconstruct",
-            "spray.xyz",
-            "-o",
-            "out.ply",
-            "--memory",
-            "16MiB",
-            "--spacing",
-            "1",
-        ];
+        let options = ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--spacing", "1"];
         meniscus(folder.path(), &[&options[..], &["--cell-size", cell]].concat())
     };
     let refused = run("0.5");
@@ -463,9 +455,12 @@ fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_o
     let folder = folder_with_ball();
     for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.005")] {
         assert!(
-            meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--iso", iso])
-                .status
-                .success()
+            meniscus(
+                folder.path(),
+                &["reconstruct", "ball.xyz", "-o", output, "--indicator", "counting", "--iso", iso]
+            )
+            .status
+            .success()
         );
     }
     let compare = |a: &str, b: &str| -> serde_json::Value {
@@ -729,7 +724,8 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
                 let (fine, fine_pieces) = found(cell);
                 let what = format!("{} by {indicator} in cells of {cell}", frame.display());
                 assert!((fine / volume - 1.0).abs() < 0.03, "{what}: {fine} of {volume}");
-                assert!(fine_pieces.abs_diff(pieces) <= 2, "{what}: {fine_pieces} of {pieces} pieces");
+                let within = if indicator == "cloud" { pieces / 10 + 2 } else { 2 };
+                assert!(fine_pieces.abs_diff(pieces) <= within, "{what}: {fine_pieces} of {pieces} pieces");
             }
         }
     }
@@ -741,7 +737,7 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
-    for (indicator, told) in [("cloud", "interior plateau"), ("counting", "the spacing tells")] {
+    for (indicator, told) in [("cloud", "in each cubed spacing"), ("counting", "the spacing tells")] {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
         assert!(notes.contains(told), "{notes}");
@@ -759,7 +755,9 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
 #[test]
 fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let folder = folder_with_ball();
-    let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1"];
+    let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
+    assert_refused(folder.path(), &finest, 2, &["ball.xyz", "less than 0.1 spacings", "use cells of 0.05"]);
+    let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--indicator", "counting"];
     assert_refused(
         folder.path(),
         &fine,
@@ -771,11 +769,11 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let symmetry = [&fine[..5], &more[..]].concat();
     assert_refused(folder.path(), &symmetry, 2, &["too fine for symmetry", "0.25"]);
     fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball_1.xyz")).unwrap();
-    let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.1"];
+    let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
     let errors = String::from_utf8_lossy(&run.stderr);
-    assert!(run.status.code() == Some(2) && errors.contains("too fine"), "{errors}");
-    let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.1"];
+    assert!(run.status.code() == Some(2) && errors.contains("less than 0.1 spacings"), "{errors}");
+    let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.09"];
     let run = meniscus(folder.path(), &pack);
     assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
     assert!(!folder.path().join("f.mnf").exists());
@@ -786,7 +784,7 @@ fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let folder = folder_with_ball();
     let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
     assert!(!notes(&[]).contains("warning"));
-    let lost = notes(&["--indicator", "counting", "--iso", "0.6"]);
+    let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
     // A ball, and three times as much spray.
     let mut random = Random::new(3);
@@ -808,6 +806,6 @@ fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
     assert!(notes.contains("estimated from the particles"), "{notes}");
     let (given, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
     assert!(estimated == given);
-    let (a_cell, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--sigma", "1"]);
-    assert!(estimated != a_cell);
+    let (calmer, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
+    assert!(estimated != calmer);
 }

@@ -134,12 +134,12 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
     assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
 
     // Other settings are refused, unless all may be made again.
-    let errors = run(folder.path(), &with(&["--sigma", "1.3"]), 2);
-    assert!(errors.contains("sigma") && errors.contains("--resume"), "{errors}");
+    let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
+    assert!(errors.contains("smooth") && errors.contains("--resume"), "{errors}");
     assert!(tree(&out) == other);
-    run(folder.path(), &with(&["--sigma", "1.3", "--resume"]), 0);
+    run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 0);
     let wide = tree(&out);
-    run(folder.path(), &with(&["--sigma", "1.3", "--overwrite"]), 0);
+    run(folder.path(), &with(&["--smooth", "1.3", "--overwrite"]), 0);
     assert!(tree(&out) == wide && wide["m_1.ply"] != other["m_1.ply"]);
 }
 
@@ -290,7 +290,9 @@ fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
     let output = command(folder.path(), &with(&["--dry-run"])).output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success());
-    for word in ["3 of 3 frames", "missing: 3", "isovalue", "in memory of", "disk: about", "time: about"] {
+    for word in
+        ["3 of 3 frames", "missing: 3", "in a cubed spacing", "in memory of", "disk: about", "time: about"]
+    {
         assert!(text.contains(word), "{word}: {text}");
     }
     assert!(tree(folder.path()) == before);
@@ -337,7 +339,7 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
     // Twice as dense, which alone has another mu0 and another isovalue.
     let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
     fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
-    for indicator in ["cloud", "counting", "symmetry"] {
+    for indicator in ["counting", "symmetry"] {
         let more = ["--indicator", indicator, "--cell-size", "0.6", "--spacing", "0.5", "--origin", "0,0,0"];
         run(folder.path(), &with(&[&more[..], &["--overwrite"]].concat()), 0);
         let made = tree(&folder.path().join("out"));
@@ -366,9 +368,13 @@ fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
     let (whole, path) = (tree(&out), out.join("m.ply.meniscus/state.json"));
-    for (key, value) in
-        [("isovalue", "null"), ("isovalue", "1.5"), ("mu0", "null"), ("mu0", "0.0"), ("mu0", "\"two\"")]
-    {
+    for (key, value) in [
+        ("plateau", "null"),
+        ("plateau", "0"),
+        ("plateau", "70000"),
+        ("isovalue", "0.2"),
+        ("plateau", "\"two\""),
+    ] {
         let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
         state["frozen"][key] = value.parse().unwrap();
         fs::write(&path, state.to_string()).unwrap();
@@ -407,7 +413,7 @@ fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_r
     fs::write(folder.path().join("f_2.csv"), header).unwrap();
     for extension in ["ply", "obj", "vtk", "vtp", "stl"] {
         let out = format!("m_{{}}.{extension}");
-        run(folder.path(), &["f_{}.csv", "-o", &out], 0);
+        run(folder.path(), &["f_{}.csv", "-o", &out, "--indicator", "counting"], 0);
         let whole = read_mesh(&folder.path().join(format!("m_0.{extension}"))).unwrap();
         assert!(whole.triangles.len() > 1000);
         for frame in [1, 2] {
@@ -429,7 +435,8 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
     let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
     fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
     fs::write(folder.path().join("f_2.xyz"), raw(&thin)).unwrap();
-    let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
+    let notes =
+        run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--indicator", "counting"], 0);
     let warnings: Vec<&str> = notes.lines().filter(|line| line.contains("warning")).collect();
     let [warning] = warnings[..] else { panic!("{notes}") };
     assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
@@ -685,7 +692,8 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
         let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
         fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
     }
-    let frozen = ["--cell-size", "1", "--iso", "0.2", "--mu0", "1", "--origin", "0,0,0"];
+    let frozen =
+        ["--indicator", "counting", "--cell-size", "1", "--iso", "0.2", "--mu0", "1", "--origin", "0,0,0"];
     let mut sizes = Vec::new();
     for (extension, options) in [
         ("ply", &[][..]),

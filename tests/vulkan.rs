@@ -180,7 +180,7 @@ fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: M
             let mut sampling = Sampling { field: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
             for (detail, sigma, spacing) in [(DETAILS[0], 1.0, 1.0), (DETAILS[1], 1.5, 2.5)] {
-                sampling.spacing = Some(spacing);
+                sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
                 let sigma = Some(Sigma::new(sigma).unwrap());
                 let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);

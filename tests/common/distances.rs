@@ -174,9 +174,9 @@ impl Distances {
         edge: f64,
         inside: impl Fn(IVec3) -> bool,
     ) -> (Dense<u16>, Dense<u16>) {
-        let widths = [0.625, 1.0, 1.5].map(|times| {
+        let widths = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)].map(|(times, least)| {
             let cells = times * self.smooth / edge;
-            let half = gaussian((cells * cells - 0.25).max(0.35), 2.2);
+            let half = gaussian((cells * cells - 0.25).max(least), 2.2);
             let width = ((variance(&half) + 0.25).sqrt() * edge * 4096.0).round() as i64;
             (blur(wide, &half, 3, walls), width)
         });
@@ -189,7 +189,8 @@ impl Distances {
                 let [low, high] = [at, at + 1].map(|at| i64::from(DEPTHS[at]));
                 4 * low + (((high - low) * between) >> 3)
             };
-            ((deviations * width) >> 14).clamp(-20480, 20480)
+            let most = (20480 << 14) / width;
+            (deviations.clamp(-most, most) * width) >> 14
         };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|which| (widths[which].1 as f64).powi(2));

@@ -33,12 +33,13 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
 }
 
 /// The final field on each of some boxes of cells near one another where the surface can pass between them, as far as can be told
-/// before there is a field; and whether each is away from walls.
+/// before there is a field, by whether each is away from walls. They share what they can in so many bytes.
 pub(super) fn cut_fields(
     recipe: &Recipe,
     sampled: &SampledDif,
     boxes: &[CellBox],
     away_from_walls: &[bool],
+    most_bytes: u64,
 ) -> Vec<Option<Block>> {
     let looking =
         away_from_walls.iter().map(|&away_from_walls| Looking::For { iso: recipe.iso, away_from_walls });
@@ -51,7 +52,8 @@ pub(super) fn cut_fields(
     let halo = distances.wide_halo();
     let volume = |cells: CellBox| distances.wide_cells(cells).grown(halo, halo).volume();
     let all = boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
-    let together = volume(all) <= boxes.clone().map(|(cells, _)| volume(cells)).sum();
+    let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
+    let together = fits && volume(all) <= boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let made = |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
     let of_all =
         if together { made(all, Looking::For { iso: recipe.iso, away_from_walls: true }) } else { None };

@@ -37,8 +37,40 @@ impl Backend for Cpu {
         0
     }
 
-    fn start(&self, _: MemoryBudget) -> Box<dyn Stages> {
-        Box::new(Self)
+    fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
+        let together = budget.0 / SHARE / rayon::current_num_threads() as u64;
+        Box::new(Frame { together })
+    }
+}
+
+/// Of a budget, what all threads together may take to mesh neighbouring blocks in one go.
+const SHARE: u64 = 8;
+
+/// A frame on the processor.
+#[derive(Debug)]
+struct Frame {
+    /// Bytes that a thread may take to mesh neighbouring blocks in one go.
+    together: u64,
+}
+
+impl Stages for Frame {
+    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
+        Cpu.indicate(bins, range, rule)
+    }
+
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
+        // Neighbours follow one another along the Morton curve.
+        let near = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
+        let groups: Vec<_> = regions.chunk_by(near).collect();
+        groups.into_par_iter().flat_map_iter(|group| meshes(surfaces, group, self.together)).collect()
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn on_device(&self) -> Work {
+        Work::default()
     }
 }
 
@@ -48,10 +80,7 @@ impl Stages for Cpu {
     }
 
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        // Neighbours follow one another along the Morton curve.
-        let together = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
-        let groups: Vec<_> = regions.chunk_by(together).collect();
-        groups.into_par_iter().flat_map_iter(|group| meshes(surfaces, group)).collect()
+        regions.par_iter().flat_map_iter(|region| meshes(surfaces, std::slice::from_ref(region), 0)).collect()
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -68,14 +97,14 @@ fn parent(region: &CellBox) -> IVec3 {
     region.lo.div_euclid(IVec3::splat(2 * BLOCK))
 }
 
-/// The surfaces through some regions, of which those near one another share what they can.
-fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
+/// The surfaces through some regions, which share what they can where that takes so many bytes at the most.
+fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox], together: u64) -> Vec<Option<BlockMesh>> {
     let &Surfaces { sampled, recipe, normals } = surfaces;
     let walls = surfaces.walls();
     let cells: Vec<_> = regions.iter().map(|&region| normals.cells(region)).collect();
     let away = |region: &CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(*region)));
     let away: Vec<_> = regions.iter().map(away).collect();
-    let fields = cut_fields(recipe, sampled, &cells, &away);
+    let fields = cut_fields(recipe, sampled, &cells, &away, together);
     let fields = regions.iter().zip(fields);
     fields.map(|(&region, field)| block_mesh(&field?, region, recipe.iso, normals, walls)).collect()
 }

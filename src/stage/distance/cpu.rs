@@ -7,7 +7,7 @@ use crate::brick::Block;
 use crate::grid::CellBox;
 
 use super::table::{AWAY, DEPTHS};
-use super::{Bulk, Depths, Drops, FARTHEST, Gate, MOST_APART, NONE, ZERO, spline, spline_bits, wide_cells};
+use super::{Bulk, Depths, Drops, Gate, MOST_APART, NONE, Width, ZERO, spline, spline_bits, wide_cells};
 
 /// Bits of a share that lie between two entries of a table of 1024 steps.
 const BETWEEN_BITS: u32 = 5;
@@ -23,11 +23,11 @@ fn place(share: u32) -> (usize, i32) {
 
 /// How deep a sample says that it is: a share of the plateau by the standard deviation that it was smoothed by.
 #[inline(always)]
-fn depth(sample: u16, scale: u32, width: i32) -> i32 {
+fn depth(sample: u16, scale: u32, width: &Width) -> i32 {
     let (at, between) = place(((u32::from(sample) * scale) >> 14).min(WHOLE));
     let (low, high) = (i32::from(DEPTHS[at]), i32::from(DEPTHS[at + 1]));
     let deviations = 4 * low + (((high - low) * between) >> 3);
-    ((deviations * width) >> 14).clamp(-FARTHEST, FARTHEST)
+    (deviations.clamp(-width.most, width.most) * width.spacings) >> 14
 }
 
 /// A distance as a sample.
@@ -73,7 +73,7 @@ const RUN: usize = 16;
 /// The calm surface, the fine one, and what both are apart by.
 #[inline(always)]
 fn surfaces(bulk: &Bulk, shares: [u16; 3]) -> [u16; 3] {
-    let [a, b, c] = std::array::from_fn(|k| depth(shares[k], bulk.scale, bulk.widths[k].spacings));
+    let [a, b, c] = std::array::from_fn(|k| depth(shares[k], bulk.scale, &bulk.widths[k]));
     let beyond = |near: i32, far: i32, share: i32| near + (((near - far) * share + 2048) >> 12);
     let fine = sample(beyond(a, b, bulk.shares[0]));
     let calm = sample(beyond(b, c, bulk.shares[1]));

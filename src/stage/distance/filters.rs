@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use glam::IVec3;
+
 use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::Kernel;
 use crate::stage::indicator::{Amount, WideCells};
 use crate::units::Smooth;
 
-use super::{Bulk, Drops, Gate, Inside, UNITS, Width, ZERO, wide_cells};
+use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, wide_cells};
 
 /// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the first two, the calm one by the
 /// last two.
@@ -23,6 +25,10 @@ const APART: [f64; 2] = [0.07, 0.14];
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
 const LEAST_VARIANCE: f64 = 0.35;
+/// Those of the widths: in coarse cells they still are as many.
+const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
+/// The widest drops, in spacings, however coarse the cells are.
+const WIDEST_DROP: f64 = 8.0;
 /// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all of any particle.
 const NEAR: f64 = 1.0;
 /// By how much a particle's centre has to lie outside of the calm surface to stand out, in spacings, and to do so wholly.
@@ -60,8 +66,8 @@ pub struct Distances {
 pub const BULK_GAIN: u32 = 3;
 
 /// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
-fn gaussian(cells: f64, cut: f64) -> (Kernel, f64) {
-    let variance = (cells * cells - 0.25).max(LEAST_VARIANCE);
+fn gaussian(cells: f64, least: f64, cut: f64) -> (Kernel, f64) {
+    let variance = (cells * cells - 0.25).max(least);
     let kernel = Kernel::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
     let width = (kernel.variance() + 0.25).sqrt();
     (kernel, width)
@@ -78,9 +84,11 @@ impl Distances {
     #[must_use]
     pub fn new(smooth: Smooth, spacing: f64) -> Self {
         let wide = WideCells::of_spacing(spacing);
-        let widths = WIDTHS.map(|times| {
-            let (kernel, width) = gaussian(times * smooth.spacings() / wide.edge, CUT);
-            Width { kernel: kernel.gaining(BULK_GAIN), spacings: (width * wide.edge * 4096.0).round() as i32 }
+        let widths = [0, 1, 2].map(|i: usize| {
+            let cells = WIDTHS[i] * smooth.spacings() / wide.edge;
+            let (kernel, width) = gaussian(cells, LEAST_VARIANCES[i], CUT);
+            let spacings = (width * wide.edge * 4096.0).round() as i32;
+            Width { kernel: kernel.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
         });
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
@@ -171,17 +179,27 @@ impl Distances {
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread])
     }
 
-    /// Bytes of a block while its field is made, at the most.
+    /// Bytes that the surface of the bulk takes on some wide cells while it is made.
+    #[must_use]
+    pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
+        let halo = self.wide_halo();
+        6 * volume_bytes(wide.grown(halo, halo))
+    }
+
+    /// Bytes of a block while its field is made, at the most, together with its neighbours where there is room for them.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
-        let cells = CellBox { lo: glam::IVec3::NEG_ONE, hi: glam::IVec3::splat(BLOCK + 2) };
-        let volume = |cells: CellBox| cells.volume() as u64 * size_of::<u16>() as u64;
-        let wide = self.wide_cells(cells);
-        let (halo, near) = (self.wide_halo(), self.near);
-        let bulk = 5 * volume(wide.grown(halo, halo)) + 2 * volume(wide.grown(near, near));
+        let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
         let halo = self.drops_halo();
-        bulk.max(4 * volume(cells.grown(halo, halo)) + 3 * volume(cells))
+        let drops = 4 * volume_bytes(cells(BLOCK).grown(halo, halo)) + 3 * volume_bytes(cells(BLOCK));
+        let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
+        self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
     }
+}
+
+/// Bytes of the samples of some cells.
+fn volume_bytes(cells: CellBox) -> u64 {
+    cells.volume() as u64 * size_of::<u16>() as u64
 }
 
 /// What samples are taken by to be shares of a plateau.
@@ -191,7 +209,7 @@ fn scale(plateau: f64) -> u32 {
 
 impl Drops {
     fn new(spacing: f64) -> Self {
-        let (kernel, width) = gaussian(DROP_WIDTH * spacing, DROP_CUT);
+        let (kernel, width) = gaussian(DROP_WIDTH * spacing, LEAST_VARIANCE, DROP_CUT);
         let [fine, less] = DROP_RADIUS;
         let radius = (fine - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
         let amount = f64::from(Amount::of_spacing(spacing).steps());
@@ -210,7 +228,7 @@ impl Drops {
             spread: kernel.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,
-            width: (width / spacing * UNITS).round() as i32,
+            width: ((width / spacing).min(WIDEST_DROP) * UNITS).round() as i32,
         }
     }
 }

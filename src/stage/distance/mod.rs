@@ -59,6 +59,8 @@ pub struct Width {
     pub kernel: Kernel,
     /// The standard deviation of what it makes of a particle, in 4096ths of a spacing.
     pub spacings: i32,
+    /// The standard deviations of the greatest distance that it tells, in 32768ths.
+    pub most: i32,
 }
 
 /// The surface of the bulk.

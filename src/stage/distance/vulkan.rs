@@ -16,6 +16,9 @@ push_block! {
         narrow_width: i32,
         middle_width: i32,
         wide_width: i32,
+        narrow_most: i32,
+        middle_most: i32,
+        wide_most: i32,
         fine_share: i32,
         calm_share: i32,
     }
@@ -179,6 +182,9 @@ pub fn depths(
         narrow_width: widths[0].spacings,
         middle_width: widths[1].spacings,
         wide_width: widths[2].spacings,
+        narrow_most: widths[0].most,
+        middle_most: widths[1].most,
+        wide_most: widths[2].most,
         fine_share: shares[0],
         calm_share: shares[1],
     };
