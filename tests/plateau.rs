@@ -232,7 +232,7 @@ fn neither_a_double_particle_nor_a_clump_moves_the_surface_of_the_rest() {
                     let what = format!(
                         "{name}, {indicator:?}, cells of {cell}, {count} more: {most} spacings, {all}"
                     );
-                    assert!(most < 0.03 && all.is_finite(), "{what}");
+                    assert!(most < 0.05 && all.is_finite(), "{what}");
                 }
             }
         }
@@ -433,7 +433,7 @@ fn symmetry_is_refused_in_cells_that_are_mostly_empty() {
 fn a_mu0_that_makes_little_of_a_particle_is_too_fine_as_well() {
     let indicator = IndicatorRequest { kind: COUNTING, mean: MeanCount::new(60.0).ok() };
     let refused = asked(&surfacing(), 3.0, indicator).unwrap_err();
-    assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 30.0), "{refused}");
+    assert!(matches!(refused, TooFine::Steps { plateau, .. } if plateau < 50.0), "{refused}");
     assert_eq!(asked(&surfacing(), 10.0, CLOUD), Ok(()));
     assert!(matches!(asked(&surfacing(), 10.1, CLOUD), Err(TooFine::Finest { .. })));
 }

@@ -89,7 +89,11 @@ fn most_slivers_of_marching_cubes_go_and_flat_ground_gets_none() {
                 let left = slivers(&simplified(&particles, &sampling, &within(cells)).0);
                 // Drops of clouds are all bends.
                 let share = if matches!(indicator, IndicatorKind::Cloud) { share.min(4) } else { share };
-                assert!(left <= whole / share, "{what}, {indicator:?}, {cells} cells: {left} of {whole}");
+                // A calm pool has next to none.
+                assert!(
+                    left <= (whole / share).max(30),
+                    "{what}, {indicator:?}, {cells} cells: {left} of {whole}"
+                );
             }
         }
     }
