@@ -25,7 +25,7 @@ pub enum Filters {
     /// Those of the paper, for its indicators.
     Paper(PaperFilters),
     /// Distances from clouds.
-    Distances(Distances),
+    Distances(Box<Distances>),
 }
 
 /// Samples that a recipe asks for.
@@ -173,7 +173,7 @@ impl Recipe {
     /// By distances, which are 0 on the surface.
     #[must_use]
     pub fn of_distances(distances: Distances) -> Self {
-        Self { filters: Filters::Distances(distances), iso: Isovalue::NO_DISTANCE }
+        Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::NO_DISTANCE }
     }
 
     /// From the samples to the field, wherever fields are kept.

@@ -178,7 +178,7 @@ mod tests {
         for (walls, factor) in [(None, 1.0), (None, 0.421_875), (Some(odd), 0.25)] {
             let wide = fine.halved(walls, factor);
             let cells = CellBox { lo: IVec3::new(-10, -3, -3), hi: IVec3::new(34, 11, 19) };
-            let cells = walls.map_or(cells, |walls| halved_box(walls));
+            let cells = walls.map_or(cells, halved_box);
             let block = wide.gather(cells);
             let mut any = 0;
             for cell in cells.cubes(1) {

@@ -176,7 +176,7 @@ impl Surfacing {
         match kind {
             IndicatorKind::Cloud => {
                 let cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
-                Filters::Distances(Distances::new(self.smooth, cells))
+                Filters::Distances(Box::new(Distances::new(self.smooth, cells)))
             }
             IndicatorKind::Symmetry | IndicatorKind::Counting => {
                 let sigma = self.width(spacing, grid.cell_size());
