@@ -13,7 +13,7 @@
 //!
 //! ```
 //! use meniscus::brick::{BrickSide, InvalidParticles};
-//! use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+//! use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
 //! use meniscus::grid::Grid;
 //! use meniscus::laps::Laps;
 //! use meniscus::mesh::check::check;
@@ -34,10 +34,8 @@
 //!     spacing: None,
 //!     resources: Resources::new(meniscus::memory::default_budget(), std::env::temp_dir()),
 //! };
-//! let surfacing =
-//!     Surfacing { sigma: None, iso: None, detail: Detail::Smoothed, normals: Normals::Gradient };
 //! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
-//! let surface = frame.surface(&surfacing, &mut Laps::default())?;
+//! let surface = frame.surface(&Surfacing::PLAIN, &mut Laps::default())?;
 //! assert!(check(&surface.to_mesh()?).is_closed_oriented_manifold());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
