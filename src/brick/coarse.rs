@@ -51,21 +51,17 @@ impl Halving {
         let fine = self.fine.gather_within(fine, self.walls);
         let mut sums: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
         let mut size = fine.cells().size().as_usizevec3();
-        for axis in 0..3 {
-            let strides = [1, size.x, size.x * size.y];
-            let step = strides[axis];
-            size[axis] = size[axis] / 2 - 1;
+        // Along x last, where the least is left, for its cells do not lie side by side.
+        for axis in [2, 1, 0] {
+            let step = [1, size.x, size.x * size.y][axis];
+            let planes = size[axis];
+            size[axis] = planes / 2 - 1;
             let mut to = Vec::with_capacity(size.element_product());
-            for z in 0..size.z {
-                for y in 0..size.y {
-                    let first = [0, y * strides[1], z * strides[2]];
-                    let along = if axis == 0 { 0 } else { first[axis] };
-                    let row = &sums[first[1] + first[2] + along..];
-                    let pitch = if axis == 0 { 2 } else { 1 };
-                    to.extend((0..size.x).map(|x| {
-                        let tap = |k: usize| row[pitch * x + k * step];
-                        tap(0) + 3 * (tap(1) + tap(2)) + tap(3)
-                    }));
+            for run in sums.chunks_exact(step * planes) {
+                for first in (0..size[axis]).map(|wide| 2 * wide * step) {
+                    let [a, b, c, d] = [0, 1, 2, 3].map(|k| &run[first + k * step..][..step]);
+                    let taps = a.iter().zip(b).zip(c).zip(d);
+                    to.extend(taps.map(|(((a, b), c), d)| a + 3 * (b + c) + d));
                 }
             }
             sums = to;

@@ -103,14 +103,20 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
     for (first, to) in (0..).step_by(LANES).zip(many) {
         let taps = |k: usize| taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample");
         let own = taps(reach);
-        let mut sums: [u32; LANES] = std::array::from_fn(|i| centre * u32::from(own[i]) + (1 << (shift - 1)));
+        // Plain loops: a closure would be compiled for any machine, and called for each sample.
+        let mut sums = [1_u32 << (shift - 1); LANES];
+        for i in 0..LANES {
+            sums[i] += centre * u32::from(own[i]);
+        }
         for (k, weight) in (1..).zip(pairs) {
             let (below, above) = (taps(reach - k), taps(reach + k));
             for i in 0..LANES {
                 sums[i] += weight * (u32::from(below[i]) + u32::from(above[i]));
             }
         }
-        *to = sums.map(|sum| (sum >> shift).min(u16::MAX.into()) as u16);
+        for i in 0..LANES {
+            to[i] = (sums[i] >> shift).min(u16::MAX.into()) as u16;
+        }
     }
     for (first, to) in (done..).zip(rest) {
         let tap = |k: usize| u32::from(taps[first + k * step]);

@@ -7,7 +7,7 @@ use crate::brick::Block;
 use crate::grid::CellBox;
 
 use super::table::{AWAY, DEPTHS};
-use super::{Bulk, Depths, Drops, Gate, MOST_APART, NONE, Width, ZERO, spline, spline_bits, wide_cells};
+use super::{Bulk, Depths, Drops, Gate, MOST_APART, NONE, ZERO, spline, spline_bits, wide_cells};
 
 /// Bits of a share that lie between two entries of a table of 1024 steps.
 const BETWEEN_BITS: u32 = 5;
@@ -15,19 +15,36 @@ const BETWEEN_BITS: u32 = 5;
 /// The greatest share, 1.
 const WHOLE: u32 = 1 << 15;
 
-/// An entry of a table, and that after it, at a share of 0 to 32768, and how far between them that is.
+/// An entry of a table, and what the next is more than that, at each of its steps: as long as an index of masked bits may say, so
+/// that rows of it are looked up at once.
+type Steps = [[i16; 2]; 2048];
+
+const fn steps(table: &[i16; 1026]) -> Steps {
+    let mut steps = [[0; 2]; 2048];
+    let mut at = 0;
+    while at + 1 < table.len() {
+        steps[at] = [table[at], table[at + 1] - table[at]];
+        at += 1;
+    }
+    steps
+}
+
+static DEPTH_STEPS: Steps = steps(&DEPTHS);
+static AWAY_STEPS: Steps = steps(&AWAY);
+
+/// An entry of a table at a share of 0 to 32768, what the next is more than that, and how far between them the share is.
 #[inline(always)]
-fn place(share: u32) -> (usize, i32) {
-    ((share >> BETWEEN_BITS) as usize, (share & ((1 << BETWEEN_BITS) - 1)) as i32)
+fn entry(steps: &Steps, share: u32) -> (i32, i32, i32) {
+    let [low, more] = steps[(share >> BETWEEN_BITS) as usize % steps.len()];
+    (low.into(), more.into(), (share & ((1 << BETWEEN_BITS) - 1)) as i32)
 }
 
 /// How deep a sample says that it is: a share of the plateau by the standard deviation that it was smoothed by.
 #[inline(always)]
-fn depth(sample: u16, scale: u32, width: &Width) -> i32 {
-    let (at, between) = place(((u32::from(sample) * scale) >> 14).min(WHOLE));
-    let (low, high) = (i32::from(DEPTHS[at]), i32::from(DEPTHS[at + 1]));
-    let deviations = 4 * low + (((high - low) * between) >> 3);
-    (deviations.clamp(-width.most, width.most) * width.spacings) >> 14
+fn depth(sample: u16, scale: u32, spacings: i32, most: i32) -> i32 {
+    let (low, more, between) = entry(&DEPTH_STEPS, ((u32::from(sample) * scale) >> 14).min(WHOLE));
+    let deviations = 4 * low + ((more * between) >> 3);
+    (deviations.clamp(-most, most) * spacings) >> 14
 }
 
 /// A distance as a sample.
@@ -45,40 +62,31 @@ pub fn depths(bulk: &Bulk, shares: [&Block; 3]) -> Depths<Block> {
     let cells = shares[2].cells();
     let width = cells.size().x as usize;
     let [mut calm, mut fine, mut apart] = [(); 3].map(|()| Block::zero(cells));
-    let rows = shares.map(|shares| shares.rows(cells));
-    let [narrow, middle, wide] = rows;
+    let [narrow, middle, wide] = shares.map(|shares| shares.rows(cells));
     let to = calm.samples_mut().chunks_exact_mut(width).zip(fine.samples_mut().chunks_exact_mut(width));
     let to = to.zip(apart.samples_mut().chunks_exact_mut(width));
-    let nothing = surfaces(bulk, [0; 3]);
     for (((calm, fine), apart), ((narrow, middle), wide)) in to.zip(narrow.zip(middle).zip(wide)) {
-        for first in (0..width).step_by(RUN) {
-            let run = first..(first + RUN).min(width);
-            // Narrower widths reach less far.
-            let empty = wide.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0
-                && middle.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0
-                && narrow.1[run.clone()].iter().fold(0, |any, &share| any | share) == 0;
-            for i in run {
-                let distances =
-                    if empty { nothing } else { surfaces(bulk, [narrow.1[i], middle.1[i], wide.1[i]]) };
-                [calm[i], fine[i], apart[i]] = distances;
-            }
-        }
+        depths_row([calm, fine, apart], [narrow.1, middle.1, wide.1], bulk);
     }
     Depths { calm, fine, apart }
 }
 
-/// Samples that are looked at together: often there is nothing.
-const RUN: usize = 16;
-
 /// The calm surface, the fine one, and what both are apart by.
-#[inline(always)]
-fn surfaces(bulk: &Bulk, shares: [u16; 3]) -> [u16; 3] {
-    let [a, b, c] = std::array::from_fn(|k| depth(shares[k], bulk.scale, &bulk.widths[k]));
-    let beyond = |near: i32, far: i32, share: i32| near + (((near - far) * share + 2048) >> 12);
-    let fine = sample(beyond(a, b, bulk.shares[0]));
-    let calm = sample(beyond(b, c, bulk.shares[1]));
-    let apart = (i32::from(fine) - i32::from(calm)).clamp(-MOST_APART, MOST_APART) + ZERO;
-    [calm, fine, apart as u16]
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn depths_row([calm, fine, apart]: [&mut [u16]; 3], [narrow, middle, wide]: [&[u16]; 3], bulk: &Bulk) {
+    let [a, b, c] = &bulk.widths;
+    let (a, b, c) = ((a.spacings, a.most), (b.spacings, b.most), (c.spacings, c.most));
+    let ([fine_share, calm_share], scale) = (bulk.shares, bulk.scale);
+    let to = calm.iter_mut().zip(fine).zip(apart);
+    for (((calm, fine), apart), ((&narrow, &middle), &wide)) in to.zip(narrow.iter().zip(middle).zip(wide)) {
+        let a = depth(narrow, scale, a.0, a.1);
+        let b = depth(middle, scale, b.0, b.1);
+        let c = depth(wide, scale, c.0, c.1);
+        *fine = sample(a + (((a - b) * fine_share + 2048) >> 12));
+        *calm = sample(b + (((b - c) * calm_share + 2048) >> 12));
+        let by = (i32::from(*fine) - i32::from(*calm)).clamp(-MOST_APART, MOST_APART);
+        *apart = (by + ZERO) as u16;
+    }
 }
 
 /// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid.
@@ -177,22 +185,27 @@ fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights:
     let width = to.size().x as usize;
     let rows = (to.lo.z..to.hi.z).flat_map(|z| (to.lo.y..to.hi.y).map(move |y| [y, z]));
     let samples = wide.samples();
+    let place = |cell: i32| (cell & ((1 << level) - 1)) as usize;
+    // Along x all cells of each wide one that a row begins or ends in are made, a place in wide cells at a time.
+    let touched = ((to.hi.x - 1) >> level) - (to.lo.x >> level) + 1;
+    let mut whole = vec![0; (touched as usize) << level];
+    let mut of_place = vec![0; touched as usize];
     for (row, [y, z]) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
         let first = IVec3::new(to.lo.x, y, z);
         let mut own = first;
         own[axis] >>= level;
-        let place = |cell: i32| (cell & ((1 << level) - 1)) as usize;
         let middle = wide.index(own);
-        if axis == 0 {
-            for (x, to) in (first.x..).zip(row) {
-                let at = middle + ((x >> level) - own.x) as usize;
-                *to = mean(weights[place(x)], [samples[at - 1], samples[at], samples[at + 1]], shift);
-            }
-        } else {
-            let weights = weights[place(first[axis])];
+        if axis > 0 {
             let taps = [middle - step, middle, middle + step].map(|at| &samples[at..][..width]);
-            means(row, weights, taps, shift);
+            means(row, weights[place(first[axis])], taps, shift);
+            continue;
         }
+        for (at, &weights) in weights.iter().enumerate() {
+            let taps = [middle - 1, middle, middle + 1].map(|at| &samples[at..][..of_place.len()]);
+            means(&mut of_place, weights, taps, shift);
+            whole[at..].iter_mut().step_by(1 << level).zip(&of_place).for_each(|(to, &mean)| *to = mean);
+        }
+        row.copy_from_slice(&whole[place(first.x)..][..width]);
     }
     field
 }
@@ -224,13 +237,22 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
     let mut field = Block::zero(cells);
     let rows = clouds.rows(cells).zip(around.rows(cells));
     for (to, ((_, clouds), (_, around))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
-        for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
-            if clouds > 0 {
-                *to = ((u32::from(clouds) << bits) / u32::from(around.max(1))).min(u16::MAX.into()) as u16;
-            }
-        }
+        quotient_row(to, clouds, around, bits);
     }
     field
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
+    // Quotients of such numbers are whole or farther below the next whole one than f64 rounds, and so they may be made several at a
+    // time. Adding a number whose last bit counts for 1 rounds; what is rounded is made less by just under a half before.
+    const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
+    const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
+    for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {
+        let quotient = f64::from(i32::from(clouds) << bits) / f64::from(i32::from(around.max(1)));
+        let quotient = quotient.min(f64::from(u16::MAX));
+        *to = (quotient - JUST_UNDER_HALF + WHOLE_NUMBERS).to_bits() as u16;
+    }
 }
 
 /// The part in which particles stand out from the calm surface.
@@ -261,34 +283,35 @@ pub fn joined(mut bulk: Block, near: &Block, drops: Option<(&Drops, &Block)>, ga
     let cells = bulk.cells();
     let width = cells.size().x as usize;
     for (bulk, (_, near)) in bulk.samples_mut().chunks_exact_mut(width).zip(near.rows(cells)) {
-        bulk.iter_mut().zip(near).for_each(|(bulk, &near)| *bulk = if near == NONE { NONE } else { *bulk });
+        near_row(bulk, near);
     }
     let Some((drops, shares)) = drops else { return bulk };
     let part = shares.cells();
     let width = part.size().x as usize;
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
         let first = bulk.index(IVec3::new(part.lo.x, y, z));
-        let bulk = &mut bulk.samples_mut()[first..first + width];
-        for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
-            *bulk = joined_sample(*bulk, near, share, drops, gate);
-        }
+        joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, gate);
     }
     bulk
 }
 
-#[inline(always)]
-fn joined_sample(bulk: u16, near: u16, share: u16, drops: &Drops, gate: &Gate) -> u16 {
-    if near == NONE {
-        return NONE;
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn near_row(bulk: &mut [u16], near: &[u16]) {
+    for (bulk, &near) in bulk.iter_mut().zip(near) {
+        *bulk = if near == NONE { NONE } else { *bulk };
     }
-    let weight = gate.of(near);
-    if weight == 0 {
-        return bulk;
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, gate: &Gate) {
+    let (radius, width, gate) = (drops.radius, drops.width, *gate);
+    for ((bulk, &near), &share) in bulk.iter_mut().zip(near).zip(shares) {
+        let weight = gate.of(near);
+        let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));
+        let distance = radius - (((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12);
+        let out = (distance + ZERO - i32::from(*bulk)).max(0);
+        let with_drops = sample(i32::from(*bulk) - ZERO + ((out * weight as i32 + 2048) >> 12));
+        // What is near to nothing has no weight.
+        *bulk = if weight == 0 { *bulk } else { with_drops };
     }
-    let (at, between) = place(u32::from(share).min(WHOLE));
-    let (low, high) = (i32::from(AWAY[at]), i32::from(AWAY[at + 1]));
-    let away = low + (((high - low) * between) >> BETWEEN_BITS);
-    let distance = drops.radius - ((away * drops.width) >> 12);
-    let out = (distance + ZERO - i32::from(bulk)).max(0);
-    sample(i32::from(bulk) - ZERO + ((out * weight as i32 + 2048) >> 12))
 }
