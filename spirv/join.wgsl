@@ -1,5 +1,5 @@
 //! with gate
-// The calm surface, and where particles lie outside of it near by as much of the drops as they do so.
+// The bulk's surface, and where particles lie outside of it near by as much of the drops as they do so.
 
 struct Push {
     // Words of the field.
@@ -20,24 +20,21 @@ var<immediate> push: Push;
 @group(0) @binding(1) var<storage, read> shares: array<u32>;
 // How far from the middle of a normal density a share of its greatest is.
 @group(0) @binding(2) var<storage, read> away: array<i32>;
-// The calm surface, to become the field.
+// The bulk's surface, to become the field.
 @group(0) @binding(3) var<storage, read_write> field: array<u32>;
 
-fn joined(calm: u32, outlying: u32, share: u32) -> u32 {
-    if outlying == 0u {
-        return 0u;
-    }
+fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {
     let weight = passed(outlying, Gate(push.begin, push.range, push.slope));
     if weight == 0u {
-        return calm;
+        return bulk;
     }
     let of_table = min(share, 32768u);
     let at = of_table >> 5u;
     let low = away[at];
     let deviations = low + (((away[at + 1u] - low) * i32(of_table & 31u)) >> 5u);
     let distance = push.radius - ((deviations * push.width) >> 12u);
-    let out = max(distance + DISTANCE_ZERO - i32(calm), 0);
-    return u32(clamp(i32(calm) + ((out * i32(weight) + 2048) >> 12u), 1, 65535));
+    let out = max(distance + DISTANCE_ZERO - i32(bulk), 0);
+    return u32(clamp(i32(bulk) + ((out * i32(weight) + 2048) >> 12u), 1, 65535));
 }
 
 @compute @workgroup_size(256)

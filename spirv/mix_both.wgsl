@@ -1,6 +1,6 @@
 //! with block gate
-// The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. It is at its
-// greatest in bricks that are inside.
+// The surface of the bulk: the calm one, and the fine one where both are apart all around, but not deep in the fluid. There is none
+// where nothing is near, and it is at its greatest in bricks that are inside.
 
 struct Push {
     // From where to where what both are apart by makes the fine surface of the calm one.
@@ -20,8 +20,10 @@ var<immediate> push: Push;
 @group(0) @binding(2) var<storage, read> fine: array<u32>;
 // What both are apart by on average.
 @group(0) @binding(3) var<storage, read> apart: array<u32>;
+// 0 where no particle is.
+@group(0) @binding(4) var<storage, read> near: array<u32>;
 // A bit for each brick that a block touches, x fastest: whether it is inside.
-@group(0) @binding(4) var<storage, read> marks: array<u32>;
+@group(0) @binding(5) var<storage, read> marks: array<u32>;
 
 fn is_inside(block: Block, cell: vec3<i32>) -> bool {
     let first = block.lo >> vec3(INSIDE_BITS);
@@ -32,7 +34,10 @@ fn is_inside(block: Block, cell: vec3<i32>) -> bool {
     return (marks[block.marks + index / 32u] >> (index % 32u) & 1u) != 0u;
 }
 
-fn mixed(calm: u32, fine: u32, apart: u32) -> u32 {
+fn mixed(calm: u32, fine: u32, apart: u32, near: u32) -> u32 {
+    if near == 0u {
+        return 0u;
+    }
     let distance = u32(abs(i32(apart) - DISTANCE_ZERO));
     let shallow = 4096u - passed(calm, Gate(push.deep_begin, push.deep_range, push.deep_slope));
     let told = passed(distance, Gate(push.apart_begin, push.apart_range, push.apart_slope));
@@ -51,7 +56,11 @@ fn mix_both(@builtin(global_invocation_id) id: vec3<u32>) {
     let a = calm[word];
     let b = fine[word];
     let c = apart[word];
-    let both = vec2(mixed(a & 0xffffu, b & 0xffffu, c & 0xffffu), mixed(a >> 16u, b >> 16u, c >> 16u));
+    let d = near[word];
+    let both = vec2(
+        mixed(a & 0xffffu, b & 0xffffu, c & 0xffffu, d & 0xffffu),
+        mixed(a >> 16u, b >> 16u, c >> 16u, d >> 16u),
+    );
     let cell = block.lo + vec3<i32>(at);
     let inside = vec2(is_inside(block, cell), is_inside(block, cell + vec3(1, 0, 0)));
     let drawn = select(both, vec2(FULL), inside);

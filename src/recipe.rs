@@ -28,14 +28,16 @@ pub enum Filters {
     Distances(Box<Distances>),
 }
 
-/// Samples that a recipe asks for.
+/// Cells in which a recipe has fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Source {
-    /// In cells 2^`level` times as wide.
+    /// 2^`level` times as wide as those of the grid.
     pub level: u32,
     /// How far beyond those that the field is asked for on.
     pub halo: i32,
-    /// Fields of as many samples that are there at once on a device, themselves among them.
+    /// Whether samples are asked for in them.
+    pub sampled: bool,
+    /// Fields in them that are there at once on a device, the samples among them.
     pub fields: u64,
 }
 
@@ -97,19 +99,24 @@ impl Filters {
         }
     }
 
-    /// The samples that the recipe asks for, in order.
+    /// The cells in which the recipe has fields, in the order in which it asks for samples in them; the last are those of the grid.
     #[must_use]
     pub fn sources(&self) -> Vec<Source> {
         match self {
             Self::Paper(paper) => {
-                vec![Source { level: 0, halo: paper.halo(), fields: paper.fields().device }]
+                let fields = paper.fields().device;
+                vec![Source { level: 0, halo: paper.halo(), sampled: true, fields }]
             }
-            Self::Distances(distances) => vec![
-                // Clouds, two that are smoothed, and another with one more on its way.
-                Source { level: distances.level, halo: distances.wide_halo(), fields: 5 },
-                // The calm surface, what is near, clouds, and what is around them with one more on its way.
-                Source { level: 0, halo: distances.drops_halo(), fields: 5 },
-            ],
+            Self::Distances(distances) => {
+                let (level, halo) = (distances.level, distances.wide_halo());
+                // Clouds, two surfaces and what they are apart by, and another with one more on its way.
+                let wide = Source { level, halo, sampled: true, fields: 6 };
+                let (level, halo) = (distances.drops_level, distances.drops_halo());
+                // The bulk, what is near, clouds, and what is around them with one more on its way.
+                let drops = Source { level, halo, sampled: true, fields: 5 };
+                let cells = Source { level: 0, halo: 0, sampled: false, fields: 3 };
+                if level == 0 { vec![wide, drops] } else { vec![wide, Source { fields: 3, ..drops }, cells] }
+            }
         }
     }
 
@@ -228,8 +235,9 @@ pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFiel
     let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
     let outlying = fields.outlying(&calm, clouds, *least)?;
     let apart = fields.blur(apart, &bulk.around)?;
-    let bulk = fields.mixed(bulk, inside, Depths { calm, fine, apart })?;
-    Ok(WideFields { bulk, outlying: fields.spread(outlying, *near)? })
+    let outlying = fields.spread(outlying, *near)?;
+    let bulk = fields.mixed(bulk, inside, Depths { calm, fine, apart }, &outlying)?;
+    Ok(WideFields { bulk, outlying })
 }
 
 /// The field, of what is known of wide cells, and of drops in cells where any can be seen.
@@ -239,19 +247,24 @@ pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFiel
 pub fn joined<F: Fields>(
     distances: &Distances,
     fields: &mut F,
-    WideFields { bulk, outlying }: WideFields<F::Field>,
+    wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
-    let Distances { level, gate, drops, .. } = distances;
-    let bulk = fields.refined(bulk, *level)?;
-    let near = fields.refined(outlying, *level)?;
-    if !fields.stand_out(&bulk, &near, gate)? {
-        return fields.joined(bulk, near, None, gate);
+    let Distances { level, gate, drops_level, drops, .. } = distances;
+    let stand_out = fields.stand_out(&wide, *level, gate)?;
+    let bulk = fields.refined(wide.bulk, *level)?;
+    if !stand_out {
+        return Ok(bulk);
     }
-    let clouds = fields.samples(0, distances.drops_halo())?;
+    let near = fields.refined(wide.outlying, *level)?;
+    if !fields.narrowed(&near, gate) {
+        return Ok(bulk);
+    }
+    let clouds = fields.samples(*drops_level, distances.drops_halo())?;
     let around = fields.blur(clouds.clone(), &drops.around)?;
     let shares = fields.quotient(clouds, around, drops.bits)?;
     let shares = fields.blur(shares, &drops.spread)?;
-    fields.joined(bulk, near, Some((drops, shares)), gate)
+    let shares = fields.refined(shares, *drops_level)?;
+    fields.joined(bulk, near, shares, (drops, gate))
 }
 
 /// Where fields are kept, and the filters on them. A clone of a field is the same field.
@@ -283,12 +296,14 @@ pub trait Fields {
     /// Two surfaces of the bulk, by the samples under each of its widths.
     fn depths(&mut self, bulk: &Bulk, shares: [Self::Field; 3]) -> Result<Depths<Self::Field>, Self::Error>;
 
-    /// The one that is drawn, of both and of what they are apart by on average; at its greatest inside.
+    /// The one that is drawn, of both and of what they are apart by on average: none where nothing is near, and at its greatest
+    /// inside.
     fn mixed(
         &mut self,
         bulk: &Bulk,
         inside: &Inside,
         depths: Depths<Self::Field>,
+        near: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
     /// By how much particles lie outside of the calm surface.
@@ -302,12 +317,19 @@ pub trait Fields {
     /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// A field of wide cells on those that it is asked for on, linear between the middles of wide ones.
+    /// Whether particles can stand out of the bulk in any of the cells that the field is asked for on.
+    fn stand_out(
+        &mut self,
+        wide: &WideFields<Self::Field>,
+        level: u32,
+        gate: &Gate,
+    ) -> Result<bool, Self::Error>;
+
+    /// A field of cells 2^`level` times as wide at the middles of those that it is asked for on.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether drops are to be made: `false` only where none can be seen. From then on samples are those around where any can.
-    fn stand_out(&mut self, calm: &Self::Field, near: &Self::Field, gate: &Gate)
-    -> Result<bool, Self::Error>;
+    /// Whether particles stand out in any cell. From then on samples and fields are those of the cells where they do.
+    fn narrowed(&mut self, near: &Self::Field, gate: &Gate) -> bool;
 
     /// Shares of clouds in what is around them.
     fn quotient(
@@ -317,13 +339,13 @@ pub trait Fields {
         bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The field, of the calm surface and of drops, where there are any.
+    /// The field, of the bulk's surface and of drops.
     fn joined(
         &mut self,
-        calm: Self::Field,
+        bulk: Self::Field,
         near: Self::Field,
-        drops: Option<(&Drops, Self::Field)>,
-        gate: &Gate,
+        shares: Self::Field,
+        by: (&Drops, &Gate),
     ) -> Result<Self::Field, Self::Error>;
 }
 

@@ -155,15 +155,23 @@ impl Distances {
             CellBox { lo: lo.div_euclid(edge) * edge, hi: (hi.div_euclid(edge) + 1) * edge }
         });
         let fine = clouds(particles, cells, self.walls, amount(self.spacing));
-        let (mut wide, mut walls) = (fine.clone(), self.walls);
+        // Clouds at every level, with the walls there.
+        let mut clouds = vec![(fine, self.walls)];
         for level in 0..level {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
-            wide = halved(&wide, walls, (of(level + 1) / of(level) * 65536.0) as u64);
-            walls = walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 });
+            let (finer, walls) = clouds.last().expect("there is one at level 0");
+            let wider = halved(finer, *walls, (of(level + 1) / of(level) * 65536.0) as u64);
+            clouds.push((wider, walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 })));
         }
-        let (bulk, outlying) = self.bulk(&wide, walls, edge, inside);
-        let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, walls));
-        self.joined(&fine, &bulk, &outlying)
+        let (wide, walls) = clouds.last().expect("there is one at level 0");
+        let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
+        let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, *walls));
+        // Drops are made in cells half as wide as wide ones, where these are wider than the grid's.
+        let level = level.max(1) - 1;
+        let (fine, walls) = &clouds[level as usize];
+        let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
+        let shares = refined(&drops.shares(fine, *walls), level, cells, *walls);
+        drops.joined(&shares, &bulk, &outlying)
     }
 
     /// The surface of the bulk in wide cells, and by how much particles lie outside of the calm one near by.
@@ -212,10 +220,7 @@ impl Distances {
         let apart = blur(&apart, &gaussian(around, 1.7), 0, walls);
         let [told, told_range] = [units(0.07), units(0.14) - units(0.07)];
         let [deep, deep_range] = [32768 + units(0.3), units(0.9) - units(0.3)];
-        let bulk = Dense::new(wide.cells, |cell| {
-            if inside(cell) {
-                return u16::MAX;
-            }
+        let mixed = Dense::new(wide.cells, |cell| {
             let distance = (i64::from(apart.at(cell, None)) - 32768).abs();
             let shallow = 4096 - passed(of_calm(cell), deep, deep_range);
             let share = (passed(distance, told, told_range) * shallow) >> 12;
@@ -232,38 +237,70 @@ impl Distances {
                 taps.max().unwrap_or(0)
             })
         });
+        let bulk = Dense::new(wide.cells, |cell| match outlying.at(cell, None) {
+            _ if inside(cell) => u16::MAX,
+            0 => 0,
+            _ => mixed.at(cell, None),
+        });
         (bulk, outlying)
     }
+}
 
-    /// The surface of the bulk, and of drops where particles stand out.
-    fn joined(&self, fine: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
-        let cells = 0.6 * self.spacing;
-        let half = gaussian((cells * cells - 0.25).max(0.35), 2.6);
-        let width = (variance(&half) + 0.25).sqrt();
-        let amount = amount(self.spacing) as f64;
+/// The surface around particles alone or in small numbers.
+struct Drops {
+    around: Vec<u64>,
+    spread: Vec<u64>,
+    gain: u32,
+    bits: u32,
+    radius: i64,
+    width: i64,
+}
+
+impl Drops {
+    /// For particles so many cells apart, whether or not these are refined.
+    fn new(spacing: f64, refined: bool) -> Self {
+        let variance_of = (0.6 * spacing).powi(2) - 0.25;
+        let around = gaussian(variance_of.max(0.35), 2.6);
+        let spline = if refined { 0.25 } else { 0.0 };
+        let spread = gaussian((variance_of - spline).max(0.35), 2.6);
+        let width = (variance(&around) + 0.25).sqrt();
+        let amount = amount(spacing) as f64;
         let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
         let doublings =
             |value: f64, most: f64| (0..15).take_while(|&n| value * 2_f64.powi(n + 1) <= most).count() as u32;
         let gain = doublings(alone, 4096.0);
-        let bits = doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0);
-        let around = blur(fine, &half, gain, self.walls);
-        let shares = Dense::new(fine.cells, |cell| {
-            let [own, all] = [fine, &around].map(|field| u64::from(field.at(cell, None)));
-            ((own << bits) / all.max(1)).min(65535) as u16
+        Self {
+            around,
+            spread,
+            gain,
+            bits: doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0),
+            radius: units((0.55 - if refined { 0.41 } else { 0.29 } / spacing.powi(2)).max(0.38)),
+            width: units(width / spacing),
+        }
+    }
+
+    /// Of clouds in what is around them, spread.
+    fn shares(&self, clouds: &Dense<u16>, walls: Option<CellBox>) -> Dense<u16> {
+        let around = blur(clouds, &self.around, self.gain, walls);
+        let shares = Dense::new(clouds.cells, |cell| {
+            let [own, all] = [clouds, &around].map(|field| u64::from(field.at(cell, None)));
+            ((own << self.bits) / all.max(1)).min(65535) as u16
         });
-        let shares = blur(&shares, &half, (15 + gain).saturating_sub(bits).min(15), self.walls);
-        let radius = units((0.55 - 0.29 / self.spacing.powi(2)).max(0.38));
-        let width = units(width / self.spacing);
+        blur(&shares, &self.spread, (15 + self.gain).saturating_sub(self.bits).min(15), walls)
+    }
+
+    /// The surface of the bulk, and of drops where particles stand out.
+    fn joined(&self, shares: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
         let [begin, range] = [32768 + units(0.4), units(1.0) - units(0.4)];
-        Dense::new(fine.cells, |cell| {
+        Dense::new(shares.cells, |cell| {
             let [bulk, outlying] = [bulk, outlying].map(|field| i64::from(field.at(cell, None)));
             let weight = passed(outlying, begin, range);
-            if outlying == 0 || weight == 0 {
-                return if outlying == 0 { 0 } else { bulk as u16 };
+            if weight == 0 {
+                return bulk as u16;
             }
             let share = i64::from(shares.at(cell, None)).min(32768);
             let away = looked_up(|at| AWAY[at].into(), share, 0);
-            let out = (radius - ((away * width) >> 12) + 32768 - bulk).max(0);
+            let out = (self.radius - ((away * self.width) >> 12) + 32768 - bulk).max(0);
             (bulk + ((out * weight + 2048) >> 12)).clamp(1, 65535) as u16
         })
     }

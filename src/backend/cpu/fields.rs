@@ -4,12 +4,12 @@ use std::rc::Rc;
 
 use crate::brick::Block;
 use crate::grid::CellBox;
-use crate::recipe::{Fields, Filters, Recipe, bulk, joined as joined_fields, walls_at};
+use crate::recipe::{Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at};
 use crate::stage::blur::{Kernel, blur_while};
 use crate::stage::detail::{lost, raise};
 use crate::stage::distance::{
-    Bulk, Depths, Drops, Gate, Inside, NONE, depths, joined, mixed, outlying, outlying_part, quotient,
-    refined, spread, wide_cells,
+    Bulk, Depths, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient, refined,
+    spread, wide_cells,
 };
 use crate::stage::indicator::SampledDif;
 use crate::units::Isovalue;
@@ -89,17 +89,15 @@ impl Looking {
         matches!(self, Self::Away) || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
     }
 
-    /// The same of distances of which the calm surface is known and whether there is anything near.
-    fn may_show(self, calm: &Block, near: &Block) -> bool {
+    /// The same of distances in wide cells, and whether drops can add to the inside.
+    fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::For { away_from_walls, iso } = self else { return true };
-        let any_near = near.samples().chunks(PIECE).any(|piece| maximum(piece) > NONE);
-        // Drops only ever add to the inside.
-        let outside = |piece: &[u16]| minimum(piece) <= iso.threshold();
-        let any_outside = || {
-            calm.samples().chunks(PIECE).any(outside)
-                || near.samples().chunks(PIECE).any(|piece| minimum(piece) == NONE)
+        let threshold = iso.threshold();
+        let any = |is: fn(u16, u16) -> bool| {
+            bulk.rows(cells).any(|(_, row)| row.iter().any(|&sample| is(sample, threshold)))
         };
-        any_near && (!away_from_walls || any_outside())
+        (drops || any(|sample, threshold| sample > threshold))
+            && (!away_from_walls || any(|sample, threshold| sample <= threshold))
     }
 }
 
@@ -185,10 +183,11 @@ impl Fields for Blocks<'_> {
         by: &Bulk,
         inside: &Inside,
         Depths { calm, fine, apart }: Depths<Field>,
+        near: &Field,
     ) -> Result<Field, Stopped> {
         let level = calm.level;
         let depths = Depths { calm: calm.block, fine: fine.block, apart: apart.block };
-        let mut block = mixed(by, &depths);
+        let mut block = mixed(by, &depths, &near.block);
         inside.raise(&mut block);
         Ok(Field { block: Rc::new(block), level })
     }
@@ -201,16 +200,22 @@ impl Fields for Blocks<'_> {
         Ok(self.field(spread(Rc::unwrap_or_clone(block), reach), level))
     }
 
-    fn refined(&mut self, wide: Field, level: u32) -> Result<Field, Stopped> {
-        Ok(self.field(refined(&wide.block, level, self.cells), 0))
+    fn stand_out(&mut self, wide: &WideFields<Field>, level: u32, gate: &Gate) -> Result<bool, Stopped> {
+        // Cells are weighted means of wide ones.
+        let cells = wide_cells(level, self.cells);
+        let outlying = wide.outlying.block.rows(cells);
+        let stand_out = outlying.into_iter().any(|(_, row)| row.iter().any(|&near| near > gate.begin));
+        let goes_on = self.looking.may_show(&wide.bulk.block, cells, stand_out);
+        if goes_on { Ok(stand_out) } else { Err(Stopped) }
     }
 
-    fn stand_out(&mut self, calm: &Field, near: &Field, gate: &Gate) -> Result<bool, Stopped> {
-        if !self.looking.may_show(&calm.block, &near.block) {
-            return Err(Stopped);
-        }
+    fn refined(&mut self, wide: Field, level: u32) -> Result<Field, Stopped> {
+        Ok(self.field(refined(&wide.block, level, self.wanted), 0))
+    }
+
+    fn narrowed(&mut self, near: &Field, gate: &Gate) -> bool {
         self.wanted = outlying_part(&near.block, gate);
-        Ok(!self.wanted.is_empty())
+        !self.wanted.is_empty()
     }
 
     fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {
@@ -219,13 +224,12 @@ impl Fields for Blocks<'_> {
 
     fn joined(
         &mut self,
-        calm: Field,
+        bulk: Field,
         near: Field,
-        drops: Option<(&Drops, Field)>,
-        gate: &Gate,
+        shares: Field,
+        (drops, gate): (&Drops, &Gate),
     ) -> Result<Field, Stopped> {
-        let drops = drops.as_ref().map(|(drops, shares)| (*drops, &*shares.block));
-        let block = joined(Rc::unwrap_or_clone(calm.block), &near.block, drops, gate);
-        Ok(Field { block: Rc::new(block), level: calm.level })
+        let block = joined(Rc::unwrap_or_clone(bulk.block), &near.block, &shares.block, drops, gate);
+        Ok(Field { block: Rc::new(block), level: bulk.level })
     }
 }

@@ -190,7 +190,7 @@ struct BlockBatch {
     room: u64,
 }
 
-/// Blocks that are cut out of samples.
+/// Blocks of a width of cells, which are cut out of samples where any are asked for in them.
 struct Gathering {
     source: Source,
     /// Whether it is the recipe's first, which may skip what is inside.
@@ -225,7 +225,8 @@ impl Gathering {
     fn block(&self, work: &Contouring<'_>, region: CellBox) -> (DeviceBlock, Vec<IVec3>) {
         let cells = self.source.cells(work.surfaces.normals.cells(region));
         let block = DeviceBlock::new(cells, region.tiled());
-        let bins = block.bins(work.samples(self.source).shape().rim).collect();
+        let rim = work.samples(self.source).shape().rim;
+        let bins = if self.source.sampled { block.bins(rim).collect() } else { Vec::new() };
         (block, bins)
     }
 
@@ -310,9 +311,10 @@ struct Contouring<'a> {
 }
 
 /// Names of a grid's buffers.
-const FIELD_NAMES: [[&str; 5]; 2] = [
-    ["first field", "second field", "third field", "fourth field", "fifth field"],
-    ["sixth field", "seventh field", "eighth field", "ninth field", "tenth field"],
+const FIELD_NAMES: [[&str; 6]; 3] = [
+    ["field 1", "field 2", "field 3", "field 4", "field 5", "field 6"],
+    ["field 7", "field 8", "field 9", "field 10", "field 11", "field 12"],
+    ["field 13", "field 14", "field 15", "field 16", "field 17", "field 18"],
 ];
 
 impl<'a> Contouring<'a> {
@@ -420,11 +422,13 @@ impl<'a> Contouring<'a> {
                 theta: self.constants.theta.clone(),
                 decode: self.constants.decode,
             };
-            let samples = free.pop().expect("a source has a field at least");
-            commands.stage("gather", pages.pages.bytes() + samples.bytes());
-            gather(commands, &kernels.gather, &blocks, &pages, &samples)?;
-            gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
-            let Source { level, halo, .. } = grid.source;
+            let Source { level, halo, sampled, .. } = grid.source;
+            if sampled {
+                let samples = free.pop().expect("samples are a field");
+                commands.stage("gather", pages.pages.bytes() + samples.bytes());
+                gather(commands, &kernels.gather, &blocks, &pages, &samples)?;
+                gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
+            }
             let marks = part(&inputs, marks_at);
             grids.push(PaddedBlocks { blocks, level, halo, marks, free });
         }

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use crate::brick::vulkan::{DeviceBlocks, Window};
 use crate::grid::CellBox;
-use crate::recipe::{Fields, walls_at};
+use crate::recipe::{Fields, WideFields, walls_at};
 use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
@@ -44,7 +44,7 @@ pub struct PaddedFields<'a> {
     pub constants: &'a Constants,
     pub walls: Option<CellBox>,
     pub commands: &'a mut Batch,
-    /// In the order in which the recipe asks for their samples.
+    /// In the order in which the recipe asks for samples in them; the last are those of the grid.
     pub grids: Vec<PaddedBlocks>,
     /// Their samples.
     pub gathered: VecDeque<Rc<Padded>>,
@@ -140,13 +140,14 @@ impl Fields for PaddedFields<'_> {
         by: &Bulk,
         _: &Inside,
         Depths { calm, fine, apart }: Depths<Rc<Padded>>,
+        near: &Rc<Padded>,
     ) -> Result<Rc<Padded>, VulkanError> {
         let of = calm.of;
-        self.stage("distances", 3, of);
-        let views = [&calm.samples, &fine.samples, &apart.samples];
+        self.stage("distances", 4, of);
+        let views = [&calm.samples, &fine.samples, &apart.samples, &near.samples];
         let PaddedBlocks { blocks, marks, .. } = &self.grids[of];
         mixed(self.commands, &self.kernels.distance, blocks, by, marks, views)?;
-        let (samples, margin) = (calm.samples.clone(), apart.margin);
+        let (samples, margin) = (calm.samples.clone(), apart.margin.max(near.margin));
         self.give(fine);
         self.give(apart);
         Ok(Rc::new(Padded { samples, margin, of }))
@@ -178,8 +179,16 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(Padded { samples: to, margin, of }))
     }
 
+    /// Nobody looks before all is done.
+    fn stand_out(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<bool, VulkanError> {
+        Ok(true)
+    }
+
     fn refined(&mut self, wide: Rc<Padded>, level: u32) -> Result<Rc<Padded>, VulkanError> {
-        let of = wide.of + 1;
+        let of = self.grids.len() - 1;
+        if wide.of == of {
+            return Ok(wide);
+        }
         self.stage("distances", 1, of);
         let to = self.take(of);
         let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
@@ -190,9 +199,8 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(Padded { samples: to, margin: within.1, of }))
     }
 
-    /// Nobody looks before all is done.
-    fn stand_out(&mut self, _: &Rc<Padded>, _: &Rc<Padded>, _: &Gate) -> Result<bool, VulkanError> {
-        Ok(true)
+    fn narrowed(&mut self, _: &Rc<Padded>, _: &Gate) -> bool {
+        true
     }
 
     fn quotient(
@@ -213,17 +221,16 @@ impl Fields for PaddedFields<'_> {
 
     fn joined(
         &mut self,
-        calm: Rc<Padded>,
+        bulk: Rc<Padded>,
         near: Rc<Padded>,
-        drops: Option<(&Drops, Rc<Padded>)>,
-        gate: &Gate,
+        shares: Rc<Padded>,
+        by: (&Drops, &Gate),
     ) -> Result<Rc<Padded>, VulkanError> {
-        let (drops, shares) = drops.expect("drops are always made on a device");
-        let of = calm.of;
+        let of = bulk.of;
         self.stage("drops", 3, of);
-        let views = [&calm.samples, &near.samples, &shares.samples];
+        let views = [&bulk.samples, &near.samples, &shares.samples];
         let blocks = &self.grids[of].blocks;
-        join(self.commands, &self.kernels.distance, blocks, (drops, gate), &self.constants.away, views)?;
-        Ok(calm)
+        join(self.commands, &self.kernels.distance, blocks, by, &self.constants.away, views)?;
+        Ok(bulk)
     }
 }

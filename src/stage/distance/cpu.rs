@@ -89,30 +89,37 @@ fn depths_row([calm, fine, apart]: [&mut [u16]; 3], [narrow, middle, wide]: [&[u
     }
 }
 
-/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid.
+/// The bulk's surface: the calm one, and the fine one where both are apart all around, but not deep in the fluid; [`NONE`] where
+/// nothing is near.
 ///
 /// # Panics
-/// If the others do not cover what they are apart by.
+/// If `calm` and `fine` do not cover what they are apart by, or that and `near` do not cover one another.
 #[must_use]
-pub fn mixed(bulk: &Bulk, Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>) -> Block {
-    let mut field = apart.as_ref().clone();
-    let cells = field.cells();
+pub fn mixed(bulk: &Bulk, Depths { calm, fine, apart }: &Depths<impl AsRef<Block>>, near: &Block) -> Block {
+    let cells = apart.as_ref().cells().intersection(&near.cells());
     let width = cells.size().x as usize;
+    let mut field = Block::zero(cells);
     let rows = calm.as_ref().rows(cells).zip(fine.as_ref().rows(cells));
-    for (to, ((_, calm), (_, fine))) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
-        mixed_row(to, calm, fine, bulk);
+    let rows = rows.zip(apart.as_ref().rows(cells).zip(near.rows(cells)));
+    for (to, (((_, calm), (_, fine)), ((_, apart), (_, near)))) in
+        field.samples_mut().chunks_exact_mut(width).zip(rows)
+    {
+        mixed_row(to, [calm, fine, apart, near], bulk);
     }
     field
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn mixed_row(to: &mut [u16], calm: &[u16], fine: &[u16], bulk: &Bulk) {
-    for ((to, &calm), &fine) in to.iter_mut().zip(calm).zip(fine) {
-        let apart = bulk.apart.of((i32::from(*to) - ZERO).unsigned_abs() as u16);
-        let shallow = 4096 - bulk.deep.of(calm);
-        let share = (apart * shallow) >> 12;
+fn mixed_row(to: &mut [u16], [calm, fine, apart, near]: [&[u16]; 4], bulk: &Bulk) {
+    let (told, deep) = (bulk.apart, bulk.deep);
+    let taps = calm.iter().zip(fine).zip(apart.iter().zip(near));
+    for (to, ((&calm, &fine), (&apart, &near))) in to.iter_mut().zip(taps) {
+        let told = told.of((i32::from(apart) - ZERO).unsigned_abs() as u16);
+        let shallow = 4096 - deep.of(calm);
+        let share = (told * shallow) >> 12;
         let (calm, fine) = (i32::from(calm), i32::from(fine));
-        *to = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
+        let drawn = (calm + (((fine - calm) * share as i32 + 2048) >> 12)) as u16;
+        *to = if near == NONE { NONE } else { drawn };
     }
 }
 
@@ -255,13 +262,23 @@ fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
     }
 }
 
+/// The greatest of some samples.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn greatest_of(samples: &[u16]) -> u16 {
+    let mut greatest = 0;
+    for &sample in samples {
+        greatest = greatest.max(sample);
+    }
+    greatest
+}
+
 /// The part in which particles stand out from the calm surface.
 #[must_use]
 pub fn outlying_part(near: &Block, gate: &Gate) -> CellBox {
     let cells = near.cells();
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
-        if row.iter().fold(0, |most: u16, &near| most.max(near)) <= gate.begin {
+        if greatest_of(row) <= gate.begin {
             continue;
         }
         let stands_out = |near: &u16| *near > gate.begin;
@@ -277,15 +294,9 @@ pub fn outlying_part(near: &Block, gate: &Gate) -> CellBox {
 /// Drops need only be known where they do.
 ///
 /// # Panics
-/// If `near` does not cover `bulk`, or `bulk` the drops.
+/// If `bulk` or `near` does not cover the shares.
 #[must_use]
-pub fn joined(mut bulk: Block, near: &Block, drops: Option<(&Drops, &Block)>, gate: &Gate) -> Block {
-    let cells = bulk.cells();
-    let width = cells.size().x as usize;
-    for (bulk, (_, near)) in bulk.samples_mut().chunks_exact_mut(width).zip(near.rows(cells)) {
-        near_row(bulk, near);
-    }
-    let Some((drops, shares)) = drops else { return bulk };
+pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, gate: &Gate) -> Block {
     let part = shares.cells();
     let width = part.size().x as usize;
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
@@ -293,13 +304,6 @@ pub fn joined(mut bulk: Block, near: &Block, drops: Option<(&Drops, &Block)>, ga
         joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, gate);
     }
     bulk
-}
-
-#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn near_row(bulk: &mut [u16], near: &[u16]) {
-    for (bulk, &near) in bulk.iter_mut().zip(near) {
-        *bulk = if near == NONE { NONE } else { *bulk };
-    }
 }
 
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -311,7 +315,6 @@ fn joined_row(bulk: &mut [u16], near: &[u16], shares: &[u16], drops: &Drops, gat
         let distance = radius - (((low + ((more * between) >> BETWEEN_BITS)) * width) >> 12);
         let out = (distance + ZERO - i32::from(*bulk)).max(0);
         let with_drops = sample(i32::from(*bulk) - ZERO + ((out * weight as i32 + 2048) >> 12));
-        // What is near to nothing has no weight.
         *bulk = if weight == 0 { *bulk } else { with_drops };
     }
 }

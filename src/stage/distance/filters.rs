@@ -35,9 +35,11 @@ const NEAR: f64 = 1.0;
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// The standard deviation of what makes drops of particles, in spacings.
 const DROP_WIDTH: f64 = 0.6;
-/// The radius of a particle alone in fine cells, in spacings, and by how much less it is in others, in spacings over a squared one: by as
-/// much as clouds in such cells are wider. A drop of one then holds four fifths of a cubed spacing in cells of any size.
-const DROP_RADIUS: [f64; 2] = [0.55, 0.29];
+/// The radius of a particle alone in fine cells, in spacings.
+const DROP_RADIUS: f64 = 0.55;
+/// By how much less it is in others, in spacings over a squared one, and where drops are refined from those: by as much as clouds in
+/// such cells are wider, and splines from them. A drop of one then holds four fifths of a cubed spacing in cells of any size.
+const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The least radius, for cells that hardly tell of a particle alone.
 const LEAST_DROP_RADIUS: f64 = 0.38;
 /// Where its Gaussian is cut off, in standard deviations.
@@ -56,6 +58,8 @@ pub struct Distances {
     pub least: u16,
     /// Where drops begin.
     pub gate: Gate,
+    /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where those are.
+    pub drops_level: u32,
     /// Drops.
     pub drops: Drops,
     /// The deep inside, where nothing is made.
@@ -111,7 +115,8 @@ impl Distances {
             near: (NEAR / wide.edge).round().max(1.0) as i32,
             least: ((amount / 9.0) as u16).max(1),
             gate: gate(STANDS_OUT, ZERO),
-            drops: Drops::new(spacing),
+            drops_level: wide.level.saturating_sub(1),
+            drops: Drops::new(spacing, wide.level.saturating_sub(1)),
             inside: Arc::default(),
         }
     }
@@ -161,7 +166,7 @@ impl Distances {
         self.bulk_reach() + self.near.max(self.bulk.around.reach())
     }
 
-    /// How far cells decide the drops.
+    /// How far beyond the cells that they are made in those decide the drops.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
         self.drops.around.reach() + self.drops.spread.reach()
@@ -191,7 +196,8 @@ impl Distances {
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
         let halo = self.drops_halo();
-        let drops = 4 * volume_bytes(cells(BLOCK).grown(halo, halo)) + 3 * volume_bytes(cells(BLOCK));
+        let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
+        let drops = 4 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
         let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
         self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
     }
@@ -208,10 +214,16 @@ fn scale(plateau: f64) -> u32 {
 }
 
 impl Drops {
-    fn new(spacing: f64) -> Self {
-        let (kernel, width) = gaussian(DROP_WIDTH * spacing, LEAST_VARIANCE, DROP_CUT);
-        let [fine, less] = DROP_RADIUS;
-        let radius = (fine - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
+    /// For particles `spacing` cells apart, in cells 2^`level` times as wide.
+    fn new(spacing: f64, level: u32) -> Self {
+        let spacing = spacing / f64::from(1 << level);
+        let cells = DROP_WIDTH * spacing;
+        let (kernel, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
+        // The spline that makes cells of wider ones has a quarter of a squared one of its own.
+        let spline = if level > 0 { 0.25 } else { 0.0 };
+        let (spread, _) = gaussian((cells * cells - spline).sqrt(), LEAST_VARIANCE, DROP_CUT);
+        let less = LESS_RADIUS[usize::from(level > 0)];
+        let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
         let amount = f64::from(Amount::of_spacing(spacing).steps());
         // What is around a particle alone, at its place: about 2048 to 4096 with the gain.
         let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
@@ -223,9 +235,9 @@ impl Drops {
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
         Self {
-            around: kernel.clone().gaining(gain),
+            around: kernel.gaining(gain),
             // 1 becomes 32768.
-            spread: kernel.gaining((15 + gain).saturating_sub(bits).min(15)),
+            spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,
             radius: (radius * UNITS).round() as i32,
             width: ((width / spacing).min(WIDEST_DROP) * UNITS).round() as i32,

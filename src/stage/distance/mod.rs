@@ -11,7 +11,8 @@
 //! 3. Mixed. Their difference is averaged by a Gaussian of 9/16 S, in which noise cancels and shape stays: from 0.07 to 0.14 d the calm
 //!    surface gives way to the fine one, but not from 0.3 to 0.9 d below the calm surface on, where noise has bubbles.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), rho being the clouds' density and G a Gaussian of 0.6 d. A particle
-//!    alone peaks at 1 in cells of any size, and is a ball of the distance r - 0.6 sqrt(2 ln 1 / N).
+//!    alone peaks at 1 in cells of any size, and is a ball of the distance r - 0.6 sqrt(2 ln 1 / N). N is made in cells half as wide as
+//!    wide ones, or in the grid's own where those are no finer.
 //! 5. Joined. A particle whose centre lies outside of the calm surface stands out, by S = -E in its wide cell; the greatest S within a
 //!    spacing makes drops of the bulk's surface from 0.4 to 1 d. Where no particle is near, there is no surface.
 //!

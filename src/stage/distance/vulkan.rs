@@ -87,7 +87,7 @@ pub const DEPTHS_OF: Program = Program {
 pub const MIX: Program = Program {
     name: "mix_both",
     code: include_bytes!("../../../spirv/mix_both.spv"),
-    buffers: &["blocks", "calm", "fine", "apart", "marks"],
+    buffers: &["blocks", "calm", "fine", "apart", "near", "marks"],
     push: MixPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -192,7 +192,7 @@ pub fn depths(
     batch.dispatch(&kernels.depths, &views, &push, blocks.flat_groups())
 }
 
-/// Makes the surface of the bulk in place of the calm one; `marks` are the bricks that are inside, by block.
+/// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the bricks that are inside, by block.
 ///
 /// # Errors
 /// Those of the device.
@@ -202,7 +202,7 @@ pub fn mixed(
     blocks: &DeviceBlocks,
     by: &Bulk,
     marks: &View,
-    [calm, fine, apart]: [&View; 3],
+    [calm, fine, apart, near]: [&View; 4],
 ) -> Result<(), VulkanError> {
     let push = MixPush {
         apart_begin: by.apart.begin.into(),
@@ -212,7 +212,7 @@ pub fn mixed(
         deep_range: by.deep.range.into(),
         deep_slope: by.deep.slope,
     };
-    let views = [&blocks.blocks, calm, fine, apart, marks].map(Clone::clone);
+    let views = [&blocks.blocks, calm, fine, apart, near, marks].map(Clone::clone);
     batch.dispatch(&kernels.mix, &views, &push, blocks.groups())
 }
 
@@ -278,7 +278,7 @@ pub fn quotient(
     batch.dispatch(&kernels.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
 }
 
-/// Makes the field of the calm surface, in its place; `table` is of how far away shares are.
+/// Makes the field of the bulk's surface, in its place; `table` is of how far away shares are.
 ///
 /// # Errors
 /// Those of the device.
@@ -288,7 +288,7 @@ pub fn join(
     blocks: &DeviceBlocks,
     (drops, gate): (&Drops, &Gate),
     table: &View,
-    [calm, near, shares]: [&View; 3],
+    [bulk, near, shares]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = JoinPush {
         words: blocks.words,
@@ -298,6 +298,6 @@ pub fn join(
         radius: drops.radius,
         width: drops.width,
     };
-    let views = [near, shares, table, calm].map(Clone::clone);
+    let views = [near, shares, table, bulk].map(Clone::clone);
     batch.dispatch(&kernels.join, &views, &push, blocks.flat_groups())
 }

@@ -15,8 +15,8 @@ pub struct SampledDif {
     pub indicator: Indicator,
     /// The samples.
     pub dif: Arc<DifField>,
-    /// Clouds in wide cells, from when they are first asked for.
-    wide: OnceLock<Arc<DifField>>,
+    /// Clouds in cells 2, 4, ... times as wide up to wide ones, from when they are first asked for.
+    wide: OnceLock<Vec<Arc<DifField>>>,
 }
 
 impl SampledDif {
@@ -38,24 +38,27 @@ impl SampledDif {
         WideCells::of_spacing(self.facts.spacing_cells_or_one())
     }
 
-    /// The samples of cells 2^`level` times as wide: the samples themselves at level 0, clouds in the frame's
-    /// [wide cells](Self::wide_cells) at theirs.
+    /// The samples of cells 2^`level` times as wide: the samples themselves at level 0, clouds at others, up to that of the frame's
+    /// [wide cells](Self::wide_cells).
+    ///
+    /// # Panics
+    /// If the level is greater.
     #[must_use]
     pub fn wide(&self, level: u32) -> &DifField {
-        if level == 0 {
-            return &self.dif;
-        }
-        debug_assert_eq!(level, self.wide_cells().level, "there is one level beside 0");
-        self.wide.get_or_init(|| {
-            let spacing = self.facts.spacing_cells_or_one();
-            let mut walls = self.facts.walls();
-            (0..level).fold(Arc::clone(&self.dif), |finer, level| {
-                let amount =
-                    |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
-                let wider = Arc::new(finer.halved(walls, amount(level + 1) / amount(level)));
-                walls = walls.map(crate::brick::halved_box);
-                wider
-            })
-        })
+        let Some(below) = (level as usize).checked_sub(1) else { return &self.dif };
+        &self.wide.get_or_init(|| self.halved())[below]
+    }
+
+    fn halved(&self) -> Vec<Arc<DifField>> {
+        let spacing = self.facts.spacing_cells_or_one();
+        let amount = |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
+        let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
+        let levels = 0..self.wide_cells().level;
+        let halved = levels.map(|level| {
+            finer = Arc::new(finer.halved(walls, amount(level + 1) / amount(level)));
+            walls = walls.map(crate::brick::halved_box);
+            Arc::clone(&finer)
+        });
+        halved.collect()
     }
 }
