@@ -250,13 +250,13 @@ pub fn joined<F: Fields>(
     wide: WideFields<F::Field>,
 ) -> Result<F::Field, F::Error> {
     let Distances { level, gate, drops_level, drops, .. } = distances;
-    let stand_out = fields.stand_out(&wide, *level, gate)?;
+    fields.look(&wide, *level, gate)?;
     let bulk = fields.refined(wide.bulk, *level)?;
-    if !stand_out {
+    if !fields.narrowed(&wide.outlying, *level, gate) {
         return Ok(bulk);
     }
     let near = fields.refined(wide.outlying, *level)?;
-    if !fields.narrowed(&near, gate) {
+    if !fields.narrowed(&near, 0, gate) {
         return Ok(bulk);
     }
     let clouds = fields.samples(*drops_level, distances.drops_halo())?;
@@ -317,19 +317,15 @@ pub trait Fields {
     /// The greatest sample within `reach` cells along each axis; at a wall it sees the edge cells repeated.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether particles can stand out of the bulk in any of the cells that the field is asked for on.
-    fn stand_out(
-        &mut self,
-        wide: &WideFields<Self::Field>,
-        level: u32,
-        gate: &Gate,
-    ) -> Result<bool, Self::Error>;
+    /// Looks at what is known of cells 2^`level` times as wide, and may stop where no surface can come of it.
+    fn look(&mut self, wide: &WideFields<Self::Field>, level: u32, gate: &Gate) -> Result<(), Self::Error>;
 
     /// A field of cells 2^`level` times as wide at the middles of those that it is asked for on.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Whether particles stand out in any cell. From then on samples and fields are those of the cells where they do.
-    fn narrowed(&mut self, near: &Self::Field, gate: &Gate) -> bool;
+    /// Whether particles stand out in any cell, as far as cells 2^`level` times as wide tell. From then on samples and fields are those of
+    /// the cells where they can.
+    fn narrowed(&mut self, near: &Self::Field, level: u32, gate: &Gate) -> bool;
 
     /// Shares of clouds in what is around them.
     fn quotient(

@@ -9,6 +9,29 @@ use super::samples::SamplePlace;
 /// Samples that are worked on at once: small enough to stay in the first-level cache.
 const ROW: usize = 1 << 11;
 
+/// Rows of a block: see [`Block::rows`].
+#[derive(Debug, Clone)]
+pub struct Rows<'a, T> {
+    block: &'a Block<T>,
+    part: CellBox,
+    next: [i32; 2],
+}
+
+impl<'a, T: Copy + Default> Iterator for Rows<'a, T> {
+    type Item = ([i32; 2], &'a [T]);
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        let ([y, z], CellBox { lo, hi }) = (self.next, self.part);
+        if z >= hi.z {
+            return None;
+        }
+        self.next = if y + 1 < hi.y { [y + 1, z] } else { [lo.y, z + 1] };
+        let first = self.block.index(IVec3::new(lo.x, y, z));
+        Some(([y, z], &self.block.samples[first..first + (hi.x - lo.x) as usize]))
+    }
+}
+
 /// One sample for every cell of a box, x fastest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Block<T = u16> {
@@ -71,15 +94,10 @@ impl<T: Copy + Default> Block<T> {
     ///
     /// # Panics
     /// If the block does not cover `part`.
-    pub fn rows(&self, part: CellBox) -> impl Iterator<Item = ([i32; 2], &[T])> + '_ {
+    pub fn rows(&self, part: CellBox) -> Rows<'_, T> {
         assert!(self.cells.covers(&part), "{part:?} is not in {:?}", self.cells);
-        let width = part.size().x as usize;
-        (part.lo.z..part.hi.z).flat_map(move |z| {
-            (part.lo.y..part.hi.y).map(move |y| {
-                let first = self.index(IVec3::new(part.lo.x, y, z));
-                ([y, z], &self.samples[first..first + width])
-            })
-        })
+        let z = if part.is_empty() { part.hi.z } else { part.lo.z };
+        Rows { block: self, part, next: [part.lo.y, z] }
     }
 
     /// Puts what `value` makes of what is there and of `samples`, which are those of the box `from`, x fastest, in `part`.

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use glam::IVec3;
 use hashbrown::HashSet;
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::grid::{BIN, CellBox, MortonKey};
@@ -28,6 +29,24 @@ pub fn halved_box(cells: CellBox) -> CellBox {
 
 /// How pages of wide cells lie.
 const SHAPE: PageShape = PageShape { side: BrickSide::Sixteen, rim: 0 };
+
+/// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`, but for the outermost two.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
+    if step == 1 {
+        for (to, taps) in to.iter_mut().zip(run.windows(4).step_by(2)) {
+            *to = taps[0] + 3 * (taps[1] + taps[2]) + taps[3];
+        }
+        return;
+    }
+    for (to, first) in to.chunks_exact_mut(step).zip((0..).step_by(2 * step)) {
+        let [a, b, c, d] = [first, first + step, first + 2 * step, first + 3 * step];
+        let (a, b, c, d) = (&run[a..a + step], &run[b..b + step], &run[c..c + step], &run[d..d + step]);
+        for ((((to, a), b), c), d) in to.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+            *to = a + 3 * (b + c) + d;
+        }
+    }
+}
 
 /// Makes the pages of wide cells.
 #[derive(Debug)]
@@ -56,13 +75,9 @@ impl Halving {
             let step = [1, size.x, size.x * size.y][axis];
             let planes = size[axis];
             size[axis] = planes / 2 - 1;
-            let mut to = Vec::with_capacity(size.element_product());
-            for run in sums.chunks_exact(step * planes) {
-                for first in (0..size[axis]).map(|wide| 2 * wide * step) {
-                    let [a, b, c, d] = [0, 1, 2, 3].map(|k| &run[first + k * step..][..step]);
-                    let taps = a.iter().zip(b).zip(c).zip(d);
-                    to.extend(taps.map(|(((a, b), c), d)| a + 3 * (b + c) + d));
-                }
+            let mut to = vec![0; size.element_product()];
+            for (to, run) in to.chunks_exact_mut(step * size[axis]).zip(sums.chunks_exact(step * planes)) {
+                halved_along(to, run, step);
             }
             sums = to;
         }

@@ -200,22 +200,24 @@ impl Fields for Blocks<'_> {
         Ok(self.field(spread(Rc::unwrap_or_clone(block), reach), level))
     }
 
-    fn stand_out(&mut self, wide: &WideFields<Field>, level: u32, gate: &Gate) -> Result<bool, Stopped> {
+    fn look(&mut self, wide: &WideFields<Field>, level: u32, gate: &Gate) -> Result<(), Stopped> {
         // Cells are weighted means of wide ones.
         let cells = wide_cells(level, self.cells);
-        let outlying = wide.outlying.block.rows(cells);
-        let stand_out = outlying.into_iter().any(|(_, row)| row.iter().any(|&near| near > gate.begin));
-        let goes_on = self.looking.may_show(&wide.bulk.block, cells, stand_out);
-        if goes_on { Ok(stand_out) } else { Err(Stopped) }
+        let drops = !outlying_part(&wide.outlying.block, cells, gate).is_empty();
+        if self.looking.may_show(&wide.bulk.block, cells, drops) { Ok(()) } else { Err(Stopped) }
     }
 
     fn refined(&mut self, wide: Field, level: u32) -> Result<Field, Stopped> {
         Ok(self.field(refined(&wide.block, level, self.wanted), 0))
     }
 
-    fn narrowed(&mut self, near: &Field, gate: &Gate) -> bool {
-        self.wanted = outlying_part(&near.block, gate);
-        !self.wanted.is_empty()
+    fn narrowed(&mut self, near: &Field, level: u32, gate: &Gate) -> bool {
+        let part = outlying_part(&near.block, wide_cells(level, self.wanted), gate);
+        // A wide cell tells of those of its neighbours, too.
+        let further = i32::from(level > 0);
+        let CellBox { lo, hi } = part.grown(further, further);
+        self.wanted = self.wanted.intersection(&CellBox { lo: lo << level, hi: hi << level });
+        !part.is_empty()
     }
 
     fn quotient(&mut self, clouds: Field, around: Field, bits: u32) -> Result<Field, Stopped> {

@@ -180,8 +180,8 @@ impl Fields for PaddedFields<'_> {
     }
 
     /// Nobody looks before all is done.
-    fn stand_out(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<bool, VulkanError> {
-        Ok(true)
+    fn look(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<(), VulkanError> {
+        Ok(())
     }
 
     fn refined(&mut self, wide: Rc<Padded>, level: u32) -> Result<Rc<Padded>, VulkanError> {
@@ -199,7 +199,7 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(Padded { samples: to, margin: within.1, of }))
     }
 
-    fn narrowed(&mut self, _: &Rc<Padded>, _: &Gate) -> bool {
+    fn narrowed(&mut self, _: &Rc<Padded>, _: u32, _: &Gate) -> bool {
         true
     }
 

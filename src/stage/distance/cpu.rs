@@ -177,42 +177,51 @@ pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
         return wide.part(cells);
     }
     let weights: Vec<[u32; 3]> = (0..1 << level).map(|place| spline(level, place)).collect();
-    let along_x = refined_along(&wide.part(wide_cells(level, cells)), 0, level, cells, &weights);
+    let along_x = refined_along_x(&wide.part(wide_cells(level, cells)), level, cells, &weights);
     let along_y = refined_along(&along_x, 1, level, cells, &weights);
     refined_along(&along_y, 2, level, cells, &weights)
 }
 
-/// The same along one axis.
+/// The same along x: all wide cells at once for each place in them.
+fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
+    let mut to = wide.cells();
+    (to.lo.x, to.hi.x) = (cells.lo.x, cells.hi.x);
+    let mut field = Block::zero(to);
+    let samples = wide.samples();
+    let inner = samples.len() - 2;
+    let (from_width, width) = (wide.cells().size().x as usize, to.size().x as usize);
+    let mut of_place = vec![0; inner];
+    for (place, &weights) in (0..).zip(weights) {
+        let first = to.lo.x + ((place - to.lo.x) & ((1 << level) - 1));
+        if first >= to.hi.x {
+            continue;
+        }
+        // From the second of a row on; what is beyond the ends of rows is nobody's.
+        means(&mut of_place, weights, [0, 1, 2].map(|at| &samples[at..][..inner]), spline_bits(level));
+        let own = ((first >> level) - wide.cells().lo.x - 1) as usize;
+        let rows = field.samples_mut().chunks_exact_mut(width).zip((own..).step_by(from_width));
+        for (row, from) in rows {
+            let row = row[(first - to.lo.x) as usize..].iter_mut().step_by(1 << level);
+            row.zip(&of_place[from..]).for_each(|(to, &mean)| *to = mean);
+        }
+    }
+    field
+}
+
+/// The same along another axis: all that lies below it at once.
 fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
     let mut to = wide.cells();
     (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
     let mut field = Block::zero(to);
     let step = wide.strides()[axis];
-    let shift = spline_bits(level);
-    let width = to.size().x as usize;
-    let rows = (to.lo.z..to.hi.z).flat_map(|z| (to.lo.y..to.hi.y).map(move |y| [y, z]));
-    let samples = wide.samples();
-    let place = |cell: i32| (cell & ((1 << level) - 1)) as usize;
-    // Along x all cells of each wide one that a row begins or ends in are made, a place in wide cells at a time.
-    let touched = ((to.hi.x - 1) >> level) - (to.lo.x >> level) + 1;
-    let mut whole = vec![0; (touched as usize) << level];
-    let mut of_place = vec![0; touched as usize];
-    for (row, [y, z]) in field.samples_mut().chunks_exact_mut(width).zip(rows) {
-        let first = IVec3::new(to.lo.x, y, z);
-        let mut own = first;
-        own[axis] >>= level;
-        let middle = wide.index(own);
-        if axis > 0 {
-            let taps = [middle - step, middle, middle + step].map(|at| &samples[at..][..width]);
-            means(row, weights[place(first[axis])], taps, shift);
-            continue;
+    let (from_run, run) = (step * wide.cells().size()[axis] as usize, step * to.size()[axis] as usize);
+    let runs = field.samples_mut().chunks_exact_mut(run).zip(wide.samples().chunks_exact(from_run));
+    for (to_run, from) in runs {
+        for (cell, to) in (to.lo[axis]..).zip(to_run.chunks_exact_mut(step)) {
+            let below = ((cell >> level) - wide.cells().lo[axis] - 1) as usize * step;
+            let taps = [below, below + step, below + 2 * step].map(|at| &from[at..][..step]);
+            means(to, weights[(cell & ((1 << level) - 1)) as usize], taps, spline_bits(level));
         }
-        for (at, &weights) in weights.iter().enumerate() {
-            let taps = [middle - 1, middle, middle + 1].map(|at| &samples[at..][..of_place.len()]);
-            means(&mut of_place, weights, taps, shift);
-            whole[at..].iter_mut().step_by(1 << level).zip(&of_place).for_each(|(to, &mean)| *to = mean);
-        }
-        row.copy_from_slice(&whole[place(first.x)..][..width]);
     }
     field
 }
@@ -272,10 +281,12 @@ fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The part in which particles stand out from the calm surface.
+/// The part of some cells in which particles stand out from the calm surface.
+///
+/// # Panics
+/// If `near` does not cover them.
 #[must_use]
-pub fn outlying_part(near: &Block, gate: &Gate) -> CellBox {
-    let cells = near.cells();
+pub fn outlying_part(near: &Block, cells: CellBox, gate: &Gate) -> CellBox {
     let mut part = CellBox::EMPTY;
     for ([y, z], row) in near.rows(cells) {
         if greatest_of(row) <= gate.begin {
@@ -300,6 +311,9 @@ pub fn joined(mut bulk: Block, near: &Block, shares: &Block, drops: &Drops, gate
     let part = shares.cells();
     let width = part.size().x as usize;
     for (([y, z], shares), (_, near)) in shares.rows(part).zip(near.rows(part)) {
+        if greatest_of(near) <= gate.begin {
+            continue;
+        }
         let first = bulk.index(IVec3::new(part.lo.x, y, z));
         joined_row(&mut bulk.samples_mut()[first..first + width], near, shares, drops, gate);
     }
