@@ -184,12 +184,12 @@ fn kernel_methods_say_nothing_of_an_indicator() {
 }
 
 #[test]
-fn cells_are_two_thirds_of_the_spacing_and_others_than_clouds_smoothed_over_all_of_it_or_a_cell() {
+fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_all_of_it_or_a_cell() {
     let folder = folder_with_ball();
     for (more, cell, width, indicator) in [
-        (&[][..], 2.0 / 6.0, 1.6, "cloud"),
-        (&["--smooth", "2.5"], 2.0 / 6.0, 2.5, "cloud"),
-        (&["--cell", "0.5"], 0.25, 1.6, "cloud"),
+        (&[][..], 0.25, 1.6, "cloud"),
+        (&["--smooth", "2.5"], 0.25, 2.5, "cloud"),
+        (&["--cell", "0.8"], 0.4, 1.6, "cloud"),
         (&["--cell-size", "0.2"], 0.2, 1.6, "cloud"),
         (&["--indicator", "counting"], 2.0 / 6.0, 1.5, "counting"),
         (&["--indicator", "counting", "--cell", "2"], 1.0, 1.0, "counting"),
@@ -590,7 +590,7 @@ fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
     let folder = folder_with_ball();
     let run = |backend: &str, output: &str, more: &[&str]| {
         let arguments = ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
-        let arguments = [&arguments[..], &["--stats", "stats"], more].concat();
+        let arguments = [&arguments[..], &["--cell", "0.8", "--stats", "stats"], more].concat();
         let run = on_vulkan(folder.path(), &arguments, &[]);
         let errors = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.success(), "{arguments:?}: {errors}");

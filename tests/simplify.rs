@@ -5,8 +5,9 @@ mod common;
 
 use std::collections::HashMap;
 
+use common::scene::Random;
 use common::{INDICATORS, fill, sampling, splashes, surfacing};
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use meniscus::frame::{Frame, Normals, Sampling, Surfacing};
 use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
@@ -26,11 +27,11 @@ fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
 }
 
 fn within(cells: f64) -> Reduction {
-    Reduction { tolerance: Some(Tolerance::new(cells).unwrap()), least_volume_cells: None }
+    Reduction { tolerance: Some(Tolerance::new(cells).unwrap()), ..Reduction::default() }
 }
 
 fn without(volume: f64) -> Reduction {
-    Reduction { tolerance: None, least_volume_cells: Some(volume) }
+    Reduction { least_volume_cells: Some(volume), ..Reduction::default() }
 }
 
 fn collected(source: &dyn MeshSource) -> Mesh {
@@ -48,8 +49,10 @@ fn collected(source: &dyn MeshSource) -> Mesh {
 }
 
 fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction) -> (Mesh, u64) {
-    let result = simplify(surface(particles, sampling), reduction, u64::MAX, &std::env::temp_dir()).unwrap();
-    (collected(&result), result.components_dropped())
+    let particle = sampling.spacing.unwrap_or(1.0).powi(3);
+    let surface = surface(particles, sampling);
+    let result = simplify(surface, reduction, particle, u64::MAX, &std::env::temp_dir()).unwrap();
+    (collected(&result), result.dropped().total())
 }
 
 #[test]
@@ -121,7 +124,7 @@ fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let scratch = std::env::temp_dir();
         pool.install(|| {
-            collected(&simplify(surface(&particles, &sampling()), &reduction, bytes, &scratch).unwrap())
+            collected(&simplify(surface(&particles, &sampling()), &reduction, 1.0, bytes, &scratch).unwrap())
         })
     };
     let first = run(1, u64::MAX);
@@ -196,6 +199,34 @@ fn the_smallest_drop_is_one_component_however_it_lies_between_eight_blocks() {
         let drop: Vec<_> = drop.iter().map(|&p| (DVec3::from(p) + DVec3::new(x, y, z)).to_array()).collect();
         let (mesh, dropped) = simplified(&drop, &sampling(), &without(1e3));
         assert_eq!((mesh.triangles.len(), dropped), (0, 1), "drop at {x}, {y}, {z}");
+    }
+}
+
+#[test]
+fn drops_of_fewer_particles_are_left_out_in_cells_of_any_size_and_bubbles_are_kept() {
+    let mut particles = fill(8.0, 1.0, 0.0, 1, |p| p.length() > 3.0);
+    let mut random = Random::new(5);
+    for i in 0..12_i32 {
+        let at = DVec3::new(f64::from(i % 4) * 8.0 - 12.0, f64::from(i / 4) * 8.0 + 16.0, 0.0);
+        let at = at + DVec3::new(random.unit(), random.unit(), random.unit());
+        let own = match i % 3 {
+            0 => vec![DVec3::ZERO],
+            1 => vec![DVec3::ZERO, DVec3::X],
+            _ => (0..8).map(|k| IVec3::new(k & 1, k >> 1 & 1, k >> 2).as_dvec3()).collect(),
+        };
+        particles.extend(own.into_iter().map(|p| (at + p).to_array()));
+    }
+    for cells in [1.5, 2.0, 3.0, 4.0] {
+        let scaled: Vec<_> = particles.iter().map(|p| p.map(|x| x * cells)).collect();
+        let sampling = Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(cells), ..sampling() };
+        for (particles, dropped) in [(1, 0), (2, 4), (3, 8), (8, 8), (20, 12)] {
+            let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
+            let (mesh, gone) = simplified(&scaled, &sampling, &reduction);
+            assert_eq!(gone, dropped, "drops of fewer than {particles} in cells of 1 / {cells}");
+            // The bulk, and the ball of air in it.
+            assert_eq!(measure(&mesh).components as u64, 2 + 12 - dropped);
+            assert!(check(&mesh).is_closed_oriented_manifold());
+        }
     }
 }
 

@@ -12,6 +12,7 @@ use crate::calibration::{NoMeanCount, TooFine};
 use crate::estimate::OverBudget;
 use crate::recipe::{Filters, Recipe};
 use crate::rivals::TooManyCells;
+use crate::simplify::Dropped;
 use crate::units::Isovalue;
 use crate::vulkan::VulkanError;
 
@@ -76,11 +77,8 @@ pub enum FrameError {
         free: u64,
     },
     /// Every component is smaller than what was to be kept.
-    #[error("the surface is empty: all of its {dropped} components are below --drop-smaller")]
-    NothingLeft {
-        /// How many there were.
-        dropped: u64,
-    },
+    #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
+    NothingLeft(Dropped),
     /// A mesh on a device has vertices that 32 bits cannot number.
     #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
     TooManyVertices,

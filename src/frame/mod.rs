@@ -272,11 +272,13 @@ impl Frame {
         reduction: &Reduction,
         laps: &mut Laps,
     ) -> Result<Simplified, FrameError> {
-        let simplified = simplify(surface, reduction, self.surface_share, &self.resources.scratch)
-            .map_err(self.resources.scratch_error())?;
+        let particle_cells = self.facts().spacing_cells_or_one().powi(3);
+        let simplified =
+            simplify(surface, reduction, particle_cells, self.surface_share, &self.resources.scratch)
+                .map_err(self.resources.scratch_error())?;
         laps.lap("simplify");
         if simplified.triangle_count() == 0 {
-            return Err(FrameError::NothingLeft { dropped: simplified.components_dropped() });
+            return Err(FrameError::NothingLeft(simplified.dropped()));
         }
         Ok(simplified)
     }

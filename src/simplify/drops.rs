@@ -1,4 +1,4 @@
-//! Whole components below a volume.
+//! Whole components below a volume, and drops of few particles.
 //!
 //! Each block's triangles fall into parts; parts that share a vertex are one component. A block's triangles name
 //! vertices of its own and of blocks that come later, so one pass in order sees every vertex that two blocks share.
@@ -18,12 +18,39 @@ use crate::stitch::Stitched;
 
 use super::vertex_set::VertexSet;
 
-/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid included: their vertices,
-/// and how many there are.
+/// How many components are left out of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Dropped {
+    /// Those of too little volume, fluid or air.
+    pub components: u64,
+    /// Drops of too few particles, and not of too little volume.
+    pub drops: u64,
+}
+
+impl Dropped {
+    /// All of them.
+    #[must_use]
+    pub fn total(self) -> u64 {
+        self.components + self.drops
+    }
+
+    /// The options that left them out.
+    #[must_use]
+    pub fn limits(self) -> &'static str {
+        match (self.components, self.drops) {
+            (_, 0) => "--drop-smaller",
+            (0, _) => "--smallest-drop",
+            _ => "--drop-smaller and --smallest-drop",
+        }
+    }
+}
+
+/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid included, and the drops of less than
+/// `drop`: their vertices, and how many there are.
 ///
 /// # Errors
 /// Where scratch files cannot be read.
-pub fn smaller_than(surface: &Stitched, volume: f64) -> io::Result<(VertexSet, u64)> {
+pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(VertexSet, Dropped)> {
     let pieces = surface.pieces();
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
@@ -53,10 +80,17 @@ pub fn smaller_than(surface: &Stitched, volume: f64) -> io::Result<(VertexSet, u
             }
         },
     )?;
-    let small: Vec<bool> =
-        (0..components.parents.len() as u32).map(|part| components.volume(part).abs() < volume).collect();
-    let count =
-        (0..small.len()).filter(|&part| small[part] && components.parents[part] as usize == part).count();
+    let mut dropped = Dropped::default();
+    let mut small = Vec::with_capacity(firsts.len());
+    for part in 0..components.parents.len() as u32 {
+        let own = components.volume(part);
+        let (too_small, drop) = (own.abs() < volume, (0.0..drop).contains(&own));
+        small.push(too_small || drop);
+        if components.parents[part as usize] == part {
+            dropped.components += u64::from(too_small);
+            dropped.drops += u64::from(drop && !too_small);
+        }
+    }
     let mut vertices = VertexSet::none_of(surface.vertex_count());
     in_batches(
         pieces,
@@ -69,7 +103,7 @@ pub fn smaller_than(surface: &Stitched, volume: f64) -> io::Result<(VertexSet, u
             }
         },
     )?;
-    Ok((vertices, count as u64))
+    Ok((vertices, dropped))
 }
 
 /// Makes something of all pieces on all threads, and takes it in order.

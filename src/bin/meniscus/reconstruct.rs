@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytesize::ByteSize;
-use clap::Args;
+use clap::{Args, value_parser};
 use meniscus::backend::Cpu;
 use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
@@ -72,6 +72,9 @@ pub struct Options {
     /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
     #[arg(long, value_name = "CELLS3", allow_negative_numbers = true)]
     pub drop_smaller: Option<f64>,
+    /// Leave out drops of fewer particles, as told by their volume [default: 1, which leaves out none].
+    #[arg(long, value_name = "PARTICLES", value_parser = value_parser!(u32).range(1..))]
+    pub smallest_drop: Option<u32>,
     /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
     #[arg(long)]
     pub compress: bool,
@@ -130,6 +133,7 @@ impl Options {
             ("attributes", json!(self.attributes)),
             ("simplify", json!(self.simplify)),
             ("drop-smaller", json!(self.drop_smaller)),
+            ("smallest-drop", json!(self.smallest_drop)),
             ("compress", json!(self.compress)),
         ] {
             settings.insert(name.to_owned(), value);
@@ -213,6 +217,7 @@ impl Options {
         Ok(Reduction {
             tolerance: self.simplify.map(Tolerance::new).transpose()?,
             least_volume_cells: self.drop_smaller,
+            smallest_drop: self.smallest_drop.filter(|&particles| particles > 1),
         })
     }
 

@@ -45,12 +45,20 @@ pub fn report_frame(frame: &Frame, notes: &Notes) {
     }
 }
 
+/// What is said of drops of few particles.
+pub fn left_out(drops: u64, particles: u32) -> String {
+    format!("{drops} drops of fewer than {particles} particles left out")
+}
+
 pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: &Notes) {
     if let Some(volume) = reduction.least_volume_cells {
         notes.say(format!(
             "{} components of less than {volume} cells left out",
-            simplified.components_dropped()
+            simplified.dropped().components
         ));
+    }
+    if let Some(particles) = reduction.smallest_drop {
+        notes.say(left_out(simplified.dropped().drops, particles));
     }
     if let Some(tolerance) = reduction.tolerance {
         let (left, whole) = (simplified.triangle_count(), simplified.whole().triangle_count());

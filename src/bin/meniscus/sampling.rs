@@ -29,7 +29,7 @@ pub struct SamplingOptions {
     /// Edge of a cell.
     #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
     cell_size: Option<f64>,
-    /// Edge of a cell, times the spacing [default: 0.6667].
+    /// Edge of a cell, times the spacing [default: 0.5, for --indicator counting and symmetry 0.6667].
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].
@@ -158,9 +158,10 @@ impl SamplingOptions {
             (None, Some(radius)) => Some(2.0 * positive_length("--radius", radius)?),
             (None, None) => None,
         };
+        let default_cell = if kind == IndicatorKind::Cloud { CELL } else { PAPER_CELL };
         let cell = match self.cell_size {
             Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(CELL))?),
+            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(default_cell))?),
         };
         let origin = self.origin.map(DVec3::from);
         let walls =
@@ -195,9 +196,11 @@ impl Cells {
     }
 }
 
-/// Edge of a cell in spacings. In cells of a whole one, smoothed over at least as much, drops are lost and tips shrink, and a
-/// level pool that is carried through them moves by a few hundredths of a cell. Smaller ones do not pay.
-pub const CELL: f64 = 2.0 / 3.0;
+/// Edge of a cell in spacings. In those of two thirds single drops are angular and hold more or less by where they lie; these take
+/// hardly longer, for the surface is made in the same wide cells. Renders of single drops want half as much.
+pub const CELL: f64 = 0.5;
+/// The same for the paper's indicators, of which symmetry does not bear half of one.
+const PAPER_CELL: f64 = 2.0 / 3.0;
 
 impl SamplingRequest {
     /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices. A grid that nobody asked to

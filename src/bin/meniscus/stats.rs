@@ -36,6 +36,7 @@ impl Options {
             "method": self.method,
             "simplify": self.simplify,
             "drop_smaller": self.drop_smaller,
+            "smallest_drop": self.smallest_drop,
             "vertices": mesh.vertex_count(),
             "triangles": mesh.triangle_count(),
             "output_bytes": bytes,

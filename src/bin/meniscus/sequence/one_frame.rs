@@ -19,6 +19,7 @@ use meniscus::particles::{AttributeInfo, Particles, carried_infos};
 use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::records::Record;
+use meniscus::simplify::Dropped;
 use meniscus::units::MemoryBudget;
 use serde_json::{Value, json};
 
@@ -38,6 +39,7 @@ pub struct Done {
     /// Where statistics are asked for.
     pub stats: Option<Value>,
     pub seconds: f64,
+    pub dropped: Dropped,
     pub warnings: Vec<String>,
 }
 
@@ -48,6 +50,7 @@ pub struct Filled {
     record: Record,
     stats: Option<Value>,
     seconds: f64,
+    dropped: Dropped,
     warnings: Vec<String>,
 }
 
@@ -126,12 +129,13 @@ impl Conversion<'_> {
             None => self.unpack(path, &mut laps),
         };
         let Ready { frame: sampled, infos, time, permit } = ready?;
-        let mut warnings = Vec::new();
+        let (mut dropped, mut warnings) = (Dropped::default(), Vec::new());
         let surface = match &sampled {
             None => None,
             Some(sampled) => {
                 stage("meshing");
-                let surface = permit.run(|| self.surface(path, sampled, frozen, &mut warnings, &mut laps));
+                let surface = permit
+                    .run(|| self.surface(path, sampled, frozen, &mut dropped, &mut warnings, &mut laps));
                 warnings.extend(sampled.warnings());
                 surface?
             }
@@ -180,16 +184,16 @@ impl Conversion<'_> {
             stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
             stats
         });
-        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), warnings })
+        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), dropped, warnings })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
     pub fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, unfinished, record, stats, seconds, warnings } = filled;
+        let Filled { file, unfinished, record, stats, seconds, dropped, warnings } = filled;
         file.keep()?;
         drop(unfinished);
         interrupt::undisturbed(|| self.store.log.keep(&record))?;
-        Ok(Done { mesh: record.mesh, stats, seconds, warnings })
+        Ok(Done { mesh: record.mesh, stats, seconds, dropped, warnings })
     }
 
     /// Reads a frame that was sampled before.
@@ -267,6 +271,7 @@ impl Conversion<'_> {
         path: &Path,
         sampled: &Frame,
         frozen: &Frozen,
+        dropped: &mut Dropped,
         warnings: &mut Vec<String>,
         laps: &mut Laps,
     ) -> Result<Option<Found>, Error> {
@@ -294,12 +299,16 @@ impl Conversion<'_> {
             return Ok(Some((Box::new(surface), width)));
         }
         match sampled.simplify(surface, reduction, laps) {
-            Err(FrameError::NothingLeft { .. }) => {
-                warn(empty("all components are below --drop-smaller"));
+            Err(FrameError::NothingLeft(all)) => {
+                *dropped = all;
+                warn(empty(&format!("all components are below {}", all.limits())));
                 Ok(None)
             }
             Err(fault) => Err(in_file(fault)),
-            Ok(simplified) => Ok(Some((Box::new(simplified), width))),
+            Ok(simplified) => {
+                *dropped = simplified.dropped();
+                Ok(Some((Box::new(simplified), width)))
+            }
         }
     }
 

@@ -18,6 +18,7 @@ use crate::run::Notes;
 use super::Setup;
 use super::conversion::Conversion;
 use super::one_frame::Done;
+use crate::report::left_out;
 
 /// Between two writings of what lists all frames, at the least.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);
@@ -33,6 +34,8 @@ pub struct Tally<'a> {
     fatal: Option<Error>,
     pub done: usize,
     pub total: usize,
+    /// Drops that were left out.
+    drops: u64,
     begun: Instant,
     /// When the series was written last, or would have been.
     series_written: Instant,
@@ -51,6 +54,7 @@ impl<'a> Tally<'a> {
             fatal: None,
             done: 0,
             total: 0,
+            drops: 0,
             begun,
             series_written: begun,
             notes: conversion.setup.notes.clone(),
@@ -85,7 +89,8 @@ impl<'a> Tally<'a> {
         let notes = self.notes.clone();
         self.done += 1;
         match result {
-            Ok(Done { mesh, stats, seconds, warnings }) => {
+            Ok(Done { mesh, stats, seconds, dropped, warnings }) => {
+                self.drops += dropped.drops;
                 self.failed.remove(&frame.number);
                 for warning in warnings {
                     notes.say(format!("warning: {}: {warning}", frame.path.display()));
@@ -163,6 +168,9 @@ impl<'a> Tally<'a> {
             self.conversion.setup.naming.folder().display(),
             self.begun.elapsed().as_secs_f64()
         ));
+        if let Some(particles) = self.conversion.setup.reduction.smallest_drop {
+            notes.say(left_out(self.drops, particles));
+        }
         if !self.failed.is_empty() {
             let mut list = format!("meniscus: {} frames failed:", self.failed.len());
             for (number, cause) in &self.failed {
