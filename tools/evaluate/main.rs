@@ -10,6 +10,7 @@ mod isovalue;
 mod meshes;
 mod methods;
 mod pictures;
+mod quality;
 mod render;
 mod resolution;
 mod rest;
@@ -41,6 +42,12 @@ struct Options {
     /// Particles to take pictures of, y up, instead of a splash.
     #[arg(long, value_name = "FILE")]
     frame: Option<PathBuf>,
+    /// Programs to compare, for quality.
+    #[arg(long, value_name = "TABLE")]
+    methods: Option<PathBuf>,
+    /// Folders of frames of simulations, y up, for quality.
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    simulations: Vec<PathBuf>,
     /// Few particles and few runs: to see that all works.
     #[arg(long)]
     quick: bool,
@@ -72,7 +79,9 @@ enum Topic {
     Isovalue,
     /// Cell, sigma and indicator: error against cost.
     Defaults,
-    /// All of these.
+    /// Side by side with other programs.
+    Quality,
+    /// All of these but quality, which needs those programs.
     All,
 }
 
@@ -99,6 +108,7 @@ fn main() -> ExitCode {
         Topic::Pictures => &[pictures::run],
         Topic::Isovalue => &[isovalue::run],
         Topic::Defaults => &[defaults::run],
+        Topic::Quality => &[quality::run],
         Topic::All => &[
             accuracy::run,
             roughness::run,

@@ -15,9 +15,14 @@ impl Table {
         self.rows.push(cells.into_iter().collect());
     }
 
-    /// Prints it, below a line that says `what` it shows.
+    /// Prints it, below a line that says `what` it shows and by which command.
     pub fn print(&self, what: &str) {
-        println!("{what} (`{}`):\n\n| {} |", command(), self.head.join(" | "));
+        self.show(&format!("{what} (`{}`)", command()));
+    }
+
+    /// Prints it, below a line that says `what` it shows.
+    pub fn show(&self, what: &str) {
+        println!("{what}:\n\n| {} |", self.head.join(" | "));
         println!("|{}", "---|".repeat(self.head.len()));
         for row in &self.rows {
             println!("| {} |", row.join(" | "));

@@ -1,0 +1,271 @@
+//! Sheets, chains, drops and bubbles: what is kept of them, in how many pieces.
+
+use glam::{DVec2, DVec3, IVec3};
+use meniscus::mesh::Mesh;
+use meniscus::mesh::measure::measure;
+
+use super::bodies::JITTER;
+use super::heights::Columns;
+use super::lines::{Board, Line, Points, cell_name};
+use super::pieces::{Count, Piece, pieces};
+use crate::sample::{cuboid, place};
+use crate::scene::Random;
+use crate::tables::mean;
+use crate::{Options, Outcome};
+
+/// From fine to coarse.
+pub const CELLS: [f64; 4] = [0.25, 0.333, 0.5, 0.667];
+/// From one thing above a bulk to the next.
+const STOREY: f64 = 12.0;
+const SHEETS: [(&str, i32, f64); 4] = [
+    ("1 layer", 1, 1.0),
+    ("2 layers", 2, 1.0),
+    ("1 layer, stretched 1.3 times", 1, 1.3),
+    ("2 layers, stretched 1.3 times", 2, 1.3),
+];
+/// Edge of a sheet.
+const WIDTH: i32 = 40;
+/// Between the particles of a chain.
+const GAPS: [f64; 3] = [1.0, 1.25, 1.5];
+/// Chains of each gap, the steps between them, and the particles in each.
+const CHAINS: usize = 6;
+const APART: f64 = 8.0;
+const LINKS: usize = 8;
+/// Drops of each size along either axis, and the steps between them.
+const DROPS: usize = 7;
+const STEP: f64 = 10.0;
+const SIZES: [IVec3; 3] = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
+/// Radii of balls of air, and how many there are of each.
+const AIR: [f64; 2] = [2.0, 3.0];
+const BALLS: usize = 4;
+/// Edge of a bulk in disorder.
+const EDGE: i32 = 24;
+
+pub fn run(options: &Options, board: &Board) -> Outcome<()> {
+    let sheet_rows =
+        |(what, ..): (&str, i32, f64)| [format!("{what}: pieces, holes"), format!("{what}: volume")];
+    let sheets = Line {
+        rows: SHEETS.into_iter().flat_map(sheet_rows).collect(),
+        cell: None,
+        scenes: vec![sheets()],
+        read: Box::new(|meshes| {
+            Ok(SHEETS.iter().enumerate().flat_map(|(n, sheet)| sheet_texts(&meshes[0], n, sheet)).collect())
+        }),
+    };
+    board.table("sheets above a bulk, jittered by 0.3: volume is over the particles'", vec![sheets])?;
+
+    let chain_rows =
+        |gap: f64| [format!("{gap} apart: pieces of a chain"), format!("{gap} apart: share covered")];
+    let chains = Line {
+        rows: GAPS.into_iter().flat_map(chain_rows).collect(),
+        cell: None,
+        scenes: vec![chains()],
+        read: Box::new(|meshes| Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())),
+    };
+    board.table("chains of 8 single particles out of a bulk: 1 piece is whole, mean of 6", vec![chains])?;
+
+    let cells: Vec<Option<f64>> =
+        options.choose(&CELLS[..], &CELLS[2..3]).iter().copied().map(Some).collect();
+    let of_drops = |bulk: bool, cell: Option<f64>| {
+        let beside = if bulk { "beside a bulk" } else { "alone" };
+        let row = |size: IVec3| format!("{} particles {beside}, {}", size.element_product(), cell_name(cell));
+        Line {
+            rows: SIZES.map(row).into(),
+            cell,
+            scenes: vec![drops(bulk)],
+            read: Box::new(|meshes| {
+                let (found, _) = pieces(&meshes[0]);
+                Ok((0..SIZES.len()).map(|size| drop_text(&found, size)).collect())
+            }),
+        }
+    };
+    let beside = cells.iter().map(|&cell| of_drops(true, cell));
+    let lines = [None].map(|cell| of_drops(false, cell)).into_iter().chain(beside).collect();
+    board.table("49 drops: pieces; a drop's volume over its particles': least, mean, greatest", lines)?;
+
+    let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, volume over theirs");
+    let air = Line {
+        rows: AIR.map(air_row).into(),
+        cell: None,
+        scenes: vec![air()],
+        read: Box::new(|meshes| {
+            let (found, _) = pieces(&meshes[0]);
+            Ok((0..AIR.len()).map(|radius| air_text(&found, radius)).collect())
+        }),
+    };
+    let disorder = Line {
+        rows: ["jittered by 0.5", "uniformly random"].map(|what| format!("{what}: pieces, bubbles")).into(),
+        cell: None,
+        scenes: vec![disorder()],
+        read: Box::new(|meshes| {
+            let (found, _) = pieces(&meshes[0]);
+            let half = 1.5 * f64::from(EDGE);
+            let [left, right] = [0, 1].map(|side| {
+                Count::of(found.iter().filter(move |piece| usize::from(piece.centre().x > half) == side))
+                    .text()
+            });
+            Ok(vec![left, right])
+        }),
+    };
+    board.table("balls of air in a bulk jittered by 0.3, and bulks without any", vec![air, disorder])
+}
+
+fn moved(particles: Points, by: DVec3) -> impl Iterator<Item = [f64; 3]> {
+    particles.into_iter().map(move |p| (DVec3::from(p) + by).into())
+}
+
+fn sheets() -> Points {
+    let mut random = Random::new(11);
+    let mut particles = cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
+    for (n, (_, layers, stretch)) in SHEETS.into_iter().enumerate() {
+        let sheet = cuboid(IVec3::ZERO, IVec3::new(WIDTH, layers, WIDTH), JITTER, &mut random);
+        let sheet = sheet.into_iter().map(|[x, y, z]| [stretch * x, y, stretch * z]).collect();
+        particles.extend(moved(sheet, place(n) + STOREY * n as f64 * DVec3::Y));
+    }
+    particles
+}
+
+fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -> [String; 2] {
+    let middle = STOREY * number as f64 + 1.0;
+    let near = |triangle: &&[u32; 3]| {
+        triangle.iter().all(|&vertex| (mesh.positions[vertex as usize][1] - middle).abs() < STOREY / 2.0)
+    };
+    let triangles = mesh.triangles.iter().filter(near).copied().collect();
+    let sheet = Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() };
+    let measures = measure(&sheet);
+    let holes = measures.components as i64 - measures.euler_characteristic.div_euclid(2);
+    let volume = Count::of(&pieces(&sheet).0).volume / f64::from(WIDTH * WIDTH * layers);
+    if sheet.triangles.is_empty() {
+        return [(); 2].map(|()| "lost".into());
+    }
+    [format!("{}, {holes}", measures.components), format!("{volume:.2}")]
+}
+
+/// The foot of a chain, on top of the bulk.
+fn foot(gap: usize, chain: usize) -> DVec3 {
+    let off = place(CHAINS * gap + chain);
+    APART * DVec3::new(1.0 + chain as f64, 0.0, 1.0 + gap as f64) + DVec3::new(off.x, -0.5, off.z)
+}
+
+fn link(gap: usize, chain: usize, link: usize) -> DVec3 {
+    foot(gap, chain) + GAPS[gap] * (link + 1) as f64 * DVec3::Y
+}
+
+fn chains() -> Points {
+    let size = APART * DVec3::new(1.0 + CHAINS as f64, 0.0, 1.0 + GAPS.len() as f64);
+    let bulk = IVec3::new(size.x as i32, 0, size.z as i32);
+    let mut particles = cuboid(IVec3::new(0, -12, 0), bulk, 0.1, &mut Random::new(12));
+    for gap in 0..GAPS.len() {
+        for chain in 0..CHAINS {
+            particles.extend((0..LINKS).map(|n| link(gap, chain, n).to_array()));
+        }
+    }
+    particles
+}
+
+/// How many pieces reach higher than the bulk near a chain, and how many of its particles are inside.
+fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
+    let (found, of_vertices) = pieces(mesh);
+    let of = |chain: usize| {
+        let foot = foot(gap, chain);
+        let near = |p: &[f64; 3]| p[1] > 1.0 && DVec2::new(p[0] - foot.x, p[2] - foot.z).length() < 3.0;
+        let mut reaching: Vec<usize> = mesh
+            .positions
+            .iter()
+            .zip(&of_vertices)
+            .filter_map(|(p, piece)| piece.filter(|&piece| near(p) && found[piece].volume > 0.0))
+            .collect();
+        reaching.sort_unstable();
+        reaching.dedup();
+
+        let at = DVec2::new(foot.x, foot.z);
+        let column = Columns::over(at - 0.25, at + 0.25);
+        let mut inside = [0; LINKS];
+        column.cross(mesh, |_, height, normal| {
+            for (n, inside) in inside.iter_mut().enumerate() {
+                if height > link(gap, chain, n).y {
+                    *inside += if normal.y > 0.0 { 1 } else { -1 };
+                }
+            }
+        });
+        let covered = inside.iter().filter(|&&above| above > 0).count() as f64 / LINKS as f64;
+        [reaching.len() as f64, covered]
+    };
+    let of: Vec<[f64; 2]> = (0..CHAINS).map(of).collect();
+    [0, 1].map(|n| format!("{:.2}", mean(of.iter().map(|figures| figures[n]))))
+}
+
+/// Where a drop lies, about.
+fn drop_place(size: usize, number: usize) -> DVec3 {
+    STEP * DVec3::new((number % DROPS) as f64, 1.0 + size as f64, (number / DROPS) as f64)
+}
+
+fn drops(bulk: bool) -> Points {
+    let mut random = Random::new(13);
+    let mut particles = Vec::new();
+    if bulk {
+        particles = cuboid(IVec3::new(0, -12, 0), IVec3::new(EDGE, 0, EDGE), JITTER, &mut random);
+    }
+    for (n, size) in SIZES.into_iter().enumerate() {
+        for number in 0..DROPS * DROPS {
+            let drop = cuboid(IVec3::ZERO, size, JITTER, &mut random);
+            particles.extend(moved(drop, drop_place(n, number) + place(number)));
+        }
+    }
+    particles
+}
+
+fn drop_text(found: &[Piece], size: usize) -> String {
+    let count = f64::from(SIZES[size].element_product());
+    let near = |piece: &&Piece, number: usize| {
+        (piece.centre() - drop_place(size, number)).abs().max_element() < STEP / 2.0
+    };
+    let of: Vec<Count> = (0..DROPS * DROPS)
+        .map(|number| Count::of(found.iter().filter(|piece| near(piece, number))))
+        .collect();
+    let kept: usize = of.iter().map(|drop| drop.pieces).sum();
+    let volumes = || of.iter().map(|drop| drop.volume / count);
+    let (least, greatest) = (volumes().fold(f64::INFINITY, f64::min), volumes().fold(0.0, f64::max));
+    format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
+}
+
+/// The middle of a ball of air.
+fn air_place(radius: usize, ball: usize) -> DVec3 {
+    DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64) + place(BALLS * radius + ball)
+}
+
+fn air() -> Points {
+    let size = IVec3::new(16 + 12 * (BALLS as i32 - 1), 20, 16 + 12 * (AIR.len() as i32 - 1));
+    let mut particles = cuboid(IVec3::ZERO, size, JITTER, &mut Random::new(14));
+    for (n, radius) in AIR.into_iter().enumerate() {
+        for ball in 0..BALLS {
+            particles.retain(|&p| DVec3::from(p).distance(air_place(n, ball)) > radius);
+        }
+    }
+    particles
+}
+
+fn air_text(found: &[Piece], radius: usize) -> String {
+    let of = (0..BALLS).map(|ball| {
+        let near = |piece: &&Piece| {
+            piece.volume < 0.0 && piece.centre().distance(air_place(radius, ball)) < AIR[radius]
+        };
+        -Count::of(found.iter().filter(near)).volume
+    });
+    let volumes: Vec<f64> = of.collect();
+    let truth = 4.0 / 3.0 * std::f64::consts::PI * AIR[radius].powi(3);
+    let kept = volumes.iter().filter(|&&volume| volume > 0.0).count();
+    format!("{kept}, {:.2}", mean(volumes.iter().map(|volume| volume / truth)))
+}
+
+/// Side by side: a bulk in some disorder, and one without any order.
+fn disorder() -> Points {
+    let mut random = Random::new(15);
+    let mut particles = cuboid(IVec3::ZERO, IVec3::splat(EDGE), 0.5, &mut random);
+    let edge = f64::from(EDGE);
+    particles.extend((0..EDGE.pow(3)).map(|_| {
+        let [x, y, z] = [(); 3].map(|()| edge * random.unit());
+        [2.0 * edge + x, y, z]
+    }));
+    particles
+}

@@ -1,0 +1,212 @@
+//! Frames of simulations: how rough calm water is, in how many pieces all is, and what volume it holds.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use glam::{DVec2, DVec3, IVec2};
+use meniscus::io::bytes::Unpacking;
+use meniscus::io::input::{is_known, open_particles};
+use meniscus::io::scene::spacing_beside;
+use meniscus::mesh::Mesh;
+use meniscus::particles::{Particles, velocity_attribute};
+use meniscus::spacing::estimate;
+
+use super::clumps::CELLS;
+use super::heights::Columns;
+use super::lines::{Board, Line, Points, cell_name};
+use super::pieces::{Count, pieces};
+use crate::tables::{figure, mean};
+use crate::{Options, Outcome};
+
+/// Of the repository's dam break.
+const DAM_BREAK: [&str; 3] = ["1", "10", "20"];
+/// What is wider than this Gaussian is no roughness.
+const SIGMA: f64 = 3.0;
+/// Edge of the cells in which it is told from particles whether water is calm.
+const EDGE: f64 = 2.0;
+/// So many of those cells on either side are looked at.
+const REACH: i32 = 2;
+/// How far particles on top of calm water lie from a plane, RMS.
+const CALM: f64 = 0.4;
+/// How deep calm water is, and how much of that its particles fill.
+const DEPTH: f64 = 4.0;
+const FULL: f64 = 0.75;
+
+/// Particles at spacing 1, y up.
+pub struct Frame {
+    pub name: String,
+    pub points: Points,
+    /// Which way each particle moves, 1 long or 0; empty where that is not known.
+    pub directions: Vec<DVec3>,
+}
+
+impl Frame {
+    pub fn read(path: &Path, name: String) -> Outcome<Self> {
+        let file = open_particles(path, Unpacking::in_memory())?;
+        let particles = &file.particles;
+        let known = file.spacing.or_else(|| Some(spacing_beside(path)?.0)).or_else(|| estimate(particles));
+        let spacing = known.ok_or_else(|| format!("{}: the spacing is not to be found", path.display()))?;
+        let mut points = vec![[0.0; 3]; particles.len()];
+        particles.positions(0, &mut points);
+        points.iter_mut().flatten().for_each(|x| *x /= spacing);
+        let mut directions = Vec::new();
+        if let Some(velocity) = velocity_attribute(particles.attributes()) {
+            let mut velocities = vec![[0.0_f32; 3]; points.len()];
+            particles.attribute(velocity, 0, velocities.as_flattened_mut());
+            directions =
+                velocities.iter().map(|v| DVec3::from(v.map(f64::from)).normalize_or_zero()).collect();
+        }
+        Ok(Self { name, points, directions })
+    }
+
+    /// The middle one of a folder, by name.
+    pub fn middle_of(folder: &Path) -> Outcome<Self> {
+        let entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
+        let mut files: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+        files.retain(|path| path.is_file() && is_known(path));
+        files.sort();
+        let path = files.get(files.len() / 2).ok_or_else(|| format!("{}: no frames", folder.display()))?;
+        let [folder, file] = [folder.file_name(), path.file_stem()]
+            .map(|name| name.unwrap_or_default().to_string_lossy().into_owned());
+        Self::read(path, format!("{folder} {file}"))
+    }
+
+    /// Points on water that is calm, as far as its particles tell.
+    fn calm(&self) -> (Columns, Vec<bool>) {
+        let flat = |p: &[f64; 3]| DVec2::new(p[0], p[2]);
+        let (lo, hi) = self
+            .points
+            .iter()
+            .map(flat)
+            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(lo, hi), p| (lo.min(p), hi.max(p)));
+        let columns = Columns::over(lo, hi);
+        let cell = |at: DVec2| (at / EDGE).floor().as_ivec2();
+        let mut heights: HashMap<IVec2, Vec<f64>> = HashMap::new();
+        for p in &self.points {
+            heights.entry(cell(flat(p))).or_default().push(p[1]);
+        }
+        let tops: HashMap<IVec2, f64> = heights
+            .iter()
+            .filter_map(|(&cell, heights)| {
+                let top = heights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                let below = heights.iter().filter(|&&height| height > top - DEPTH).count() as f64;
+                (below > FULL * DEPTH * EDGE * EDGE).then_some((cell, top))
+            })
+            .collect();
+        let calm: HashMap<IVec2, bool> = tops.keys().map(|&cell| (cell, is_calm(&tops, cell))).collect();
+        let of = |point: usize| calm.get(&cell(columns.point(point))).copied().unwrap_or(false);
+        let mask = (0..columns.count()).map(of).collect();
+        (columns, mask)
+    }
+}
+
+/// Whether the water around a cell is there, and nearly a plane.
+fn is_calm(tops: &HashMap<IVec2, f64>, cell: IVec2) -> bool {
+    let range = || -REACH..=REACH;
+    let offs = range().flat_map(|x| range().map(move |y| IVec2::new(x, y)));
+    let around: Option<Vec<(DVec2, f64)>> =
+        offs.map(|off| Some((off.as_dvec2(), *tops.get(&(cell + off))?))).collect();
+    let Some(around) = around else { return false };
+    let middle = mean(around.iter().map(|(_, top)| *top));
+    // The offsets are symmetrical, so each slope is found alone.
+    let slope: DVec2 = around.iter().map(|(off, top)| *off * (top - middle)).sum::<DVec2>()
+        / around.iter().map(|(off, _)| off.x * off.x).sum::<f64>();
+    mean(around.iter().map(|(off, top)| (top - middle - slope.dot(*off)).powi(2))).sqrt() < CALM
+}
+
+/// The frames of the repository's dam break.
+pub fn dam_break() -> Outcome<Vec<Frame>> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let read = |number: &str| {
+        Frame::read(&folder.join(format!("ParticleData_Fluid_{number}.bgeo")), format!("dam break {number}"))
+    };
+    DAM_BREAK.into_iter().map(read).collect()
+}
+
+pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> Outcome<()> {
+    let mut lines = Vec::new();
+    for frame in dam.iter().skip(1).chain(given) {
+        let (columns, calm) = frame.calm();
+        let count = frame.points.len();
+        let area = calm.iter().filter(|&&calm| calm).count() / 4;
+        lines.push(Line {
+            rows: vec![
+                format!("{}: roughness of {area} calm square spacings, RMS", frame.name),
+                format!("{}: its slope in degrees, RMS", frame.name),
+                format!("{}: pieces, bubbles", frame.name),
+                format!("{}: volume over the particles'", frame.name),
+            ],
+            cell: None,
+            scenes: vec![frame.points.clone()],
+            read: Box::new(move |meshes| {
+                let all = Count::of(&pieces(&meshes[0]).0);
+                let [height, slope] = roughness(&columns, &calm, &meshes[0]);
+                let volume = figure(all.volume / count as f64);
+                Ok(vec![figure(height), format!("{slope:.2}"), all.text(), volume])
+            }),
+        });
+    }
+    board.table("water of simulations: what a Gaussian of 3 spacings leaves of calm regions", lines)?;
+
+    let mut lines = Vec::new();
+    if let Some(last) = dam.last() {
+        for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
+            lines.push(Line {
+                rows: vec![format!("{}, {}: pieces, bubbles", last.name, cell_name(Some(cell)))],
+                cell: Some(cell),
+                scenes: vec![last.points.clone()],
+                read: Box::new(|meshes| Ok(vec![Count::of(&pieces(&meshes[0]).0).text()])),
+            });
+        }
+    }
+    let counts: Vec<f64> = dam.iter().map(|frame| frame.points.len() as f64).collect();
+    lines.push(Line {
+        rows: vec![format!("volume over the particles', frames {}: least, greatest", DAM_BREAK.join(", "))],
+        cell: None,
+        scenes: dam.iter().map(|frame| frame.points.clone()).collect(),
+        read: Box::new(move |meshes| {
+            let volumes =
+                meshes.iter().zip(&counts).map(|(mesh, count)| Count::of(&pieces(mesh).0).volume / count);
+            let (least, greatest) =
+                volumes.fold((f64::INFINITY, 0.0_f64), |(lo, hi), volume| (lo.min(volume), hi.max(volume)));
+            Ok(vec![format!("{least:.3}, {greatest:.3}")])
+        }),
+    });
+    board.table("the dam break by cells", lines)
+}
+
+/// RMS of what a Gaussian leaves of the heights of calm water, and of its slope in degrees.
+fn roughness(columns: &Columns, calm: &[bool], mesh: &Mesh) -> [f64; 2] {
+    let tops = columns.tops(mesh).into_iter().zip(calm);
+    let heights: Vec<Option<f64>> =
+        tops.map(|(top, &calm)| top.filter(|_| calm).map(|top| top.height)).collect();
+    let left = columns.without_gaussian(&heights, SIGMA);
+    let rms = |squares: Vec<f64>| mean(squares).sqrt();
+    let slopes = (0..left.len()).filter_map(|n| {
+        let row = n % columns.size[0];
+        let [x, z] = [(row + 1 < columns.size[0]).then_some(1), Some(columns.size[0])]
+            .map(|step| Some(columns.per_step(left[n]?, (*left.get(n + step?)?)?)));
+        Some(x?.powi(2) + z?.powi(2))
+    });
+    let slope = rms(slopes.collect()).atan().to_degrees();
+    [rms(left.iter().flatten().map(|height| height.powi(2)).collect()), slope]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::cuboid;
+    use crate::scene::Random;
+    use glam::IVec3;
+
+    #[test]
+    fn a_pool_is_calm_but_for_its_ends_and_where_a_drop_hangs_above_it() {
+        let mut points = cuboid(IVec3::ZERO, IVec3::new(60, 8, 40), 0.3, &mut Random::new(1));
+        points.push([45.0, 20.0, 20.0]);
+        let frame = Frame { name: String::new(), points, directions: Vec::new() };
+        let (columns, calm) = frame.calm();
+        let at = |x: f64, z: f64| calm[columns.nearest(DVec2::new(x, z)).unwrap()];
+        assert!(at(15.0, 20.0) && at(30.0, 10.0));
+        assert!(!at(45.0, 20.0) && !at(1.0, 20.0));
+    }
+}

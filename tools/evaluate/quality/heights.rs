@@ -1,0 +1,149 @@
+//! Surfaces seen from above: heights over the points of a level grid.
+
+use glam::{DVec2, DVec3};
+use meniscus::mesh::Mesh;
+
+/// Points of a level grid.
+#[derive(Debug, Clone, Copy)]
+pub struct Columns {
+    lo: DVec2,
+    step: f64,
+    pub size: [usize; 2],
+}
+
+/// Where a surface ends above a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Top {
+    pub height: f64,
+    /// Against a level surface, in radians.
+    pub slope: f64,
+}
+
+impl Columns {
+    /// Half a spacing apart, over a box of x and z.
+    pub fn over(lo: DVec2, hi: DVec2) -> Self {
+        let step = 0.5;
+        let size = ((hi - lo) / step).round().max(DVec2::ONE);
+        Self { lo: lo + step / 2.0, step, size: [size.x as usize, size.y as usize] }
+    }
+
+    pub fn count(&self) -> usize {
+        self.size[0] * self.size[1]
+    }
+
+    /// x and z.
+    pub fn point(&self, number: usize) -> DVec2 {
+        self.lo + self.step * DVec2::new((number % self.size[0]) as f64, (number / self.size[0]) as f64)
+    }
+
+    /// The slope from one height to that of the next point.
+    pub fn per_step(&self, from: f64, to: f64) -> f64 {
+        (to - from) / self.step
+    }
+
+    /// The point's number, if there is one so near.
+    #[cfg(test)]
+    pub fn nearest(&self, at: DVec2) -> Option<usize> {
+        let place = ((at - self.lo) / self.step).round();
+        let within = place.cmpge(DVec2::ZERO).all() && (place.x as usize) < self.size[0];
+        (within && (place.y as usize) < self.size[1])
+            .then(|| place.x as usize + place.y as usize * self.size[0])
+    }
+
+    /// Tells of every point below or above a triangle: its number, the triangle's height there and its normal.
+    pub fn cross(&self, mesh: &Mesh, mut tell: impl FnMut(usize, f64, DVec3)) {
+        for triangle in &mesh.triangles {
+            let corners = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+            let [a, b, c] = corners;
+            let normal = (b - a).cross(c - a);
+            if normal.y == 0.0 {
+                continue;
+            }
+            let [u, v, w] = corners.map(|p| (DVec2::new(p.x, p.z) - self.lo) / self.step);
+            let last = DVec2::new(self.size[0] as f64, self.size[1] as f64) - 1.0;
+            let first = u.min(v).min(w).ceil().max(DVec2::ZERO);
+            let last = u.max(v).max(w).floor().min(last);
+            let doubled_area = (v - u).perp_dot(w - u);
+            for z in first.y as usize..(last.y + 1.0).max(0.0) as usize {
+                for x in first.x as usize..(last.x + 1.0).max(0.0) as usize {
+                    let p = DVec2::new(x as f64, z as f64);
+                    let of_a = (v - p).perp_dot(w - p) / doubled_area;
+                    let of_b = (w - p).perp_dot(u - p) / doubled_area;
+                    let of_c = 1.0 - of_a - of_b;
+                    if of_a >= 0.0 && of_b >= 0.0 && of_c >= 0.0 {
+                        tell(x + z * self.size[0], of_a * a.y + of_b * b.y + of_c * c.y, normal);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The highest places of a surface that face upwards.
+    pub fn tops(&self, mesh: &Mesh) -> Vec<Option<Top>> {
+        let mut tops = vec![None; self.count()];
+        self.cross(mesh, |point, height, normal| {
+            let top: &mut Option<Top> = &mut tops[point];
+            if normal.y > 0.0 && top.is_none_or(|top| top.height < height) {
+                *top = Some(Top { height, slope: (normal.y / normal.length()).min(1.0).acos() });
+            }
+        });
+        tops
+    }
+
+    /// What is left of heights that a Gaussian takes away, where there are any.
+    pub fn without_gaussian(&self, heights: &[Option<f64>], sigma: f64) -> Vec<Option<f64>> {
+        let reach = (3.0 * sigma / self.step).ceil() as isize;
+        let weights: Vec<f64> =
+            (-reach..=reach).map(|n| (-0.5 * (n as f64 * self.step / sigma).powi(2)).exp()).collect();
+        // Weighted heights and weights, so that the Gaussian is one of what is there.
+        let mut sums: Vec<DVec2> = heights
+            .iter()
+            .map(|height| height.map_or(DVec2::ZERO, |height| DVec2::new(height, 1.0)))
+            .collect();
+        for (axis, stride) in [(0, 1), (1, self.size[0])] {
+            let of = |n: usize| -> DVec2 {
+                let place = (n / stride % self.size[axis]) as isize;
+                let near =
+                    (-reach..=reach).filter(|off| (0..self.size[axis] as isize).contains(&(place + off)));
+                near.map(|off| {
+                    weights[(off + reach) as usize] * sums[(n as isize + off * stride as isize) as usize]
+                })
+                .sum()
+            };
+            sums = (0..sums.len()).map(of).collect();
+        }
+        heights.iter().zip(&sums).map(|(height, sum)| height.map(|height| height - sum.x / sum.y)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::meshes::sphere;
+
+    #[test]
+    fn a_ball_is_as_high_as_a_ball_and_hides_what_it_stands_on() {
+        let columns = Columns::over(DVec2::splat(-2.0), DVec2::splat(2.0));
+        let tops = columns.tops(&sphere(1.5, 5));
+        for (n, top) in tops.iter().enumerate() {
+            let from_axis = columns.point(n).length();
+            assert_eq!(top.is_some(), from_axis < 1.5, "{from_axis}");
+            let Some(top) = top else { continue };
+            let slope = (from_axis / 1.5).asin();
+            assert!((top.height - 1.5 * slope.cos()).abs() < 0.02 && (top.slope - slope).abs() < 0.05);
+        }
+    }
+
+    #[test]
+    fn a_plane_has_nothing_that_a_gaussian_does_not_take_and_short_waves_stay() {
+        let columns = Columns::over(DVec2::ZERO, DVec2::splat(40.0));
+        let middle = columns.nearest(DVec2::splat(20.25)).unwrap();
+        let left = |height: &dyn Fn(DVec2) -> f64| {
+            let heights: Vec<_> = (0..columns.count()).map(|n| Some(height(columns.point(n)))).collect();
+            columns.without_gaussian(&heights, 3.0)[middle].unwrap()
+        };
+        assert!(left(&|at| 0.2 * at.x + 7.0).abs() < 1e-9);
+        let wave = |at: DVec2| (std::f64::consts::PI * at.x).cos();
+        assert!((left(&wave) - wave(columns.point(middle))).abs() < 1e-3);
+    }
+}

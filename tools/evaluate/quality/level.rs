@@ -1,0 +1,93 @@
+//! Pools: how level a level top comes out, and what of waves is left.
+
+use std::f64::consts::TAU;
+
+use glam::{DVec2, DVec3, IVec3};
+
+use super::bodies::JITTER;
+use super::heights::{Columns, Top};
+use super::lines::{Board, Line, Points, cell_name};
+use super::pieces::{Count, pieces};
+use crate::sample::{cuboid, place};
+use crate::scene::Random;
+use crate::tables::{figure, mean, signed};
+use crate::{Options, Outcome};
+
+/// Edge and depth of the pools; what is within `MARGIN` of their ends is not looked at.
+const WIDTH: i32 = 48;
+const DEPTH: i32 = 12;
+const MARGIN: f64 = 12.0;
+/// Length and amplitude.
+const WAVES: [[f64; 2]; 2] = [[5.0, 0.7], [8.0, 1.0]];
+
+fn pool(jitter: f64, seed: usize, top: i32) -> Points {
+    let mut random = Random::new(seed as u64);
+    let pool = cuboid(IVec3::new(0, -DEPTH, 0), IVec3::new(WIDTH, top, WIDTH), jitter, &mut random);
+    pool.into_iter().map(|p| (DVec3::from(p) + height(seed) * DVec3::Y).into()).collect()
+}
+
+/// How high a pool's top lies: somewhere in a cell.
+fn height(seed: usize) -> f64 {
+    place(seed).y
+}
+
+/// Over the middle, so many spacings along x.
+fn middle(along: f64) -> Columns {
+    Columns::over(DVec2::splat(MARGIN), DVec2::new(MARGIN + along, f64::from(WIDTH) - MARGIN))
+}
+
+pub fn run(options: &Options, board: &Board) -> Outcome<()> {
+    let seeds = options.choose(0..3_usize, 0..1);
+    let mut lines = Vec::new();
+    for cell in options.choose(vec![None, Some(0.5), Some(0.25)], vec![None]) {
+        for jitter in [JITTER, 0.5] {
+            let row = |what: &str| format!("jittered by {jitter}, {}: {what}", cell_name(cell));
+            lines.push(Line {
+                rows: ["bias", "RMS", "slope in degrees", "bubbles"].map(row).into(),
+                cell,
+                scenes: seeds.clone().map(|seed| pool(jitter, seed, 0)).collect(),
+                read: Box::new(|meshes| {
+                    let columns = middle(f64::from(WIDTH) - 2.0 * MARGIN);
+                    let of = meshes.iter().enumerate().map(|(seed, mesh)| {
+                        let tops: Vec<Top> = columns.tops(mesh).into_iter().flatten().collect();
+                        deviation(&tops, height(seed))
+                    });
+                    let of: Vec<[f64; 3]> = of.collect();
+                    let [bias, rms, slope] = [0, 1, 2].map(|n| mean(of.iter().map(|figures| figures[n])));
+                    let bubbles: usize = meshes.iter().map(|mesh| Count::of(&pieces(mesh).0).bubbles).sum();
+                    Ok(vec![signed(bias), figure(rms), format!("{slope:.2}"), bubbles.to_string()])
+                }),
+            });
+        }
+    }
+    board.table("level pools: mean of 3, bubbles of all", lines)?;
+
+    let lines = WAVES.map(|[length, amplitude]| Line {
+        rows: vec![format!("length {length}, amplitude {amplitude}")],
+        cell: None,
+        scenes: seeds.clone().map(|seed| wavy(length, amplitude, seed)).collect(),
+        read: Box::new(move |meshes| {
+            let columns = middle((2.0 * MARGIN / length).floor() * length);
+            let kept = meshes.iter().map(|mesh| {
+                let tops = columns.tops(mesh);
+                let heights =
+                    tops.iter().enumerate().filter_map(|(n, top)| Some((columns.point(n), (*top)?.height)));
+                2.0 * mean(heights.map(|(at, height)| height * (TAU * at.x / length).sin())) / amplitude
+            });
+            Ok(vec![figure(mean(kept))])
+        }),
+    });
+    board.table("waves jittered by 0.3: share of the amplitude that is kept, mean of 3", lines.into())
+}
+
+/// Mean height above the truth, RMS about that mean, and RMS of the slope in degrees.
+fn deviation(tops: &[Top], truth: f64) -> [f64; 3] {
+    let bias = mean(tops.iter().map(|top| top.height)) - truth;
+    let rms = mean(tops.iter().map(|top| (top.height - truth - bias).powi(2))).sqrt();
+    [bias, rms, mean(tops.iter().map(|top| top.slope.powi(2))).sqrt().to_degrees()]
+}
+
+fn wavy(length: f64, amplitude: f64, seed: usize) -> Points {
+    let below = |p: &[f64; 3]| p[1] - height(seed) < amplitude * (TAU * p[0] / length).sin();
+    pool(JITTER, seed, amplitude.ceil() as i32 + 1).into_iter().filter(below).collect()
+}

@@ -1,0 +1,123 @@
+//! Programs that make surfaces of particles, from file to file.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use crate::Outcome;
+
+/// More particles than this are many.
+const MANY: usize = 200_000;
+
+/// A program, and what is known of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Program {
+    pub name: String,
+    /// The cells that it takes or is advised to take, in spacings; none where it chooses itself.
+    pub cell: Option<f64>,
+    /// The isovalue that it takes by itself, then others worth trying.
+    pub isos: Vec<String>,
+    /// Whether it is made for many particles.
+    pub takes_many: bool,
+    /// Words with `{in}`, `{out}`, `{cell}` and `{cubes}` (a cell in spacings and in radii), `{iso}` and `{threads}`.
+    command: String,
+}
+
+/// A program at one of its isovalues: a column of the tables.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Method {
+    pub name: String,
+    pub program: Program,
+    iso: Option<String>,
+    /// Whether the isovalue is the program's own.
+    pub documented: bool,
+}
+
+/// The programs of a table: name, cell or `-`, isovalues or `-`, `many` or `few` particles, and command, between tabs.
+pub fn read(path: &Path) -> Outcome<Vec<Program>> {
+    fs::read_to_string(path)?.lines().map(Program::parse).collect()
+}
+
+impl Program {
+    fn parse(line: &str) -> Outcome<Self> {
+        let [name, cell, isos, takes, command] = line.split('\t').collect::<Vec<_>>()[..] else {
+            return Err(format!("five fields are needed, not `{line}`").into());
+        };
+        let known = |text: &str| (text != "-").then(|| text.to_owned());
+        Ok(Self {
+            name: name.into(),
+            cell: known(cell).map(|cell| cell.parse()).transpose()?,
+            isos: known(isos).iter().flat_map(|isos| isos.split(' ').map(str::to_owned)).collect(),
+            takes_many: takes == "many",
+            command: command.into(),
+        })
+    }
+
+    /// As documented.
+    pub fn documented(&self) -> Method {
+        self.at(self.isos.first().cloned(), self.name.clone(), true)
+    }
+
+    /// At the isovalue that was found to be the best.
+    pub fn best(&self, iso: &str) -> Method {
+        self.at(Some(iso.into()), format!("{}, best: {iso}", self.name), false)
+    }
+
+    fn at(&self, iso: Option<String>, name: String, documented: bool) -> Method {
+        Method { name, program: self.clone(), iso, documented }
+    }
+}
+
+impl Method {
+    /// Whether it is asked for surfaces of so many particles.
+    pub fn takes(&self, particles: usize) -> bool {
+        self.program.takes_many || particles <= MANY
+    }
+
+    /// The command's words; one that speaks of something that is not known is left out.
+    fn words(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Vec<String> {
+        let cell = cell.or(self.program.cell);
+        let [input, output] = files.map(|file| Some(file.display().to_string()));
+        let values = [
+            ("{in}", input),
+            ("{out}", output),
+            ("{cell}", cell.map(|cell| cell.to_string())),
+            ("{cubes}", cell.map(|cell| (2.0 * cell).to_string())),
+            ("{iso}", self.iso.clone()),
+            ("{threads}", Some(threads.to_string())),
+        ];
+        let filled = |word: &str| {
+            values.iter().try_fold(word.to_owned(), |word, (name, value)| match value {
+                Some(value) => Some(word.replace(name, value)),
+                None => (!word.contains(name)).then_some(word),
+            })
+        };
+        self.program.command.split_whitespace().filter_map(filled).collect()
+    }
+
+    /// The seconds that it took; none where it found no surface, or failed.
+    pub fn run(&self, files: [&Path; 2], cell: Option<f64>, threads: usize) -> Outcome<Option<f64>> {
+        let words = self.words(files, cell, threads);
+        let start = Instant::now();
+        let mut command = Command::new(&words[0]);
+        let done = command.args(&words[1..]).stdin(Stdio::null()).output();
+        let done = done.map_err(|fault| format!("{}: {fault}", words[0]))?;
+        Ok(done.status.success().then(|| start.elapsed().as_secs_f64()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_that_speaks_of_an_unknown_cell_is_left_out() {
+        let program = Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}").unwrap();
+        let files = ["a", "b"].map(Path::new);
+        let words = |method: &Method, cell| method.words(files, cell, 1).join(" ");
+        assert_eq!(words(&program.documented(), None), "one a -t=0.6 -o b");
+        assert_eq!(words(&program.best("0.5"), Some(0.25)), "one a -c=0.5 -t=0.5 -o b");
+        assert!(program.documented().takes(MANY) && !program.documented().takes(MANY + 1));
+    }
+}

@@ -1,0 +1,46 @@
+//! Seconds from file to file, one program after the other.
+
+use std::num::NonZero;
+
+use super::lines::Board;
+use super::programs::Method;
+use crate::scene::splash;
+use crate::tables::Table;
+use crate::{Options, Outcome};
+
+const CELLS: [f64; 2] = [0.5, 0.25];
+/// At the most.
+const THREADS: usize = 2;
+const RUNS: usize = 2;
+
+pub fn run(options: &Options, board: &Board) -> Outcome<()> {
+    let count = options.choose(1_500_000, 100_000);
+    let threads = std::thread::available_parallelism().map_or(1, NonZero::get).min(THREADS);
+    let particles: Vec<[f64; 3]> = splash(count, 1).into_iter().map(|p| p.map(f64::from)).collect();
+    let input = board.input(&particles)?;
+    let timed = |method: &&Method| method.documented && method.program.takes_many;
+    let methods: Vec<&Method> = board.methods.iter().filter(timed).collect();
+    let head: Vec<&str> = [""].into_iter().chain(methods.iter().map(|method| &*method.name)).collect();
+    let mut table = Table::new(&head);
+    for &cell in options.choose(&CELLS[..], &CELLS[..1]) {
+        let seconds = methods.iter().map(|method| {
+            let output = board.file("ply");
+            let runs = (0..RUNS).map(|_| method.run([&input, &output], Some(cell), threads));
+            let runs: Vec<Option<f64>> = runs.collect::<Outcome<_>>()?;
+            std::fs::remove_file(&output).ok();
+            Ok(runs.into_iter().flatten().reduce(f64::min))
+        });
+        let seconds: Vec<Option<f64>> = seconds.collect::<Outcome<_>>()?;
+        let first = seconds[0].unwrap_or(f64::NAN);
+        let text = |seconds: &Option<f64>| {
+            seconds.map_or("none".into(), |seconds| format!("{seconds:.2} ({:.1})", seconds / first))
+        };
+        table.row([format!("cells {cell}")].into_iter().chain(seconds.iter().map(text)));
+    }
+    table.show(&format!(
+        "seconds file to file of {} particles in random order, {threads} threads, the better of {RUNS} runs; \
+         in brackets over those of the first",
+        particles.len()
+    ));
+    Ok(())
+}

@@ -1,0 +1,96 @@
+//! Pictures of frames, every method's through one camera under one light.
+
+use std::collections::HashMap;
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use super::frames::Frame;
+use super::lines::{Board, Points, cell_name};
+use super::programs::Method;
+use crate::render::{Camera, Picture};
+use crate::{Options, Outcome};
+
+/// Of a picture on a sheet, and of one beside another.
+const SMALL: [usize; 2] = [560, 420];
+const LARGE: [usize; 2] = [960, 720];
+const COLUMNS: usize = 3;
+/// Radius of what is looked at from near, and of the particles that are meshed for it.
+const NEAR: f64 = 14.0;
+const AROUND: f64 = 30.0;
+/// Edges of cells in which particles are counted to tell where there is most to see, and how many it takes of them.
+const COUNTED: f64 = 3.0;
+const REGION: i32 = 6;
+
+pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> Outcome<()> {
+    println!("Pictures:\n");
+    for frame in dam.last().into_iter().chain(given) {
+        let (lo, hi) = bounds(&frame.points);
+        let far = Camera::of([lo, hi]);
+        views(options, board, &frame.name, "far", &frame.points, &far, None)?;
+        let focus = busiest(&frame.points);
+        let around: Points =
+            frame.points.iter().copied().filter(|&p| DVec3::from(p).distance(focus) < AROUND).collect();
+        let near = Camera { centre: focus, radius: NEAR };
+        for &cell in options.choose(&[0.5, 0.25][..], &[0.5]) {
+            views(options, board, &frame.name, "near", &around, &near, Some(cell))?;
+        }
+    }
+    Ok(())
+}
+
+/// A sheet of all methods, and the first beside the second.
+fn views(
+    options: &Options,
+    board: &Board,
+    name: &str,
+    view: &str,
+    points: &[[f64; 3]],
+    camera: &Camera,
+    cell: Option<f64>,
+) -> Outcome<()> {
+    let input = board.input(points)?;
+    let asked = |method: &&Method| method.documented && method.takes(points.len());
+    let methods: Vec<&Method> = board.methods.iter().filter(asked).collect();
+    let pictures: Vec<(Picture, Option<Picture>)> = methods
+        .par_iter()
+        .enumerate()
+        .with_max_len(1)
+        .map(|(n, method)| {
+            let mesh = board.mesh(method, &input, cell)?.unwrap_or_default();
+            let label = format!("{}, {}", method.name, cell_name(cell.or(method.program.cell)));
+            let picture = |size| Picture::of(&mesh, None, camera, size).labelled(&label);
+            Ok((picture(SMALL), (n < 2).then(|| picture(LARGE))))
+        })
+        .collect::<Outcome<_>>()?;
+    let stem = format!("{name} {view} {}", cell_name(cell)).replace(' ', "-");
+    let (small, large): (Vec<Picture>, Vec<Option<Picture>>) = pictures.into_iter().unzip();
+    let large: Vec<Picture> = large.into_iter().flatten().collect();
+    for (file, pictures, columns) in
+        [(format!("{stem}.png"), small, COLUMNS), (format!("{stem}-beside.png"), large, 2)]
+    {
+        Picture::sheet(&pictures, columns).write(&options.out.join(&file))?;
+        println!("- {file}");
+    }
+    Ok(())
+}
+
+fn bounds(points: &[[f64; 3]]) -> (DVec3, DVec3) {
+    let none = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    points.iter().fold(none, |(lo, hi), &p| (lo.min(p.into()), hi.max(p.into())))
+}
+
+/// The middle of the region with the most cells that are full in part.
+fn busiest(points: &[[f64; 3]]) -> DVec3 {
+    let mut counts: HashMap<IVec3, usize> = HashMap::new();
+    for &p in points {
+        *counts.entry((DVec3::from(p) / COUNTED).floor().as_ivec3()).or_default() += 1;
+    }
+    let half = COUNTED.powi(3) / 2.0;
+    let mut regions: HashMap<IVec3, usize> = HashMap::new();
+    for (cell, _) in counts.iter().filter(|&(_, &count)| (count as f64) < half) {
+        *regions.entry(cell.div_euclid(IVec3::splat(REGION))).or_default() += 1;
+    }
+    let most = regions.iter().max_by_key(|(region, count)| (**count, region.to_array()));
+    most.map_or(DVec3::ZERO, |(region, _)| (region.as_dvec3() + 0.5) * COUNTED * f64::from(REGION))
+}
