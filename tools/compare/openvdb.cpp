@@ -1,21 +1,16 @@
-// Surfaces of particles by OpenVDB's own tools, file to file, for tools/compare/quality.
+// Surfaces of particles by OpenVDB's points::rasterizeSmoothSpheres (Zhu and Bridson's), file to file.
 //
-// usage: openvdb smooth|spheres IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
+// usage: openvdb IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS
 //
 // IN.xyz: raw f32 triples. VOXEL and ISOVALUE, a distance outwards, are in units of SPACING.
-// smooth:  points::rasterizeSmoothSpheres (Zhu and Bridson), spheres of half a spacing, searched within two spacings.
-// spheres: points::rasterizeSpheres of one spacing, then dilated by a spacing, smoothed by a Gaussian of a spacing and
-//          eroded by as much, as vdb_tool's README turns points into a liquid's surface.
+// Spheres have half a spacing as their radius, and are searched within two.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>
-#include <openvdb/tools/LevelSetFilter.h>
 #include <openvdb/tools/VolumeToMesh.h>
 #include <tbb/global_control.h>
 
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
+#include <cstddef>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -36,8 +31,7 @@ std::vector<openvdb::Vec3s> read(const char* path) {
     return points;
 }
 
-openvdb::FloatGrid::Ptr rasterize(const std::string& how, const std::vector<openvdb::Vec3s>& points,
-                                  const double spacing, const double voxel) {
+openvdb::FloatGrid::Ptr rasterize(const std::vector<openvdb::Vec3s>& points, const double spacing, const double voxel) {
     const auto transform = openvdb::math::Transform::createLinearTransform(voxel);
     // Bins of about a spacing suit the rasterizer, whatever the voxels are.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
@@ -46,14 +40,7 @@ openvdb::FloatGrid::Ptr rasterize(const std::string& how, const std::vector<open
         openvdb::tools::createPointIndexGrid<openvdb::tools::PointIndexGrid>(positions, *bins);
     const auto grid = openvdb::points::createPointDataGrid<openvdb::points::NullCodec, openvdb::points::PointDataGrid>(
         *index, positions, *bins);
-    if (how == "smooth")
-        return openvdb::points::rasterizeSmoothSpheres(*grid, 0.5 * spacing, 2.0 * spacing, half_width, transform);
-    auto surface = openvdb::points::rasterizeSpheres(*grid, spacing, half_width, transform);
-    openvdb::tools::LevelSetFilter<openvdb::FloatGrid> filter(*surface);
-    filter.offset(static_cast<float>(-spacing));
-    filter.gaussian(std::max(1, static_cast<int>(std::lround(spacing / voxel))));
-    filter.offset(static_cast<float>(spacing));
-    return surface;
+    return openvdb::points::rasterizeSmoothSpheres(*grid, 0.5 * spacing, 2.0 * spacing, half_width, transform);
 }
 
 // Quads are cut in two. OpenVDB's polygons face inwards.
@@ -83,16 +70,15 @@ void write(const char* path, const openvdb::FloatGrid& surface, const double iso
 }  // namespace
 
 int main(int count, char** arguments) {
-    if (count != 8) {
-        std::fprintf(stderr, "usage: openvdb smooth|spheres IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
+    if (count != 7) {
+        std::fprintf(stderr, "usage: openvdb IN.xyz OUT.ply SPACING VOXEL ISOVALUE THREADS\n");
         return 2;
     }
-    const double spacing = std::stod(arguments[4]);
-    const auto threads = static_cast<std::size_t>(std::stoul(arguments[7]));
+    const double spacing = std::stod(arguments[3]);
+    const auto threads = static_cast<std::size_t>(std::stoul(arguments[6]));
     const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
     openvdb::initialize();
-    const auto surface =
-        rasterize(arguments[1], read(arguments[2]), spacing, spacing * std::stod(arguments[5]));
-    write(arguments[3], *surface, spacing * std::stod(arguments[6]));
+    const auto surface = rasterize(read(arguments[1]), spacing, spacing * std::stod(arguments[4]));
+    write(arguments[2], *surface, spacing * std::stod(arguments[5]));
     return 0;
 }

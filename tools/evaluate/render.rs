@@ -78,7 +78,9 @@ impl Picture {
         let shades: Vec<Vec3> = normals(mesh)
             .into_iter()
             .enumerate()
-            .map(|(vertex, normal)| colours.map_or(WATER, |colours| colours[vertex]) * light(normal))
+            .map(|(vertex, normal)| {
+                colours.map_or(WATER, |colours| colours[vertex]) * light(normal) + gloss(normal)
+            })
             .collect();
         for &triangle in &mesh.triangles {
             let corners = triangle.map(|vertex| seen[vertex as usize]);
@@ -199,6 +201,12 @@ fn normals(mesh: &Mesh) -> Vec<Vec3> {
 /// Of a lamp, and of the sky.
 fn light(normal: Vec3) -> f32 {
     0.35 + 0.15 * normal.y + 0.6 * normal.dot(LIGHT.normalize()).max(0.0)
+}
+
+/// What of the lamp is mirrored towards the camera: it shows a surface's unevenness.
+fn gloss(normal: Vec3) -> f32 {
+    let half = (LIGHT.normalize() + TOWARDS.normalize().as_vec3()).normalize();
+    0.3 * normal.dot(half).max(0.0).powi(30)
 }
 
 #[cfg(test)]

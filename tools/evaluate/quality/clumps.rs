@@ -68,7 +68,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         options.choose(&CELLS[..], &CELLS[2..3]).iter().copied().map(Some).collect();
     let of_drops = |bulk: bool, cell: Option<f64>| {
         let beside = if bulk { "beside a bulk" } else { "alone" };
-        let row = |size: IVec3| format!("{} particles {beside}, {}", size.element_product(), cell_name(cell));
+        let row = |size: IVec3| format!("of {}, {beside}, {}", size.element_product(), cell_name(cell));
         Line {
             rows: SIZES.map(row).into(),
             cell,
@@ -81,7 +81,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     };
     let beside = cells.iter().map(|&cell| of_drops(true, cell));
     let lines = [None].map(|cell| of_drops(false, cell)).into_iter().chain(beside).collect();
-    board.table("49 drops: pieces; a drop's volume over its particles': least, mean, greatest", lines)?;
+    board.table("49 drops of 1, 2 and 8 particles: pieces; a drop's volume over its particles': least, mean, greatest", lines)?;
 
     let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, volume over theirs");
     let air = Line {

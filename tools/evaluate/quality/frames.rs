@@ -25,12 +25,12 @@ const SIGMA: f64 = 3.0;
 /// Edge of the cells in which it is told from particles whether water is calm.
 const EDGE: f64 = 2.0;
 /// So many of those cells on either side are looked at.
-const REACH: i32 = 2;
+const REACH: i32 = 1;
 /// How far particles on top of calm water lie from a plane, RMS.
 const CALM: f64 = 0.4;
 /// How deep calm water is, and how much of that its particles fill.
 const DEPTH: f64 = 4.0;
-const FULL: f64 = 0.75;
+const FULL: f64 = 0.5;
 
 /// Particles at spacing 1, y up.
 pub struct Frame {

@@ -15,6 +15,8 @@ use crate::{Options, Outcome};
 const SMALL: [usize; 2] = [560, 420];
 const LARGE: [usize; 2] = [960, 720];
 const COLUMNS: usize = 3;
+/// Of the box's corners less is seen, and of what is in it more.
+const FAR: f64 = 0.8;
 /// Radius of what is looked at from near, and of the particles that are meshed for it.
 const NEAR: f64 = 14.0;
 const AROUND: f64 = 30.0;
@@ -26,7 +28,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     println!("Pictures:\n");
     for frame in dam.last().into_iter().chain(given) {
         let (lo, hi) = bounds(&frame.points);
-        let far = Camera::of([lo, hi]);
+        let far = Camera { radius: FAR * (hi - lo).length() / 2.0, ..Camera::of([lo, hi]) };
         views(options, board, &frame.name, "far", &frame.points, &far, None)?;
         let focus = busiest(&frame.points);
         let around: Points =
