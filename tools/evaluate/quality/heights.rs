@@ -1,7 +1,8 @@
 //! Surfaces seen from above: heights over the points of a level grid.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, IVec2};
 use meniscus::mesh::Mesh;
+use rayon::prelude::*;
 
 /// Points of a level grid.
 #[derive(Debug, Clone, Copy)]
@@ -90,29 +91,34 @@ impl Columns {
         tops
     }
 
-    /// What is left of heights that a Gaussian takes away, where there are any.
+    /// What is left of heights that a Gaussian takes away, where there are any: of planes nothing, up to the ends of what
+    /// is there.
     pub fn without_gaussian(&self, heights: &[Option<f64>], sigma: f64) -> Vec<Option<f64>> {
-        let reach = (3.0 * sigma / self.step).ceil() as isize;
-        let weights: Vec<f64> =
-            (-reach..=reach).map(|n| (-0.5 * (n as f64 * self.step / sigma).powi(2)).exp()).collect();
-        // Weighted heights and weights, so that the Gaussian is one of what is there.
-        let mut sums: Vec<DVec2> = heights
-            .iter()
-            .map(|height| height.map_or(DVec2::ZERO, |height| DVec2::new(height, 1.0)))
+        let reach = (3.0 * sigma / self.step).ceil() as i32;
+        let offs: Vec<(IVec2, f64)> = (-reach..=reach)
+            .flat_map(|z| (-reach..=reach).map(move |x| IVec2::new(x, z)))
+            .map(|off| (off, (-0.5 * (off.as_dvec2() * self.step / sigma).length_squared()).exp()))
             .collect();
-        for (axis, stride) in [(0, 1), (1, self.size[0])] {
-            let of = |n: usize| -> DVec2 {
-                let place = (n / stride % self.size[axis]) as isize;
-                let near =
-                    (-reach..=reach).filter(|off| (0..self.size[axis] as isize).contains(&(place + off)));
-                near.map(|off| {
-                    weights[(off + reach) as usize] * sums[(n as isize + off * stride as isize) as usize]
-                })
-                .sum()
-            };
-            sums = (0..sums.len()).map(of).collect();
-        }
-        heights.iter().zip(&sums).map(|(height, sum)| height.map(|height| height - sum.x / sum.y)).collect()
+        let [width, depth] = self.size.map(|size| size as i32);
+        let left = |n: usize| {
+            let height = heights[n]?;
+            let place = IVec2::new(n as i32 % width, n as i32 / width);
+            // The plane that is nearest to all around, by weight.
+            let (mut squares, mut sums) = (DMat3::ZERO, DVec3::ZERO);
+            for &(off, weight) in &offs {
+                let at = place + off;
+                if at.cmplt(IVec2::ZERO).any() || at.x >= width || at.y >= depth {
+                    continue;
+                }
+                if let Some(other) = heights[(at.x + at.y * width) as usize] {
+                    let terms = DVec3::new(1.0, off.x.into(), off.y.into());
+                    squares += DMat3::from_cols(terms, terms * terms.y, terms * terms.z) * weight;
+                    sums += terms * (weight * (other - height));
+                }
+            }
+            (squares.determinant() > 1e-6).then(|| -(squares.inverse() * sums).x)
+        };
+        (0..heights.len()).into_par_iter().map(left).collect()
     }
 }
 
