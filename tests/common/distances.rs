@@ -1,5 +1,5 @@
 //! The oracle of distances from clouds: the formulas on one dense array, as plainly as they can be said, in the integers that the
-//! sparse field must equal to the bit.
+//! sparse field must equal to the bit, and in f64 as they are written.
 //!
 //! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin is 0.
 
@@ -20,8 +20,9 @@ pub struct Distances {
     pub walls: Option<CellBox>,
 }
 
-/// Units of a spacing.
-const UNITS: f64 = 8192.0;
+/// Units of a spacing, and the sample of a distance of 0.
+pub const UNITS: f64 = 8192.0;
+pub const ZERO: f64 = 32768.0;
 
 /// Half of a Gaussian's mask of such a variance, cut off at a reach, centre first, in 65536ths.
 fn gaussian(variance: f64, cut: f64) -> Vec<u64> {
@@ -141,10 +142,10 @@ impl Distances {
         wide
     }
 
-    /// The field; `inside` are wide cells that are, by definition.
-    pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
-        let (level, edge) = self.wide();
-        let cells = self.walls.unwrap_or_else(|| {
+    /// What lies between the walls, or all that the field can reach, by whole wide cells.
+    fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
+        self.walls.unwrap_or_else(|| {
+            let (level, _) = self.wide();
             let reach = 14 << level;
             let around = particles
                 .iter()
@@ -153,7 +154,26 @@ impl Distances {
             let edge = IVec3::splat(1 << level);
             let CellBox { lo, hi } = around.grown(reach, reach);
             CellBox { lo: lo.div_euclid(edge) * edge, hi: (hi.div_euclid(edge) + 1) * edge }
-        });
+        })
+    }
+
+    /// The masks of the three widths, by the edge of a wide cell.
+    fn widths(&self, edge: f64) -> [Vec<u64>; 3] {
+        [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)].map(|(times, least)| {
+            let cells = times * self.smooth / edge;
+            gaussian((cells * cells - 0.25).max(least), 2.2)
+        })
+    }
+
+    /// The mask that averages what both surfaces are apart by.
+    fn around(&self, edge: f64) -> Vec<u64> {
+        gaussian((0.5625 * self.smooth / edge).powi(2).max(0.35), 1.7)
+    }
+
+    /// The field; `inside` are wide cells that are, by definition.
+    pub fn integer(&self, particles: &[[f64; 3]], inside: impl Fn(IVec3) -> bool) -> Dense<u16> {
+        let (level, edge) = self.wide();
+        let cells = self.cells(particles);
         let fine = clouds(particles, cells, self.walls, amount(self.spacing));
         // Clouds at every level, with the walls there.
         let mut clouds = vec![(fine, self.walls)];
@@ -182,9 +202,7 @@ impl Distances {
         edge: f64,
         inside: impl Fn(IVec3) -> bool,
     ) -> (Dense<u16>, Dense<u16>) {
-        let widths = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)].map(|(times, least)| {
-            let cells = times * self.smooth / edge;
-            let half = gaussian((cells * cells - 0.25).max(least), 2.2);
+        let widths = self.widths(edge).map(|half| {
             let width = ((variance(&half) + 0.25).sqrt() * edge * 4096.0).round() as i64;
             (blur(wide, &half, 3, walls), width)
         });
@@ -216,8 +234,7 @@ impl Distances {
         let apart = Dense::new(wide.cells, |cell| {
             ((of_fine(cell) - of_calm(cell)).clamp(-8192, 8192) + 32768) as u16
         });
-        let around = (0.5625 * self.smooth / edge).powi(2).max(0.35);
-        let apart = blur(&apart, &gaussian(around, 1.7), 0, walls);
+        let apart = blur(&apart, &self.around(edge), 0, walls);
         let [told, told_range] = [units(0.07), units(0.14) - units(0.07)];
         let [deep, deep_range] = [32768 + units(0.3), units(0.9) - units(0.3)];
         let mixed = Dense::new(wide.cells, |cell| {
@@ -327,4 +344,172 @@ fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>
         });
     }
     field
+}
+
+/// The inverse of the standard normal distribution, cut off where the committed table is.
+pub fn quantile(share: f64) -> f64 {
+    let share = share.clamp(0.0002, 0.9998);
+    let density = |z: f64| (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
+    // The distribution as a series around 0.
+    let below = |z: f64| {
+        let next = |(term, k): (f64, f64)| (term * z * z / (2.0 * k + 1.0), k + 1.0);
+        let terms = std::iter::successors(Some((z, 1.0)), |&term| Some(next(term)));
+        0.5 + density(z) * terms.take(60).map(|(term, _)| term).sum::<f64>()
+    };
+    (0..12).fold(0.0, |z, _| z + (share - below(z)) / density(z))
+}
+
+/// How far from the middle of a standard normal density it is such a share of what it is there, cut off where the committed table is.
+pub fn away(share: f64) -> f64 {
+    (-2.0 * share.clamp(0.0001, 1.0).ln()).sqrt()
+}
+
+/// The quadratic B-spline.
+fn b_spline(x: f64) -> f64 {
+    match x.abs() {
+        x if x < 0.5 => 0.75 - x * x,
+        x if x < 1.5 => (1.5 - x) * (1.5 - x) / 2.0,
+        _ => 0.0,
+    }
+}
+
+/// 3 x^2 - 2 x^3 between two values.
+fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
+    let x = ((value - begin) / (end - begin)).clamp(0.0, 1.0);
+    x * x * (3.0 - 2.0 * x)
+}
+
+fn shares(half: &[u64]) -> Vec<f64> {
+    half.iter().map(|&weight| weight as f64 / 65536.0).collect()
+}
+
+fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<CellBox>) -> Dense<f64> {
+    let reach = half.len() as i32 - 1;
+    (0..3).fold(field.clone(), |field, axis| {
+        Dense::new(field.cells, |cell| {
+            let tap =
+                |k: i32| half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, walls);
+            (-reach..=reach).map(tap).sum()
+        })
+    })
+}
+
+fn really_refined(wide: &Dense<f64>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<f64> {
+    if level == 0 {
+        return wide.clone();
+    }
+    let edge = f64::from(1 << level);
+    (0..3).fold(wide.clone(), |field, axis| {
+        let mut to = field.cells;
+        (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);
+        Dense::new(to, |cell| {
+            let at = (f64::from(cell[axis]) + 0.5) / edge;
+            let mut own = cell;
+            own[axis] = at.floor() as i32;
+            let tap = |k: i32| {
+                let away = at.floor() + f64::from(k) + 0.5 - at;
+                b_spline(away) * field.at(own + IVec3::AXES[axis] * k, walls)
+            };
+            (-1..=1).map(tap).sum()
+        })
+    })
+}
+
+impl Distances {
+    /// The field in f64, in spacings; -4 where nothing is near.
+    pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
+        let (level, edge) = self.wide();
+        let cells = self.cells(particles);
+        let mut fine = Dense::new(cells, |_| 0.0_f64);
+        let inside = |cell: IVec3| self.walls.is_none_or(|walls| walls.contains(cell));
+        for particle in particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3())) {
+            for away in CellBox::cube(IVec3::ZERO, 3).cubes(1) {
+                let to = particle.floor().as_ivec3() + away - 1;
+                let from = to.as_dvec3() + 0.5 - particle;
+                let share: f64 = from.to_array().into_iter().map(b_spline).product();
+                *fine.nearest(to) += share;
+            }
+        }
+        let mut clouds = vec![(fine, self.walls)];
+        for _ in 0..level {
+            let (finer, walls) = clouds.last().expect("there is one at level 0");
+            let to = CellBox { lo: finer.cells.lo >> 1, hi: (finer.cells.hi + 1) >> 1 };
+            let wider = Dense::new(to, |cell| {
+                let tap = |away: IVec3| {
+                    let weight = |k: i32| [0.25, 0.75, 0.75, 0.25][k as usize];
+                    let weight: f64 = away.to_array().into_iter().map(weight).product();
+                    weight * finer.at(2 * cell - 1 + away, *walls)
+                };
+                CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum()
+            });
+            clouds.push((wider, walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 })));
+        }
+        let (wide, walls) = clouds.last().expect("there is one at level 0");
+        let (bulk, near) = self.real_bulk(wide, *walls, edge);
+        let [bulk, near] = [bulk, near].map(|field| really_refined(&field, level, cells, *walls));
+
+        let level = level.max(1) - 1;
+        let (fine, walls) = &clouds[level as usize];
+        let spacing = self.spacing / f64::from(1 << level);
+        let drops = Drops::new(spacing, level > 0);
+        let around = really_blurred(fine, &shares(&drops.around), *walls);
+        let of_it = Dense::new(fine.cells, |cell| match fine.at(cell, None) {
+            0.0 => 0.0,
+            cloud => cloud / around.at(cell, None),
+        });
+        let of_it = really_blurred(&of_it, &shares(&drops.spread), *walls);
+        let of_it = really_refined(&of_it, level, cells, *walls);
+        let (radius, width) =
+            (drops.radius as f64 / UNITS, (variance(&drops.around) + 0.25).sqrt() / spacing);
+        Dense::new(cells, |cell| {
+            let [bulk, near, share] = [&bulk, &near, &of_it].map(|field| field.at(cell, None));
+            let out = (radius - away(share) * width - bulk).max(0.0);
+            bulk + out * risen(near, [0.4, 1.0])
+        })
+    }
+
+    /// The surface of the bulk, and by how much particles lie outside of the calm one near by; -4 where there are none.
+    fn real_bulk(&self, wide: &Dense<f64>, walls: Option<CellBox>, edge: f64) -> (Dense<f64>, Dense<f64>) {
+        // Particles in a wide cell deep in the fluid: what one adds in all is half as many samples with the gain.
+        let plateau = f64::from(self.plateau) / (8.0 * amount(1.0 / edge) as f64);
+        let widths = self.widths(edge);
+        let depths = widths.map(|half| {
+            let width = (variance(&half) + 0.25).sqrt() * edge;
+            let smooth = really_blurred(wide, &shares(&half), walls);
+            let depth = |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-2.5, 2.5);
+            (Dense::new(wide.cells, depth), width)
+        });
+        let surface = |narrow: usize| {
+            let [(near, a), (far, b)] = [&depths[narrow], &depths[narrow + 1]];
+            Dense::new(wide.cells, |cell| {
+                let [near, far] = [near, far].map(|depth| depth.at(cell, None));
+                (near + (near - far) * a * a / (b * b - a * a)).clamp(-4.0, 4.0)
+            })
+        };
+        let [fine, calm] = [surface(0), surface(1)];
+        let apart =
+            Dense::new(wide.cells, |cell| (fine.at(cell, None) - calm.at(cell, None)).clamp(-1.0, 1.0));
+        let apart = really_blurred(&apart, &shares(&self.around(edge)), walls);
+        // -4 is what a sample of 0 says.
+        let outlying = Dense::new(wide.cells, |cell| {
+            if wide.at(cell, None) >= 1.0 / 9.0 { -calm.at(cell, None) } else { -4.0 }
+        });
+        let reach = (1.0 / edge).round().max(1.0) as i32;
+        let near = (0..3).fold(outlying, |field, axis| {
+            Dense::new(field.cells, |cell| {
+                let own = field.at(cell, None);
+                let taps = (-reach..=reach).map(|k| cell + IVec3::AXES[axis] * k);
+                let known = taps.filter(|&cell| walls.is_some() || field.cells.contains(cell));
+                known.map(|cell| field.at(cell, walls)).fold(own, f64::max)
+            })
+        });
+        let bulk = Dense::new(wide.cells, |cell| {
+            if near.at(cell, None) <= -4.0 {
+                return -4.0;
+            }
+            let [fine, calm, apart] = [&fine, &calm, &apart].map(|field| field.at(cell, None));
+            calm + (fine - calm) * risen(apart.abs(), [0.07, 0.14]) * (1.0 - risen(calm, [0.3, 0.9]))
+        });
+        (bulk, near)
+    }
 }
