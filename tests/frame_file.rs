@@ -16,7 +16,7 @@ use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
 use meniscus::particles::Particles;
-use meniscus::stage::indicator::{Indicator, IndicatorKind, PageRule, SampledDif, indicate};
+use meniscus::stage::indicator::{Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate};
 use meniscus::units::MeanCount;
 use rayon::prelude::*;
 use tempfile::TempDir;
@@ -269,6 +269,41 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         }
         let found = refusal(&folder, &bad);
         assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+    }
+}
+
+#[test]
+fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
+    let folder = Folder::new();
+    let particles = splashes(5);
+    for indicator in INDICATORS {
+        let frame = sample(&particles[..], sampling().grid, None, indicator, BrickSide::Eight);
+        let mut bytes = encoded(&frame);
+        assert_eq!(bytes[8..12], 2_u32.to_le_bytes());
+        bytes[8] = 1;
+        assert!(refusal(&folder, &bytes).contains("checksum"), "{indicator:?}");
+        Layout::of(&bytes).seal(&mut bytes);
+        if indicator == IndicatorKind::Cloud {
+            let found = open_frame(&folder.file(&bytes), 1 << 20).unwrap_err().fault;
+            assert!(matches!(found, ReadFault::Unsupported(_)), "{found}");
+            assert!(found.to_string().contains("clouds of version 1"), "{found}");
+            assert!(found.to_string().contains("pack the particles again"), "{found}");
+        } else {
+            assert_same_frame(&open_frame(&folder.file(&bytes), 1 << 20).unwrap(), &frame, "version 1");
+        }
+    }
+}
+
+#[test]
+fn clouds_come_back_as_large_as_their_spacing_says() {
+    let folder = Folder::new();
+    for spacing in [None, Some(0.05), Some(0.5), Some(1.5), Some(7.0)] {
+        let mut frame =
+            sample(&splashes(5)[..], sampling().grid, None, IndicatorKind::Cloud, BrickSide::Sixteen);
+        frame.facts.spacing = spacing;
+        let found = open_frame(&folder.file(&encoded(&frame)), 1 << 20).unwrap();
+        let amount = Amount::of_spacing(spacing.unwrap_or(1.0));
+        assert_eq!((found.indicator, found.facts), (Indicator::Cloud(amount), frame.facts));
     }
 }
 

@@ -363,6 +363,98 @@ fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_i
 }
 
 #[test]
+fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own() {
+    let folder = falling(1..=3);
+    let dense: Vec<_> = [ball(2), ball(3), ball(4)].concat();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
+    let more = ["--cell-size", "0.3", "--spacing", "0.5", "--origin", "0,0,0", "--overwrite"];
+    let frozen = |more: &[&str]| {
+        run(folder.path(), &with(more), 0);
+        let made = tree(&folder.path().join("out"));
+        let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
+        (made, state["frozen"].clone())
+    };
+    let (made, thin) = frozen(&more);
+    assert!(thin["frame"] == 1 && thin["mu0"].is_null() && thin["isovalue"].is_null(), "{thin}");
+    let single = |frame: u32| {
+        let input = format!("in/f_{frame}.xyz");
+        run(folder.path(), &[&[&input, "-o", "one.ply"], &more[..]].concat(), 0);
+        fs::read(folder.path().join("one.ply")).unwrap()
+    };
+    assert!(single(1) == made["m_1.ply"], "by its own");
+    assert!(single(2) != made["m_2.ply"], "by that of another");
+    // The plateau alone tells the others apart: by a third of it there is more fluid than by all.
+    fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
+    let (by_dense, dense) = frozen(&more);
+    let plateau = |frozen: &Value| frozen["plateau"].as_f64().unwrap();
+    let ratio = plateau(&dense) / plateau(&thin);
+    assert!((2.5..3.5).contains(&ratio), "{dense} and {thin}");
+    assert!(by_dense["m_3.ply"] != made["m_3.ply"]);
+}
+
+#[test]
+fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_resume_too() {
+    let folder = falling(1..=2);
+    run(folder.path(), &ALL, 0);
+    let path = folder.path().join("out/m.ply.meniscus/state.json");
+    let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    // Clouds had a mu0 and an isovalue.
+    let frozen = state["frozen"].as_object_mut().unwrap();
+    frozen.remove("plateau").unwrap();
+    frozen.insert("mu0".into(), 2.5.into());
+    frozen.insert("isovalue".into(), 0.1.into());
+    fs::write(&path, state.to_string()).unwrap();
+    fs::write(folder.path().join("in/f_3.xyz"), raw(&ball(3))).unwrap();
+    let before = tree(folder.path());
+    for more in [&[][..], &["--resume"], &["--frames", "3..3"], &["--plan"]] {
+        let errors = run(folder.path(), &with(more), 2);
+        assert!(
+            errors.contains("of another surface") && errors.contains("--overwrite"),
+            "{more:?}: {errors}"
+        );
+        assert!(tree(folder.path()) == before, "{more:?}");
+    }
+    // As the program before wrote it, with an option that is gone: other settings, which --resume makes anew.
+    let settings = state["settings"].as_object_mut().unwrap();
+    settings.remove("smooth").unwrap();
+    settings.insert("adaptive".into(), false.into());
+    fs::write(&path, state.to_string()).unwrap();
+    let errors = run(folder.path(), &ALL, 2);
+    assert!(errors.contains("adaptive") && errors.contains("smooth"), "{errors}");
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("made anew"), "{errors}");
+}
+
+#[test]
+fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_or_to_the_spacing() {
+    let ball: Vec<_> = ball(1);
+    let mut random = Random::new(4);
+    let spray: Vec<[f64; 3]> = (0..400).map(|_| [(); 3].map(|()| 60.0 * random.unit())).collect();
+    let lattice = fill(4.0, 2.0, 0.0, 1, |p| p.y < 0.0);
+    let empty = Vec::new();
+    let plateau = |frames: &[&Vec<[f64; 3]>]| {
+        let folder = TempDir::new().unwrap();
+        for (number, frame) in (1..).zip(frames) {
+            let rows = frame.iter().map(|[x, y, z]| format!("{x},{y},{z}\n"));
+            let rows = ["x,y,z\n".to_owned()].into_iter().chain(rows);
+            fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>()).unwrap();
+        }
+        run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.5", "--origin", "0,0,0"], 0);
+        let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
+        let state: Value = serde_json::from_slice(&state).unwrap();
+        let last = read_mesh(&folder.path().join(format!("m_{}.ply", frames.len()))).unwrap();
+        (state["frozen"]["plateau"].as_f64().unwrap(), measure(&last).volume.unwrap())
+    };
+    let (alone, volume) = plateau(&[&ball]);
+    for first in [&spray, &lattice, &empty] {
+        let (found, with) = plateau(&[first, &ball]);
+        assert!((found / alone - 1.0).abs() < 0.02, "{found} and {alone}");
+        assert!((with / volume - 1.0).abs() < 0.02, "{with} and {volume}");
+    }
+}
+
+#[test]
 fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
     let folder = falling(1..=2);
     run(folder.path(), &ALL, 0);

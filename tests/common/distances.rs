@@ -204,7 +204,7 @@ impl Distances {
     ) -> (Dense<u16>, Dense<u16>) {
         let widths = self.widths(edge).map(|half| {
             let width = ((variance(&half) + 0.25).sqrt() * edge * 4096.0).round() as i64;
-            (blur(wide, &half, 3, walls), width)
+            (blur(wide, &half, 2, walls), width)
         });
         let scale = ((f64::from(1 << 29) / f64::from(self.plateau)).round() as i64).min(65535);
         let depth = |which: usize, cell: IVec3| {
@@ -470,8 +470,8 @@ impl Distances {
 
     /// The surface of the bulk, and by how much particles lie outside of the calm one near by; -4 where there are none.
     fn real_bulk(&self, wide: &Dense<f64>, walls: Option<CellBox>, edge: f64) -> (Dense<f64>, Dense<f64>) {
-        // Particles in a wide cell deep in the fluid: what one adds in all is half as many samples with the gain.
-        let plateau = f64::from(self.plateau) / (8.0 * amount(1.0 / edge) as f64);
+        // Particles in a wide cell deep in the fluid, each of four times as many samples with the gain.
+        let plateau = f64::from(self.plateau) / (4.0 * amount(1.0 / edge) as f64);
         let widths = self.widths(edge);
         let depths = widths.map(|half| {
             let width = (variance(&half) + 0.25).sqrt() * edge;

@@ -108,7 +108,11 @@ pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isova
 pub fn advice(options: &Options, frame: Option<u64>) -> String {
     let mut advice = String::new();
     if let Some(frame) = frame {
-        let _ = write!(advice, "; its isovalue was measured on frame {frame}");
+        let _ = write!(
+            advice,
+            "; {} was measured on frame {frame}",
+            if options.sampling.is_cloud() { "its plateau" } else { "its isovalue" }
+        );
     }
     if matches!(options.iso, IsoOption::Value(_)) {
         advice += "; a lower --iso, or --iso auto, shows more";

@@ -66,8 +66,9 @@ pub struct Distances {
     pub inside: Arc<Inside>,
 }
 
-/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes half of what a sample can be.
-pub const BULK_GAIN: u32 = 3;
+/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample can be, so that a fluid four times as
+/// dense as its spacing says, because that is wrong by half, is still told.
+pub const BULK_GAIN: u32 = 2;
 
 /// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
 fn gaussian(cells: f64, least: f64, cut: f64) -> (Kernel, f64) {
