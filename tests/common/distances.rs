@@ -218,9 +218,10 @@ impl Distances {
             let most = (20480 << 14) / width;
             (deviations.clamp(-most, most) * width) >> 14
         };
+        let spline = if self.wide().0 > 0 { 0.125 * (edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|which| (widths[which].1 as f64).powi(2));
-            (a / (b - a) * 4096.0).round() as i64
+            ((a + spline) / (b - a) * 4096.0).round() as i64
         };
         let surface = |narrow: usize| {
             let share = share(narrow);
@@ -479,11 +480,12 @@ impl Distances {
             let depth = |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-2.5, 2.5);
             (Dense::new(wide.cells, depth), width)
         });
+        let spline = if self.wide().0 > 0 { 0.125 * edge * edge } else { 0.0 };
         let surface = |narrow: usize| {
             let [(near, a), (far, b)] = [&depths[narrow], &depths[narrow + 1]];
             Dense::new(wide.cells, |cell| {
                 let [near, far] = [near, far].map(|depth| depth.at(cell, None));
-                (near + (near - far) * a * a / (b * b - a * a)).clamp(-4.0, 4.0)
+                (near + (near - far) * (a * a + spline) / (b * b - a * a)).clamp(-4.0, 4.0)
             })
         };
         let [fine, calm] = [surface(0), surface(1)];

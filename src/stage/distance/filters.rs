@@ -45,6 +45,9 @@ const LEAST_DROP_RADIUS: f64 = 0.38;
 /// Where its Gaussian is cut off, in standard deviations.
 const DROP_CUT: f64 = 2.6;
 
+/// The variance of the spline that makes cells of wider ones, in squared wider ones.
+const SPLINE: f64 = 0.25;
+
 /// All that makes distances of clouds but the plateau.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Distances {
@@ -95,9 +98,12 @@ impl Distances {
             let spacings = (width * wide.edge * 4096.0).round() as i32;
             Width { kernel: kernel.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
         });
+        // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones: of balls of a few spacings, whose
+        // extrapolation goes somewhat too far, no more than that is missing.
+        let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
-            (a / (b - a) * 4096.0).round() as i32
+            ((a + spline) / (b - a) * 4096.0).round() as i32
         };
         let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
         let around = Kernel::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
@@ -220,8 +226,7 @@ impl Drops {
         let spacing = spacing / f64::from(1 << level);
         let cells = DROP_WIDTH * spacing;
         let (kernel, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
-        // The spline that makes cells of wider ones has a quarter of a squared one of its own.
-        let spline = if level > 0 { 0.25 } else { 0.0 };
+        let spline = if level > 0 { SPLINE } else { 0.0 };
         let (spread, _) = gaussian((cells * cells - spline).sqrt(), LEAST_VARIANCE, DROP_CUT);
         let less = LESS_RADIUS[usize::from(level > 0)];
         let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);

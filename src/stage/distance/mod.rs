@@ -6,7 +6,8 @@
 //! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). Of the clouds' density under s, as a share
 //!    theta of the plateau, D_s = s Phi^-1(theta) is therefore a depth, held within 2.5 d.
 //! 2. Extrapolated. Curvature moves D_s by as much as s^2, so a line through two widths tells that of none:
-//!    E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). Of three widths, a = 5/8 S, S and 3/2 S with S of `--smooth`, there are a fine surface
+//!    E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2), and beyond it by an eighth of a squared wide cell, where cells are made of wide
+//!    ones by splines. Of three widths, a = 5/8 S, S and 3/2 S with S of `--smooth`, there are a fine surface
 //!    E(a, S) and a calm one E(S, 3/2 S).
 //! 3. Mixed. Their difference is averaged by a Gaussian of 9/16 S, in which noise cancels and shape stays: from 0.07 to 0.14 d the calm
 //!    surface gives way to the fine one, but not from 0.3 to 0.9 d below the calm surface on, where noise has bubbles.
