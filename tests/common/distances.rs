@@ -24,31 +24,74 @@ pub struct Distances {
 pub const UNITS: f64 = 8192.0;
 pub const ZERO: f64 = 32768.0;
 
-/// Half of a Gaussian's mask of such a variance, cut off at a reach, centre first, in 65536ths.
-fn gaussian(variance: f64, cut: f64) -> Vec<u64> {
+/// The least edge of a wide cell, in spacings.
+const LEAST_WIDE: f64 = 0.55;
+/// The three widths, in those asked for, with the least variances of their masks, and where these are cut off.
+const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
+const CUT: f64 = 2.2;
+/// The mask that averages by how much both surfaces are apart.
+const AROUND: f64 = 0.5625;
+const AROUND_CUT: f64 = 1.7;
+/// The least variance of all other masks.
+const LEAST_VARIANCE: f64 = 0.35;
+/// How deep a width tells, and by how much both surfaces are told to be apart, in spacings.
+const DEEPEST: f64 = 2.5;
+const FARTHEST_APART: f64 = 1.0;
+/// By how much both surfaces are apart where noise ends and where shape begins, and how deep there is no fine one any more.
+const APART: [f64; 2] = [0.07, 0.14];
+const DEEP: [f64; 2] = [0.3, 0.9];
+/// How far outside of the calm surface a particle stands out, and wholly.
+const STANDS_OUT: [f64; 2] = [0.4, 1.0];
+/// The parts of a particle, one of which a wide cell has to hold to hold its centre.
+const PARTS: f64 = 9.0;
+/// Bits that wide cells gain under a width.
+const GAIN: u32 = 2;
+/// What a spline takes off that goes on from wide cells, in squared ones.
+const SPLINE: f64 = 0.25;
+/// The width of a drop, where it is cut off, its radius, and by how much less that is in coarse cells, refined or not.
+const DROP: f64 = 0.6;
+const DROP_CUT: f64 = 2.6;
+const DROP_RADIUS: f64 = 0.55;
+const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
+const LEAST_RADIUS: f64 = 0.38;
+
+/// Half of a Gaussian's mask of such a variance, cut off at a reach, centre first, summing to 1.
+fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let reach = (cut * variance.sqrt()).round().max(1.0) as i32;
     let mask = |square: f64| -> Vec<f64> {
-        (0..=reach).map(|k| (-f64::from(k * k) / (2.0 * square)).exp()).collect()
-    };
-    let sum = |mask: &[f64]| mask[0] + 2.0 * mask[1..].iter().sum::<f64>();
-    let second = |mask: &[f64]| {
-        2.0 * (0_u32..).zip(mask).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>() / sum(mask)
+        let mask: Vec<f64> = (0..=reach).map(|k| (-f64::from(k * k) / (2.0 * square)).exp()).collect();
+        let sum = mask[0] + 2.0 * mask[1..].iter().sum::<f64>();
+        mask.iter().map(|weight| weight / sum).collect()
     };
     let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
     for _ in 0..60 {
         let middle = (below + above) / 2.0;
         *(if second(&mask(middle)) < variance { &mut below } else { &mut above }) = middle;
     }
-    let mask = mask(below);
-    let mut weights: Vec<u64> = mask.iter().map(|w| (w / sum(&mask) * 65536.0).round() as u64).collect();
+    mask(below)
+}
+
+/// The variance of a mask.
+fn second(half: &[f64]) -> f64 {
+    2.0 * (0_u32..).zip(half).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>()
+}
+
+/// A mask in 65536ths.
+fn integers(half: &[f64]) -> Vec<u64> {
+    let mut weights: Vec<u64> = half.iter().map(|weight| (weight * 65536.0).round() as u64).collect();
     weights[0] = 65536 - 2 * weights[1..].iter().sum::<u64>();
     weights
 }
 
-/// The variance of a mask.
-fn variance(half: &[u64]) -> f64 {
+/// The width of what a mask makes of clouds, which have a quarter of a squared cell themselves.
+fn width(variance: f64) -> f64 {
+    (variance + 0.25).sqrt()
+}
+
+/// The same of a mask in 65536ths.
+fn integer_width(half: &[u64]) -> f64 {
     let moments = (0_u64..).zip(half).map(|(k, weight)| k * k * weight);
-    2.0 * moments.sum::<u64>() as f64 / 65536.0
+    width(2.0 * moments.sum::<u64>() as f64 / 65536.0)
 }
 
 /// Along each axis; a gain of bits is that of the last one.
@@ -73,8 +116,9 @@ fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
 }
 
-/// 3 x^2 - 2 x^3 in 4096ths, from where something begins and over a range.
-fn passed(value: i64, begin: i64, range: i64) -> i64 {
+/// 3 x^2 - 2 x^3 in 4096ths, between two values in spacings.
+fn passed(value: i64, [begin, end]: [f64; 2]) -> i64 {
+    let (begin, range) = (units(begin), units(end) - units(begin));
     let slope = ((1_i64 << 28) + range - 1) / range;
     let x = ((value - begin).clamp(0, range) * slope) >> 16;
     (((x * x) >> 8) * (3 * 4096 - 2 * x)) >> 16
@@ -82,6 +126,11 @@ fn passed(value: i64, begin: i64, range: i64) -> i64 {
 
 fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
+}
+
+/// Within so many wide cells of a particle there is a surface.
+fn near(edge: f64) -> i32 {
+    (1.0 / edge).round().max(1.0) as i32
 }
 
 /// What a particle adds, by the spacing in cells.
@@ -136,7 +185,7 @@ impl Distances {
     /// The wide cells' level, and their edge in spacings.
     fn wide(&self) -> (u32, f64) {
         let mut wide = (0, 1.0 / self.spacing);
-        while wide.1 < 0.55 - 1e-9 {
+        while wide.1 < LEAST_WIDE - 1e-9 {
             wide = (wide.0 + 1, 2.0 * wide.1);
         }
         wide
@@ -145,8 +194,9 @@ impl Distances {
     /// What lies between the walls, or all that the field can reach, by whole wide cells.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
-            let (level, _) = self.wide();
-            let reach = 14 << level;
+            // A surface is near a particle, and what it is told by is averaged around it; splines reach a cell further.
+            let (level, edge) = self.wide();
+            let reach = (near(edge) + self.around(edge).len() as i32 + 2) << level;
             let around = particles
                 .iter()
                 .map(|&p| DVec3::from(p).floor().as_ivec3())
@@ -158,16 +208,21 @@ impl Distances {
     }
 
     /// The masks of the three widths, by the edge of a wide cell.
-    fn widths(&self, edge: f64) -> [Vec<u64>; 3] {
-        [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)].map(|(times, least)| {
+    fn widths(&self, edge: f64) -> [Vec<f64>; 3] {
+        WIDTHS.map(|(times, least)| {
             let cells = times * self.smooth / edge;
-            gaussian((cells * cells - 0.25).max(least), 2.2)
+            gaussian((cells * cells - 0.25).max(least), CUT)
         })
     }
 
     /// The mask that averages what both surfaces are apart by.
-    fn around(&self, edge: f64) -> Vec<u64> {
-        gaussian((0.5625 * self.smooth / edge).powi(2).max(0.35), 1.7)
+    fn around(&self, edge: f64) -> Vec<f64> {
+        gaussian((AROUND * self.smooth / edge).powi(2).max(LEAST_VARIANCE), AROUND_CUT)
+    }
+
+    /// The variance that goes with a width of 0 on the way from wide cells, in squared spacings.
+    fn spline(&self, edge: f64) -> f64 {
+        if self.wide().0 > 0 { SPLINE / 2.0 * edge * edge } else { 0.0 }
     }
 
     /// The field; `inside` are wide cells that are, by definition.
@@ -203,8 +258,9 @@ impl Distances {
         inside: impl Fn(IVec3) -> bool,
     ) -> (Dense<u16>, Dense<u16>) {
         let widths = self.widths(edge).map(|half| {
-            let width = ((variance(&half) + 0.25).sqrt() * edge * 4096.0).round() as i64;
-            (blur(wide, &half, 2, walls), width)
+            let half = integers(&half);
+            let width = (integer_width(&half) * edge * 4096.0).round() as i64;
+            (blur(wide, &half, GAIN, walls), width)
         });
         let scale = ((f64::from(1 << 29) / f64::from(self.plateau)).round() as i64).min(65535);
         let depth = |which: usize, cell: IVec3| {
@@ -215,10 +271,10 @@ impl Distances {
                 let [low, high] = [at, at + 1].map(|at| i64::from(DEPTHS[at]));
                 4 * low + (((high - low) * between) >> 3)
             };
-            let most = (20480 << 14) / width;
+            let most = (units(DEEPEST) << 14) / width;
             (deviations.clamp(-most, most) * width) >> 14
         };
-        let spline = if self.wide().0 > 0 { 0.125 * (edge * 4096.0).powi(2) } else { 0.0 };
+        let spline = self.spline(edge) * 4096.0 * 4096.0;
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|which| (widths[which].1 as f64).powi(2));
             ((a + spline) / (b - a) * 4096.0).round() as i64
@@ -232,23 +288,22 @@ impl Distances {
         };
         let [fine, calm] = [surface(0), surface(1)];
         let [of_fine, of_calm] = [&fine, &calm].map(|field| |cell| i64::from(field.at(cell, None)));
+        let farthest = units(FARTHEST_APART);
         let apart = Dense::new(wide.cells, |cell| {
-            ((of_fine(cell) - of_calm(cell)).clamp(-8192, 8192) + 32768) as u16
+            ((of_fine(cell) - of_calm(cell)).clamp(-farthest, farthest) + 32768) as u16
         });
-        let apart = blur(&apart, &self.around(edge), 0, walls);
-        let [told, told_range] = [units(0.07), units(0.14) - units(0.07)];
-        let [deep, deep_range] = [32768 + units(0.3), units(0.9) - units(0.3)];
+        let apart = blur(&apart, &integers(&self.around(edge)), 0, walls);
         let mixed = Dense::new(wide.cells, |cell| {
             let distance = (i64::from(apart.at(cell, None)) - 32768).abs();
-            let shallow = 4096 - passed(of_calm(cell), deep, deep_range);
-            let share = (passed(distance, told, told_range) * shallow) >> 12;
+            let shallow = 4096 - passed(of_calm(cell) - 32768, DEEP);
+            let share = (passed(distance, APART) * shallow) >> 12;
             (of_calm(cell) + (((of_fine(cell) - of_calm(cell)) * share + 2048) >> 12)) as u16
         });
-        let least = ((amount(1.0 / edge) as f64 / 9.0) as u16).max(1);
+        let least = ((amount(1.0 / edge) as f64 / PARTS) as u16).max(1);
         let outlying = Dense::new(wide.cells, |cell| {
             if wide.at(cell, None) >= least { (65535 - of_calm(cell)).max(1) as u16 } else { 0 }
         });
-        let reach = (1.0 / edge).round().max(1.0) as i32;
+        let reach = near(edge);
         let outlying = (0..3).fold(outlying, |field, axis| {
             Dense::new(field.cells, |cell| {
                 let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, walls));
@@ -266,59 +321,60 @@ impl Distances {
 
 /// The surface around particles alone or in small numbers.
 struct Drops {
-    around: Vec<u64>,
-    spread: Vec<u64>,
-    gain: u32,
-    bits: u32,
-    radius: i64,
-    width: i64,
+    /// The spacing in cells, and the masks.
+    spacing: f64,
+    around: Vec<f64>,
+    spread: Vec<f64>,
+    radius: f64,
 }
 
 impl Drops {
     /// For particles so many cells apart, whether or not these are refined.
     fn new(spacing: f64, refined: bool) -> Self {
-        let variance_of = (0.6 * spacing).powi(2) - 0.25;
-        let around = gaussian(variance_of.max(0.35), 2.6);
-        let spline = if refined { 0.25 } else { 0.0 };
-        let spread = gaussian((variance_of - spline).max(0.35), 2.6);
-        let width = (variance(&around) + 0.25).sqrt();
-        let amount = amount(spacing) as f64;
-        let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
+        let variance = (DROP * spacing).powi(2) - 0.25;
+        let spline = if refined { SPLINE } else { 0.0 };
+        let less = LESS_RADIUS[usize::from(refined)];
+        Self {
+            spacing,
+            around: gaussian(variance.max(LEAST_VARIANCE), DROP_CUT),
+            spread: gaussian((variance - spline).max(LEAST_VARIANCE), DROP_CUT),
+            radius: (DROP_RADIUS - less / spacing.powi(2)).max(LEAST_RADIUS),
+        }
+    }
+
+    /// Bits that what is around particles gains, and that a share of it has.
+    fn bits(&self) -> (u32, u32) {
+        let amount = amount(self.spacing) as f64;
+        let alone = amount / (integer_width(&integers(&self.around)) * std::f64::consts::TAU.sqrt()).powi(3);
         let doublings =
             |value: f64, most: f64| (0..15).take_while(|&n| value * 2_f64.powi(n + 1) <= most).count() as u32;
         let gain = doublings(alone, 4096.0);
-        Self {
-            around,
-            spread,
-            gain,
-            bits: doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0),
-            radius: units((0.55 - if refined { 0.41 } else { 0.29 } / spacing.powi(2)).max(0.38)),
-            width: units(width / spacing),
-        }
+        (gain, doublings(27.0 / 64.0 * amount / (alone * 2_f64.powi(gain as i32)), 49152.0))
     }
 
     /// Of clouds in what is around them, spread.
     fn shares(&self, clouds: &Dense<u16>, walls: Option<CellBox>) -> Dense<u16> {
-        let around = blur(clouds, &self.around, self.gain, walls);
+        let (gain, bits) = self.bits();
+        let around = blur(clouds, &integers(&self.around), gain, walls);
         let shares = Dense::new(clouds.cells, |cell| {
             let [own, all] = [clouds, &around].map(|field| u64::from(field.at(cell, None)));
-            ((own << self.bits) / all.max(1)).min(65535) as u16
+            ((own << bits) / all.max(1)).min(65535) as u16
         });
-        blur(&shares, &self.spread, (15 + self.gain).saturating_sub(self.bits).min(15), walls)
+        blur(&shares, &integers(&self.spread), (15 + gain).saturating_sub(bits).min(15), walls)
     }
 
     /// The surface of the bulk, and of drops where particles stand out.
     fn joined(&self, shares: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
-        let [begin, range] = [32768 + units(0.4), units(1.0) - units(0.4)];
+        let width = units(integer_width(&integers(&self.around)) / self.spacing);
         Dense::new(shares.cells, |cell| {
             let [bulk, outlying] = [bulk, outlying].map(|field| i64::from(field.at(cell, None)));
-            let weight = passed(outlying, begin, range);
+            let weight = passed(outlying - 32768, STANDS_OUT);
             if weight == 0 {
                 return bulk as u16;
             }
             let share = i64::from(shares.at(cell, None)).min(32768);
             let away = looked_up(|at| AWAY[at].into(), share, 0);
-            let out = (self.radius - ((away * self.width) >> 12) + 32768 - bulk).max(0);
+            let out = (units(self.radius) - ((away * width) >> 12) + 32768 - bulk).max(0);
             (bulk + ((out * weight + 2048) >> 12)).clamp(1, 65535) as u16
         })
     }
@@ -380,10 +436,6 @@ fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
     x * x * (3.0 - 2.0 * x)
 }
 
-fn shares(half: &[u64]) -> Vec<f64> {
-    half.iter().map(|&weight| weight as f64 / 65536.0).collect()
-}
-
 fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<CellBox>) -> Dense<f64> {
     let reach = half.len() as i32 - 1;
     (0..3).fold(field.clone(), |field, axis| {
@@ -417,11 +469,13 @@ fn really_refined(wide: &Dense<f64>, level: u32, cells: CellBox, walls: Option<C
 }
 
 impl Distances {
-    /// The field in f64, in spacings; -4 where nothing is near.
-    pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
-        let (level, edge) = self.wide();
-        let cells = self.cells(particles);
-        let mut fine = Dense::new(cells, |_| 0.0_f64);
+    /// Particles in each cell, at every level, with the walls there; no more of them than a sample can tell.
+    fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<CellBox>)> {
+        let told = |level: u32, cloud: Dense<f64>| {
+            let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
+            Dense { cells: cloud.cells, values: cloud.values.iter().map(|value| value.min(most)).collect() }
+        };
+        let mut fine = Dense::new(self.cells(particles), |_| 0.0_f64);
         let inside = |cell: IVec3| self.walls.is_none_or(|walls| walls.contains(cell));
         for particle in particles.iter().map(|&p| DVec3::from(p)).filter(|p| inside(p.floor().as_ivec3())) {
             for away in CellBox::cube(IVec3::ZERO, 3).cubes(1) {
@@ -431,8 +485,8 @@ impl Distances {
                 *fine.nearest(to) += share;
             }
         }
-        let mut clouds = vec![(fine, self.walls)];
-        for _ in 0..level {
+        let mut clouds = vec![(told(0, fine), self.walls)];
+        for level in 1..=self.wide().0 {
             let (finer, walls) = clouds.last().expect("there is one at level 0");
             let to = CellBox { lo: finer.cells.lo >> 1, hi: (finer.cells.hi + 1) >> 1 };
             let wider = Dense::new(to, |cell| {
@@ -443,74 +497,89 @@ impl Distances {
                 };
                 CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum()
             });
-            clouds.push((wider, walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 })));
+            let walls = walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 });
+            clouds.push((told(level, wider), walls));
         }
+        clouds
+    }
+
+    /// Particles in a cubed spacing under the narrowest width, in f64, in wide cells 2^level as wide as cells.
+    pub fn density(&self, particles: &[[f64; 3]]) -> (Dense<f64>, u32) {
+        let (level, edge) = self.wide();
+        let (wide, walls) = self.real_clouds(particles).pop().expect("there is one at level 0");
+        let [narrowest, ..] = self.widths(edge);
+        let smooth = really_blurred(&wide, &narrowest, walls);
+        let values = smooth.values.iter().map(|particles| particles / edge.powi(3)).collect();
+        (Dense { cells: smooth.cells, values }, level)
+    }
+
+    /// The field in f64, in spacings; -4 where nothing is near.
+    pub fn real(&self, particles: &[[f64; 3]]) -> Dense<f64> {
+        let (level, edge) = self.wide();
+        let cells = self.cells(particles);
+        let clouds = self.real_clouds(particles);
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, near) = self.real_bulk(wide, *walls, edge);
         let [bulk, near] = [bulk, near].map(|field| really_refined(&field, level, cells, *walls));
 
         let level = level.max(1) - 1;
         let (fine, walls) = &clouds[level as usize];
-        let spacing = self.spacing / f64::from(1 << level);
-        let drops = Drops::new(spacing, level > 0);
-        let around = really_blurred(fine, &shares(&drops.around), *walls);
-        let of_it = Dense::new(fine.cells, |cell| match fine.at(cell, None) {
+        let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
+        let around = really_blurred(fine, &drops.around, *walls);
+        let shares = Dense::new(fine.cells, |cell| match fine.at(cell, None) {
             0.0 => 0.0,
             cloud => cloud / around.at(cell, None),
         });
-        let of_it = really_blurred(&of_it, &shares(&drops.spread), *walls);
-        let of_it = really_refined(&of_it, level, cells, *walls);
-        let (radius, width) =
-            (drops.radius as f64 / UNITS, (variance(&drops.around) + 0.25).sqrt() / spacing);
+        let shares = really_blurred(&shares, &drops.spread, *walls);
+        let shares = really_refined(&shares, level, cells, *walls);
+        let width = width(second(&drops.around)) / drops.spacing;
         Dense::new(cells, |cell| {
-            let [bulk, near, share] = [&bulk, &near, &of_it].map(|field| field.at(cell, None));
-            let out = (radius - away(share) * width - bulk).max(0.0);
-            bulk + out * risen(near, [0.4, 1.0])
+            let share = shares.at(cell, None);
+            let [bulk, near] = [&bulk, &near].map(|field| field.at(cell, None) - 4.0);
+            let out = (drops.radius - away(share) * width - bulk).max(0.0);
+            bulk + out * risen(near, STANDS_OUT)
         })
     }
 
-    /// The surface of the bulk, and by how much particles lie outside of the calm one near by; -4 where there are none.
+    /// The surface of the bulk, and by how much particles lie outside of the calm one near by, both 4 more: 0 where there are none.
     fn real_bulk(&self, wide: &Dense<f64>, walls: Option<CellBox>, edge: f64) -> (Dense<f64>, Dense<f64>) {
-        // Particles in a wide cell deep in the fluid, each of four times as many samples with the gain.
-        let plateau = f64::from(self.plateau) / (4.0 * amount(1.0 / edge) as f64);
-        let widths = self.widths(edge);
-        let depths = widths.map(|half| {
-            let width = (variance(&half) + 0.25).sqrt() * edge;
-            let smooth = really_blurred(wide, &shares(&half), walls);
-            let depth = |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-2.5, 2.5);
+        // Particles in a wide cell deep in the fluid, each of so many samples with the gain.
+        let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
+        let depths = self.widths(edge).map(|half| {
+            let width = width(second(&half)) * edge;
+            let smooth = really_blurred(wide, &half, walls);
+            let depth = |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-DEEPEST, DEEPEST);
             (Dense::new(wide.cells, depth), width)
         });
-        let spline = if self.wide().0 > 0 { 0.125 * edge * edge } else { 0.0 };
         let surface = |narrow: usize| {
             let [(near, a), (far, b)] = [&depths[narrow], &depths[narrow + 1]];
+            let share = (a * a + self.spline(edge)) / (b * b - a * a);
             Dense::new(wide.cells, |cell| {
                 let [near, far] = [near, far].map(|depth| depth.at(cell, None));
-                (near + (near - far) * (a * a + spline) / (b * b - a * a)).clamp(-4.0, 4.0)
+                (near + (near - far) * share).clamp(-4.0, 4.0)
             })
         };
         let [fine, calm] = [surface(0), surface(1)];
-        let apart =
-            Dense::new(wide.cells, |cell| (fine.at(cell, None) - calm.at(cell, None)).clamp(-1.0, 1.0));
-        let apart = really_blurred(&apart, &shares(&self.around(edge)), walls);
-        // -4 is what a sample of 0 says.
-        let outlying = Dense::new(wide.cells, |cell| {
-            if wide.at(cell, None) >= 1.0 / 9.0 { -calm.at(cell, None) } else { -4.0 }
+        let apart = Dense::new(wide.cells, |cell| {
+            (fine.at(cell, None) - calm.at(cell, None)).clamp(-FARTHEST_APART, FARTHEST_APART)
         });
-        let reach = (1.0 / edge).round().max(1.0) as i32;
+        let apart = really_blurred(&apart, &self.around(edge), walls);
+        let outlying = Dense::new(wide.cells, |cell| {
+            if wide.at(cell, None) >= 1.0 / PARTS { 4.0 - calm.at(cell, None) } else { 0.0 }
+        });
+        let reach = near(edge);
         let near = (0..3).fold(outlying, |field, axis| {
             Dense::new(field.cells, |cell| {
-                let own = field.at(cell, None);
-                let taps = (-reach..=reach).map(|k| cell + IVec3::AXES[axis] * k);
-                let known = taps.filter(|&cell| walls.is_some() || field.cells.contains(cell));
-                known.map(|cell| field.at(cell, walls)).fold(own, f64::max)
+                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, walls));
+                taps.fold(0.0, f64::max)
             })
         });
         let bulk = Dense::new(wide.cells, |cell| {
-            if near.at(cell, None) <= -4.0 {
-                return -4.0;
+            if near.at(cell, None) <= 0.0 {
+                return 0.0;
             }
             let [fine, calm, apart] = [&fine, &calm, &apart].map(|field| field.at(cell, None));
-            calm + (fine - calm) * risen(apart.abs(), [0.07, 0.14]) * (1.0 - risen(calm, [0.3, 0.9]))
+            4.0 + calm + (fine - calm) * risen(apart.abs(), APART) * (1.0 - risen(calm, DEEP))
         });
         (bulk, near)
     }
