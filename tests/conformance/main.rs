@@ -75,9 +75,13 @@ at_every_place! {
         white_noise_over_27_blocks_is_a_closed_oriented_manifold
         every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold
         clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is
-        a_drop_of_one_particle_has_its_volume_in_cells_of_any_size
-        chains_and_balls_of_air_are_whole_and_a_ball_holds_its_volume
+        a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies
+        a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes
+        a_ball_of_five_spacings_holds_the_volume_of_its_particles
+        a_ball_of_air_of_two_spacings_is_left_in_the_water
         a_pool_is_as_level_in_fine_cells_as_in_coarse_ones
+        a_pool_is_calmer_the_wider_it_is_smoothed_and_as_high
+        a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_them
         splashes_are_watertight_with_every_indicator_filter_and_wall
         a_half_full_tank_ends_exactly_on_its_walls_and_keeps_its_volume
         a_full_tank_has_its_walls_for_a_surface_where_no_block_holds_anything_else
