@@ -14,7 +14,7 @@ use meniscus::frame::{FrameError, Sampling, Surfacing};
 use meniscus::mesh::Mesh;
 use meniscus::recipe::Detail;
 use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::{Isovalue, Sigma};
+use meniscus::units::{Isovalue, Sigma, Smooth};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, ValidationLog, VulkanError};
 
 fn open() -> Option<(Device, ValidationLog)> {
@@ -61,14 +61,19 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     let pipeline = Pipeline::new(&device).unwrap();
     let input = [positions(&device, &particles)];
     for indicator in INDICATORS {
-        for (detail, sigma) in [(Detail::Smoothed, 1.0), (Detail::Recovered, 1.5)] {
-            for walls in [false, true] {
-                let mut sampling = Sampling { field: indicator.into(), spacing: Some(0.8), ..sampling() };
+        // Clouds in cells of a third of a spacing, too, where wide ones are twice as wide.
+        let spacings = if indicator == IndicatorKind::Cloud { &[0.8, 3.0][..] } else { &[0.8] };
+        for (detail, sigma, smooth) in [(Detail::Smoothed, 1.0, 1.6), (Detail::Recovered, 1.5, 2.5)] {
+            for (walls, &spacing) in
+                [false, true].iter().flat_map(|walls| spacings.iter().map(move |s| (*walls, s)))
+            {
+                let mut sampling = Sampling { field: indicator.into(), spacing: Some(spacing), ..sampling() };
                 sampling.domain = walls.then(|| tank(&sampling.grid));
-                let surfacing = Surfacing { detail, sigma: Some(Sigma::new(sigma).unwrap()), ..surfacing() };
+                let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
+                let surfacing = Surfacing { smooth, detail, sigma, ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);
                 let surface = pipeline.surface(&input, &settings(&sampling, &surfacing)).unwrap();
-                let what = format!("{indicator:?}, {detail:?}, walls {walls}");
+                let what = format!("{indicator:?}, {detail:?}, walls {walls}, spacing {spacing}");
                 assert_eq!((surface.iso, surface.census), (expected.iso, frame.facts().census), "{what}");
                 assert!(read(&device, &surface) == rounded(&expected.mesh), "{what}");
             }
@@ -81,7 +86,7 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
 }
 
 #[test]
-fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
+fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
     let Some((device, _)) = open() else { return };
     // Drops of ever more particles, so that each bin would tell another mu0.
     let mut random = Random::new(23);
@@ -91,14 +96,15 @@ fn a_resident_frame_of_many_bins_has_the_mu0_of_the_cpu() {
         let place = |random: &mut Random| centre.map(|c| c + 4.0 * random.unit());
         particles.extend(std::iter::repeat_with(|| place(&mut random)).take(20 + drop));
     }
-    let sampling = Sampling { field: IndicatorKind::Cloud.into(), ..sampling() };
-    let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-    assert!(dif(&frame).dif.infos().len() > 300, "all of so few bins tell mu0");
-    let surface = Pipeline::new(&device)
-        .unwrap()
-        .surface(&[positions(&device, &particles)], &settings(&sampling, &surfacing()))
-        .unwrap();
-    assert!(read(&device, &surface) == rounded(&expected.mesh));
+    let pipeline = Pipeline::new(&device).unwrap();
+    for indicator in [IndicatorKind::Counting, IndicatorKind::Cloud] {
+        let sampling = Sampling { field: indicator.into(), ..sampling() };
+        let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
+        assert!(dif(&frame).dif.infos().len() > 300, "{indicator:?}: all of so few bins tell mu0");
+        let input = [positions(&device, &particles)];
+        let surface = pipeline.surface(&input, &settings(&sampling, &surfacing())).unwrap();
+        assert!(read(&device, &surface) == rounded(&expected.mesh), "{indicator:?}");
+    }
 }
 
 #[test]
@@ -125,8 +131,13 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     assert!(matches!(surface(&[], &scene), FrameError::NoParticles(_)));
     assert!(matches!(surface(&[[f64::NAN; 3]], &scene), FrameError::Bin(_)));
     let iso = Some(Isovalue::new(0.9).unwrap());
-    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
+    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene.clone() };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
+    // Drops far smaller than cells fall between the middles of these.
+    let dust = Settings { indicator: IndicatorKind::Cloud.into(), spacing: Some(0.05), ..scene };
+    assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistance));
+    let fine = Settings { spacing: Some(11.0), ..dust };
+    assert!(matches!(surface(&[[0.0; 3]], &fine), FrameError::TooFine(_)));
     assert_eq!(device.allocated(), kept);
 }
 

@@ -24,7 +24,7 @@ use meniscus::mesh::Mesh;
 use meniscus::recipe::{PaperFilters, Recipe};
 use meniscus::stage::blur::{self, Kernel};
 use meniscus::stage::indicator::{IndicatorKind, PageRule};
-use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
 
 const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
@@ -179,10 +179,12 @@ fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: M
         for walls in [false, true] {
             let mut sampling = Sampling { field: indicator.into(), ..sampling() };
             sampling.domain = walls.then(|| tank(&sampling.grid));
-            for (detail, sigma, spacing) in [(DETAILS[0], 1.0, 1.0), (DETAILS[1], 1.5, 2.5)] {
+            for (detail, sigma, smooth, spacing) in [(DETAILS[0], 1.0, 1.6, 1.0), (DETAILS[1], 1.5, 2.5, 3.0)]
+            {
                 sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
-                let sigma = Some(Sigma::new(sigma).unwrap());
-                let surfacing = Surfacing { detail, sigma, normals: Normals::Gradient, ..surfacing() };
+                let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
+                let surfacing =
+                    Surfacing { smooth, detail, sigma, normals: Normals::Gradient, ..surfacing() };
                 let (_, expected) = reconstruct(particles, &sampling, &surfacing);
                 let mut resources = Resources::new(budget, std::env::temp_dir());
                 resources.backend = Arc::clone(vulkan) as Arc<dyn Backend>;

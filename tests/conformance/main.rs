@@ -75,8 +75,6 @@ at_every_place! {
         white_noise_over_27_blocks_is_a_closed_oriented_manifold
         every_combination_of_signs_beside_every_other_is_a_closed_oriented_manifold
         clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is
-        a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies
-        a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes
         a_ball_of_five_spacings_holds_the_volume_of_its_particles
         a_ball_of_air_of_two_spacings_is_left_in_the_water
         a_pool_is_as_level_in_fine_cells_as_in_coarse_ones

@@ -173,7 +173,10 @@ pub fn clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is(place:
     }
 }
 
-pub fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies(place: &Place) {
+/// On the processor: devices have the same integers.
+#[test]
+fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_lies() {
+    let Ok(place) = Place::cpu();
     let mut random = Random::new(8);
     for cell in CELLS {
         let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
@@ -185,7 +188,7 @@ pub fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_li
                 16 => [32.0 * cell; 3],
                 _ => [31.5 * cell, -0.5 * cell, 0.0],
             };
-            let (_, surface) = reconstruct(&[particle][..], &of_spacings(place, cell), &surfacing());
+            let (_, surface) = reconstruct(&[particle][..], &of_spacings(&place, cell), &surfacing());
             let what = format!("cells of {cell}, {particle:?}");
             assert_watertight(&surface.mesh, &what);
             let found = measure(&surface.mesh);
@@ -198,7 +201,10 @@ pub fn a_drop_of_one_particle_has_its_volume_in_cells_of_any_size_wherever_it_li
     }
 }
 
-pub fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes(place: &Place) {
+/// On the processor: devices have the same integers.
+#[test]
+fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever_way_it_goes() {
+    let Ok(place) = Place::cpu();
     let mut random = Random::new(8);
     let mut anywhere = || DVec3::new(random.unit(), random.unit(), random.unit());
     let mut ways = vec![DVec3::X, DVec3::ONE];
@@ -207,7 +213,7 @@ pub fn a_chain_of_particles_one_and_a_half_spacings_apart_is_one_piece_whichever
         let start = anywhere();
         let chain: Vec<[f64; 3]> = (0..10).map(|i| (start + 1.5 * f64::from(i) * way).to_array()).collect();
         for cell in CELLS {
-            let (_, surface) = reconstruct(&chain[..], &of_spacings(place, cell), &surfacing());
+            let (_, surface) = reconstruct(&chain[..], &of_spacings(&place, cell), &surfacing());
             assert_eq!(measure(&surface.mesh).components, 1, "along {way} in cells of {cell}");
         }
     }
