@@ -250,14 +250,18 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         run
     };
-    for indicator in ["symmetry", "counting"] {
+    let [paper, clouds] = [
+        &["", "--sigma 1.5 --detail", "--sigma 0.8 --iso 0.2 --normals", "--memory 16MiB"],
+        &["", "--smooth 0.9", "--smooth 2.5 --normals", "--memory 16MiB --smooth 4"],
+    ];
+    for (indicator, filters) in [("cloud", clouds), ("symmetry", paper), ("counting", paper)] {
         run(&format!("pack splash.xyz -o packed.mnf --cell-size 1 --indicator {indicator} --overwrite"));
         run(&format!(
             "pack splash.xyz -o small.mnf --cell-size 1 --indicator {indicator} --overwrite --memory 16MiB"
         ));
         let bytes = |name| fs::read(folder.path().join(name)).unwrap();
         assert!(bytes("packed.mnf") == bytes("small.mnf"), "{indicator}");
-        for filter in ["", "--sigma 1.5 --detail", "--sigma 0.8 --iso 0.2 --normals", "--memory 16MiB"] {
+        for filter in filters {
             run(&format!(
                 "reconstruct splash.xyz -o a.ply --cell-size 1 --indicator {indicator} --overwrite {filter}"
             ));

@@ -125,13 +125,19 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
         (ball(&["--method", "yu-turk", "--smooth", "2"]), "--smooth"),
         (ball(&["--adaptive"]), "--adaptive"),
-        (ball(&["--smooth", "0.5"]), "--smooth must be from 0.8 to 4 spacings"),
-        (ball(&["--smooth", "nan"]), "--smooth"),
+        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings; 0.79 is not"),
+        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings; 4.01 is not"),
+        (ball(&["--smooth", "-1"]), "--smooth must be"),
+        (ball(&["--smooth", "nan"]), "--smooth must be"),
         (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
         (ball(&["--iso", "0.4"]), "--iso is for --indicator counting and symmetry"),
-        (ball(&["--detail"]), "--detail is for --indicator counting and symmetry"),
+        (ball(&["--detail"]), "distances told by clouds are 0, and --smooth says how calm it is"),
         (ball(&["--mu0", "3"]), "--mu0 has no meaning for --indicator cloud"),
         (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth is for --indicator cloud"),
+        (
+            ball(&["--smooth", "2", "--indicator", "symmetry"]),
+            "--sigma says how smooth the surface of others is",
+        ),
         (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
@@ -196,7 +202,7 @@ fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_a
         (&["--indicator", "counting", "--cell", "0.5", "--sigma", "1.2"], 0.25, 1.2, "counting"),
         (&["--indicator", "symmetry", "--cell", "1"], 0.5, 1.0, "symmetry"),
     ] {
-        let name = if indicator == "cloud" { "smooth" } else { "sigma" };
+        let [name, other] = if indicator == "cloud" { ["smooth", "sigma"] } else { ["sigma", "smooth"] };
         let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
         let given = [&given[..], &["--spacing", "0.5"], more].concat();
         assert!(meniscus(folder.path(), &given).status.success());
@@ -207,6 +213,7 @@ fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_a
             (number("cell_size") - cell).abs() < 1e-12 && (number(name) - width).abs() < 1e-12,
             "{record}"
         );
+        assert!(record[other].is_null(), "{record}");
         assert_eq!(record["indicator"], indicator, "{more:?}");
     }
 }

@@ -227,7 +227,8 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
     let Layout { footer, index } = layout;
     let second = index + 44;
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
-        (8, 3_u32.to_le_bytes().into(), "a frame of version 3"),
+        (8, 3_u32.to_le_bytes().into(), "a frame of version 3; this program reads versions 1 to 2"),
+        (8, 0_u32.to_le_bytes().into(), "a frame of version 0"),
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "not of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),

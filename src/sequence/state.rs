@@ -134,8 +134,7 @@ mod tests {
     use crate::sequence::frozen::Stamp;
     use crate::units::{Isovalue, MeanCount};
 
-    fn frozen(iso: Isovalue) -> Frozen {
-        let mean = Some(MeanCount::new(7.0 / 3.0).unwrap());
+    fn frozen(calibration: Calibration) -> Frozen {
         Frozen {
             frame: 1,
             input: Stamp { bytes: 1, modified: u64::MAX },
@@ -143,7 +142,7 @@ mod tests {
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,
             origin: [1e-17, -0.1, 1.0 / 3.0],
-            calibration: Some(Calibration::Indicator { mean, iso }),
+            calibration: Some(calibration),
         }
     }
 
@@ -153,12 +152,15 @@ mod tests {
         let store = Store::beside(&folder.path().join("fluid.ply"));
         assert_eq!(store.load().unwrap(), None);
         for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
-            let iso = Isovalue::of_plateau(theta);
-            let state = State::new(Settings::new(), frozen(iso));
-            store.save(&state).unwrap();
-            let loaded = store.load().unwrap().unwrap();
-            assert_eq!(loaded, state);
-            assert_eq!(loaded.fingerprint(), state.fingerprint());
+            let (mean, iso) = (MeanCount::new(7.0 / 3.0).ok(), Isovalue::of_plateau(theta));
+            for calibration in [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
+            {
+                let state = State::new(Settings::new(), frozen(calibration));
+                store.save(&state).unwrap();
+                let loaded = store.load().unwrap().unwrap();
+                assert_eq!(loaded, state);
+                assert_eq!(loaded.fingerprint(), state.fingerprint());
+            }
         }
         fs::write(store.state_path(), "{").unwrap();
         assert!(matches!(store.load(), Err(SequenceError::State { .. })));
