@@ -787,6 +787,26 @@ fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
 }
 
 #[test]
+fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty_frame_of_a_sequence() {
+    let folder = folder_with_ball();
+    fs::write(folder.path().join("d_1.xyz"), raw(&[[0.0; 3]])).unwrap();
+    fs::rename(folder.path().join("ball.xyz"), folder.path().join("d_2.xyz")).unwrap();
+    let coarse = ["--spacing", "0.05", "--cell-size", "1"];
+    let alone = [&["d_1.xyz", "-o", "out.ply"], &coarse[..]].concat();
+    assert_refused(folder.path(), &alone, 3, &["d_1.xyz", "no cell's centre is inside", "use smaller cells"]);
+    let run =
+        meniscus(folder.path(), &[&["reconstruct", "d_{}.xyz", "-o", "m_{}.ply"], &coarse[..]].concat());
+    let notes = String::from_utf8_lossy(&run.stderr);
+    assert!(
+        run.status.success()
+            && notes.contains("d_1.xyz: no cell's centre is inside of the surface: an empty mesh"),
+        "{notes}"
+    );
+    let empty = read_mesh(&folder.path().join("m_1.ply")).unwrap();
+    assert_eq!((empty.positions.len(), empty.triangles.len()), (0, 0));
+}
+
+#[test]
 fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
     let folder = folder_with_ball();
     let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;

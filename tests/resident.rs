@@ -131,7 +131,7 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     assert!(matches!(surface(&[], &scene), FrameError::NoParticles(_)));
     assert!(matches!(surface(&[[f64::NAN; 3]], &scene), FrameError::Bin(_)));
     let iso = Some(Isovalue::new(0.9).unwrap());
-    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene.clone() };
+    let above = Settings { surfacing: Surfacing { iso, ..surfacing() }, ..scene };
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     // Drops far smaller than cells fall between the middles of these.
     let dust = Settings { indicator: IndicatorKind::Cloud.into(), spacing: Some(0.05), ..scene };
