@@ -79,8 +79,8 @@ pub struct Reduction {
     pub smallest_drop: Option<u32>,
 }
 
-/// Of a particle's volume, what a drop may lack to count as so many particles: drops of one hold 0.6 to 1.2, of two 1.4 to 2.2.
-const LACKING: f64 = 2.0 / 3.0;
+/// Of each particle's volume, what drops of few particles hold: of one 0.6 to 1.1, of two 0.7 to 1.1, of eight 0.8 to 1.1.
+const HELD: f64 = 0.85;
 
 impl Reduction {
     /// Whether nothing is to be left out.
@@ -104,7 +104,7 @@ pub fn simplify(
 ) -> io::Result<Simplified> {
     let Reduction { least_volume_cells, smallest_drop, .. } = *reduction;
     let (left_out, dropped) = if least_volume_cells.is_some() || smallest_drop.is_some() {
-        let particles = smallest_drop.map_or(0.0, |particles| f64::from(particles) - LACKING);
+        let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
         let volume = least_volume_cells.unwrap_or(0.0);
         let (vertices, dropped) = smaller_than(&surface, volume, particles * particle_cells)?;
         (Some(vertices), dropped)
