@@ -480,6 +480,28 @@ fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_war
 }
 
 #[test]
+fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
+    let mut random = Random::new(4);
+    for (spray, frames, radius) in [(2, 3, 6.0), (70, 90, 6.0), (2, 3, 9.0), (70, 90, 9.0)] {
+        let folder = TempDir::new().unwrap();
+        let fluid = fill(2.0 * radius, 1.0, 0.2, 1, |p| p.length() < radius);
+        for frame in 1..=frames {
+            let particles = if frame > spray {
+                fluid.clone()
+            } else {
+                (0..400).map(|_| [(); 3].map(|()| 60.0 * random.unit())).collect()
+            };
+            fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
+        }
+        let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--plan"], 0);
+        let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
+        let state: Value = serde_json::from_slice(&state).unwrap();
+        let spacing = state["frozen"]["spacing"].as_f64().unwrap();
+        assert!((spacing - 1.0).abs() < 0.1, "{spray} of {frames}, ball of {radius}: {spacing}: {notes}");
+    }
+}
+
+#[test]
 fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
     let folder = falling(1..=2);
     run(folder.path(), &ALL, 0);

@@ -16,7 +16,7 @@ use crate::run::{Notes, unpacking};
 use super::watch::Watch;
 use super::{POLL, Setup};
 
-/// Frames that are looked at for one that is deep enough to measure.
+/// Frames that are looked at for one that is deep enough to measure: of those that are there the first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
 
 impl Setup<'_> {
@@ -32,7 +32,9 @@ impl Setup<'_> {
         let mut best: Option<(Frozen, Trust)> = None;
         let mut first_error = None;
         let mut looked_at = 0;
-        let mut current = frames.to_vec();
+        let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
+        let step = rest.len().div_ceil(LOOKED_AT / 2).max(1);
+        let mut current: Vec<_> = first.iter().chain(rest.iter().step_by(step)).cloned().collect();
         loop {
             let ready = match &mut watch {
                 None => std::mem::take(&mut current),
@@ -51,7 +53,11 @@ impl Setup<'_> {
                         return Ok((frozen, file));
                     }
                     Ok((frozen, trust, _)) => {
-                        if best.as_ref().is_none_or(|(_, known)| *known < trust) {
+                        // Spray is farther apart than fluid, whose spacing would be estimated too large by it.
+                        let is_better = |(known, by): &(Frozen, Trust)| {
+                            *by < trust || *by == trust && known.spacing > frozen.spacing
+                        };
+                        if best.as_ref().is_none_or(is_better) {
                             best = Some((frozen, trust));
                         }
                     }
