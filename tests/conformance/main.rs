@@ -77,6 +77,7 @@ at_every_place! {
         clouds_keep_every_drop_and_a_sheet_whole_and_leave_a_pool_as_it_is
         a_ball_of_five_spacings_holds_the_volume_of_its_particles
         a_ball_of_air_of_two_spacings_is_left_in_the_water
+        air_of_two_spacings_is_left_wherever_it_lies_deep_in_water
         a_pool_is_as_level_in_fine_cells_as_in_coarse_ones
         a_pool_is_calmer_the_wider_it_is_smoothed_and_as_high
         a_tank_in_fine_cells_ends_on_its_walls_wherever_wide_cells_lie_against_them

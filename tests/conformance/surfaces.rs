@@ -246,6 +246,18 @@ pub fn a_ball_of_air_of_two_spacings_is_left_in_the_water(place: &Place) {
     }
 }
 
+pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place) {
+    // The one in the middle lies on a corner of eight bricks of wide cells, the others partly.
+    let places = (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9));
+    let middles: Vec<DVec3> = places.map(|at| 17.0 * (at - 1).as_dvec3()).collect();
+    let deep = |p: DVec3| p.abs().max_element() < 26.0;
+    let water = fill(26.0, 1.0, 0.2, 4, |p| deep(p) && middles.iter().all(|&m| (p - m).length() > 2.0));
+    for cell in [0.5, 0.4, 1.0] {
+        let (_, surface) = reconstruct(&water[..], &of_spacings(place, cell), &surfacing());
+        assert_eq!(measure(&surface.mesh).components, 1 + middles.len(), "cells of {cell}");
+    }
+}
+
 /// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far as no filter reaches its rim.
 fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);

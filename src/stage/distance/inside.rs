@@ -1,9 +1,9 @@
 //! The deep inside of a fluid, where no surface can be, by definition: neither its samples nor its field are looked at.
 //!
-//! A brick of 4^3 wide cells is full where every cube of about 5 1/3 spacings that holds it, by whole bricks, holds at least 0.9 of what
-//! the plateau says. A brick whose 26 neighbours are full as well is inside. The field is then at its greatest there, for all
-//! that is made of it, so that meshes stay closed whatever lies inside. Cubes slide, so that a bubble at a corner shows: one of
-//! two spacings takes more than a tenth of any cube that it lies in.
+//! A brick of 4^3 wide cells is full where every cube of some 4 spacings that holds any of it holds at least 0.85 of what the plateau
+//! says. A brick whose 26 neighbours are full as well is inside. The field is then at its greatest there, for all that is made of
+//! it, so that meshes stay closed whatever lies inside. Cubes slide by two wide cells, so that a bubble shows wherever it lies: one of
+//! a radius of two spacings takes a quarter of some cube.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -16,10 +16,12 @@ use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 pub const BRICK: i32 = 4;
 /// Bricks along the edge of a bin.
 const BRICKS: i32 = BIN / BRICK;
-/// Edge of the cubes that have to be full, in spacings.
-const CUBE: f64 = 16.0 / 3.0;
+/// Wide cells by which cubes slide.
+const PART: i32 = 2;
+/// Least edge of the cubes that have to be full, in spacings.
+const CUBE: f64 = 4.0;
 /// What they have to hold of the plateau.
-const FULL_SHARE: f64 = 0.9;
+const FULL_SHARE: f64 = 0.85;
 
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -28,20 +30,20 @@ pub struct Inside {
     bricks: HashMap<IVec3, u64>,
 }
 
-/// What there is to know of each bin.
-fn by_bin<T: Send>(keys: &[MortonKey], of: impl Fn(IVec3) -> T + Sync) -> HashMap<IVec3, T> {
-    let of_bin = |key: &MortonKey| (key.coord(), of(key.coord()));
-    keys.par_iter().map(of_bin).collect::<Vec<_>>().into_iter().collect()
+/// Finds bits for each bin, and keeps those of which any is set.
+fn bits_by_bin(keys: &[MortonKey], bits: impl Fn(IVec3) -> u64 + Sync) -> HashMap<IVec3, u64> {
+    let of_bin = |key: &MortonKey| Some((key.coord(), bits(key.coord()))).filter(|(_, bits)| *bits != 0);
+    keys.par_iter().filter_map(of_bin).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// What there is of each brick of a box around a bin, x fastest.
-struct Around<T> {
+/// A value for each place of a cube of bricks or of parts of them, x fastest.
+struct Cube<T> {
     edge: usize,
     values: Vec<T>,
 }
 
-impl<T: Copy> Around<T> {
-    /// Of the bricks from `from` up to `to` along each axis, counted from the bin's corner.
+impl<T: Copy> Cube<T> {
+    /// Asks for the values of the places from `from` up to `to` along each axis.
     fn new(from: i32, to: i32, value: impl Fn(IVec3) -> T) -> Self {
         let edge = (to - from) as usize;
         let mut values = Vec::with_capacity(edge * edge * edge);
@@ -55,8 +57,8 @@ impl<T: Copy> Around<T> {
         Self { edge, values }
     }
 
-    /// Of every brick what `both` makes of the cube of `width` bricks that begins at it: fewer by `width` - 1 along each axis.
-    fn cubes(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
+    /// Joins by `both` the `width` places along each axis that begin at each place: fewer by `width` - 1 along each axis.
+    fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
         // What follows is still what it was; what reaches beyond the end of a row is left out.
@@ -72,8 +74,34 @@ impl<T: Copy> Around<T> {
     }
 }
 
-impl Around<bool> {
-    /// A bit for each brick of a bin, by its Morton index.
+impl Cube<u64> {
+    /// Sums samples over the parts of a box of whole parts.
+    fn of_parts(samples: &Block) -> Self {
+        let cells = samples.cells();
+        let edge = (cells.size().x / PART) as usize;
+        let mut values = vec![0; edge * edge * edge];
+        for ([y, z], row) in samples.rows(cells) {
+            let [y, z] = [y - cells.lo.y, z - cells.lo.z].map(|at| (at / PART) as usize);
+            let sums = &mut values[edge * (y + edge * z)..][..edge];
+            for (sum, samples) in sums.iter_mut().zip(row.as_chunks::<{ PART as usize }>().0) {
+                *sum += samples.iter().map(|&sample| u64::from(sample)).sum::<u64>();
+            }
+        }
+        Self { edge, values }
+    }
+}
+
+impl Cube<bool> {
+    /// Takes every other place along each axis.
+    fn halved(self) -> Self {
+        let edge = self.edge.div_ceil(2);
+        let at = |place: IVec3| {
+            2 * (place.x as usize + self.edge * (place.y as usize + self.edge * place.z as usize))
+        };
+        Self::new(0, edge as i32, |place| self.values[at(place)])
+    }
+
+    /// Makes a bit for each brick of a bin, by its Morton index.
     fn bits(&self) -> u64 {
         let edge = BRICKS as usize;
         debug_assert_eq!(self.edge, edge);
@@ -90,41 +118,34 @@ fn home(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
 }
 
 impl Inside {
-    /// Of a field of wide cells of `edge` spacings whose samples deep in the fluid are about `plateau`.
+    /// Finds the bricks that are inside a field of wide cells of `edge` spacings whose samples deep in the fluid are about `plateau`.
     #[must_use]
     pub fn of(field: &DifField, edge: f64, plateau: f64) -> Self {
         let keys: Vec<MortonKey> = field.keys().collect();
-        let sums = by_bin(&keys, |bin| {
-            let samples = field.gather(CellBox::cube(bin, BIN));
-            let mut sums = [0; 64];
-            for ([y, z], row) in samples.rows(samples.cells()) {
-                for (x, four) in (0..).zip(row.as_chunks::<{ BRICK as usize }>().0) {
-                    let brick = IVec3::new(x, (y - bin.y * BIN) / BRICK, (z - bin.z * BIN) / BRICK);
-                    sums[local_morton(brick)] += four.iter().map(|&sample| u64::from(sample)).sum::<u64>();
-                }
+        let width = (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32;
+        let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
+        let rim = PART * (width - 1);
+        let full = bits_by_bin(&keys, |bin| {
+            // Some cube that holds a brick lies in the bin: spray need not be looked at any closer.
+            let cells = CellBox::cube(bin, BIN);
+            let own: u64 = field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
+            if (own as f64) < least {
+                return 0;
             }
-            sums
-        });
-        let width = (CUBE / (edge * f64::from(BRICK))).round().max(1.0) as i32;
-        let least = FULL_SHARE * plateau * f64::from(BRICK * width).powi(3);
-        let full = by_bin(&keys, |bin| {
-            let held = Around::new(1 - width, BRICKS + width - 1, |brick| {
-                let (bin, brick) = home(bin, brick);
-                sums.get(&bin).map_or(0, |sums| sums[brick])
-            });
-            let Around { edge, values } = held.cubes(width as usize, |a, b| a + b);
-            let values = values.into_iter().map(|sum| sum as f64 >= least).collect();
-            Around { edge, values }.cubes(width as usize, |a, b| a && b).bits()
+            let sums = Cube::of_parts(&field.gather(cells.grown(rim, rim)));
+            let Cube { edge, values } = sums.joined(width as usize, |a, b| a + b);
+            let full = Cube { edge, values: values.into_iter().map(|sum| sum as f64 >= least).collect() };
+            let of_brick = width + BRICK / PART - 1;
+            full.joined(of_brick as usize, |a, b| a && b).halved().bits()
         });
         let is_full = |bin: IVec3, brick: IVec3| {
             let (bin, brick) = home(bin, brick);
             full.get(&bin).is_some_and(|full| full >> brick & 1 != 0)
         };
-        let mut bricks = by_bin(&keys, |bin| match full[&bin] {
-            0 => 0,
-            _ => Around::new(-1, BRICKS + 1, |brick| is_full(bin, brick)).cubes(3, |a, b| a && b).bits(),
+        let bricks = bits_by_bin(&keys, |bin| match full.get(&bin) {
+            None => 0,
+            Some(_) => Cube::new(-1, BRICKS + 1, |brick| is_full(bin, brick)).joined(3, |a, b| a && b).bits(),
         });
-        bricks.retain(|_, bits| *bits != 0);
         Self { bricks }
     }
 
