@@ -13,7 +13,7 @@ struct Block {
     marks: u32,
     // In cells.
     tiles_size: vec3<u32>,
-    spare_too: u32,
+    spare: u32,
 }
 
 // The word of a cell given relative to the block's lowest.

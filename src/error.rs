@@ -105,7 +105,7 @@ impl Error {
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface
-                    | FrameError::NoDistance
+                    | FrameError::NoDistanceSurface
                     | FrameError::OtherIndicator
                     | FrameError::NothingLeft { .. },
                 ..

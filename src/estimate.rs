@@ -4,10 +4,11 @@
 //! Every stage says what it takes; here it is added up.
 
 use bytesize::ByteSize;
+use glam::IVec3;
 use thiserror::Error;
 
-use crate::brick::{Bins, PageInfo, PageSamples, PageShape, SpilledBins};
-use crate::grid::BLOCK;
+use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
+use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
 use crate::stage::attribute;
 use crate::stage::dual_mc::{bin_vertices, block_vertices};
@@ -53,6 +54,10 @@ pub struct Drawing {
     pub carried_halo: i32,
     /// Whether every drop and every sheet can have a surface.
     pub keeps_details: bool,
+    /// Vertices around a particle alone.
+    pub vertices_alone: u64,
+    /// How many times the DIF is kept once more in cells twice as wide.
+    pub wide_levels: u32,
     /// Whether vertices get normals.
     pub normals: bool,
     /// Components of each attribute on the vertices.
@@ -113,12 +118,31 @@ impl Drawing {
     }
 }
 
+/// Bytes of the pages of cells 2, 4, ... times as wide, at the most, by how many samples can be other than 0 in each bin.
+fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
+    let page = |nonzero: usize| PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64;
+    // Of each level the page that is being added up: bins of one follow one another.
+    let mut open: Vec<(IVec3, usize)> = vec![(IVec3::MAX, 0); levels as usize];
+    let mut bytes = 0;
+    for (key, nonzero) in bins {
+        for (level, (coord, sum)) in (1..).zip(&mut open) {
+            let wide = key.coord() >> level;
+            if wide != *coord {
+                bytes += page(std::mem::take(sum));
+                *coord = wide;
+            }
+            *sum = sum.saturating_add(nonzero);
+        }
+    }
+    bytes + open.into_iter().map(|(_, sum)| page(sum)).sum::<u64>()
+}
+
 impl Estimate {
-    /// For particles counted by bin whose DIF is kept in pages of a shape, if there is one, and an input and a backend of which
-    /// `in_memory` bytes are taken all the time.
+    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input and a
+    /// backend of which `in_memory` bytes are taken all the time.
     #[must_use]
     pub fn of(
-        counts: impl Iterator<Item = usize>,
+        bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
         drawing: &Drawing,
         in_memory: u64,
@@ -128,7 +152,12 @@ impl Estimate {
             let nonzero = count.saturating_mul(shape.cells_a_particle());
             PageSamples::most_bytes(nonzero, count.min(shape.side.bricks_a_bin()), shape) as u64
         };
-        for count in counts {
+        if let Some(shape) = shape {
+            let nonzero =
+                |(key, count): (MortonKey, usize)| (key, count.saturating_mul(shape.cells_a_particle()));
+            estimate.field += wide_bytes(bins.clone().map(nonzero), drawing.wide_levels);
+        }
+        for (_, count) in bins {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
             estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
             estimate.add_bin(count as u64, shape.map_or(0, |shape| page(count, shape)), drawing);
@@ -140,6 +169,8 @@ impl Estimate {
     #[must_use]
     pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing, in_memory: u64) -> Self {
         let mut estimate = Self::of_program(drawing, in_memory);
+        let nonzero = |page: &PageInfo| (page.key, page.full_count as usize * shape.cells_a_particle());
+        estimate.field += wide_bytes(pages.iter().map(nonzero), drawing.wide_levels);
         for page in pages {
             estimate.add_bin(page.full_count.into(), page.most_bytes(shape) as u64, drawing);
         }
@@ -156,7 +187,8 @@ impl Estimate {
     fn add_bin(&mut self, particles: u64, field: u64, drawing: &Drawing) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
-        self.surface += (drawing.vertex_bytes() + TILE_SHARE) * bin_vertices(particles);
+        self.surface +=
+            (drawing.vertex_bytes() + TILE_SHARE) * bin_vertices(particles, drawing.vertices_alone);
     }
 
     /// The peak with everything in memory.

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, stage::indicator
-//! DIF bricks --calibrate--> plateau, isovalue                               calibration
-//! DIF bricks --gather(halo)--> blocks --blur--> [--detail-->] --dual MC-->  recipe, stage, backend
+//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  calibration
+//! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  recipe, stage, backend
 //! block surfaces --stitch--> mesh --write--> file                           stitch, io
 //! ```
 //!

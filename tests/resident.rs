@@ -135,7 +135,7 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     // Drops far smaller than cells fall between the middles of these.
     let dust = Settings { indicator: IndicatorKind::Cloud.into(), spacing: Some(0.05), ..scene };
-    assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistance));
+    assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
     let fine = Settings { spacing: Some(11.0), ..dust };
     assert!(matches!(surface(&[[0.0; 3]], &fine), FrameError::TooFine(_)));
     assert_eq!(device.allocated(), kept);

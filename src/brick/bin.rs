@@ -227,7 +227,7 @@ impl<'a> BinPlan<'a> {
     }
 
     /// How many particles each of them holds.
-    pub fn counts(&self) -> impl Iterator<Item = usize> + '_ {
+    pub fn counts(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         self.first.windows(2).map(|w| w[1] - w[0])
     }
 

@@ -100,11 +100,28 @@ impl<T: Copy + Default> Block<T> {
         Rows { block: self, part, next: [part.lo.y, z] }
     }
 
+    /// The tightest box around the samples of which `is` holds.
+    #[must_use]
+    pub fn box_of(&self, is: impl Fn(T) -> bool) -> CellBox {
+        let mut found = CellBox::EMPTY;
+        for ([y, z], row) in self.rows(self.cells) {
+            // Of most rows it holds nowhere, which is told of many samples at a time.
+            if row.iter().fold(0_u16, |any, &sample| any | u16::from(is(sample))) == 0 {
+                continue;
+            }
+            let [first, end] =
+                [row.iter().position(|&s| is(s)), row.iter().rposition(|&s| is(s)).map(|at| at + 1)]
+                    .map(|at| self.cells.lo.x + at.unwrap_or(0) as i32);
+            found = found.union(&CellBox { lo: IVec3::new(first, y, z), hi: IVec3::new(end, y + 1, z + 1) });
+        }
+        found
+    }
+
     /// Puts what `value` makes of what is there and of `samples`, which are those of the box `from`, x fastest, in `part`.
     ///
     /// # Panics
     /// Unless `part` is in the block and in `from`.
-    pub(super) fn put_part(
+    pub(crate) fn put_part(
         &mut self,
         part: CellBox,
         from: CellBox,

@@ -27,8 +27,8 @@ pub fn halved_box(cells: CellBox) -> CellBox {
     CellBox { lo: cells.lo >> 1, hi: (cells.hi + 1) >> 1 }
 }
 
-/// How pages of wide cells lie.
-const SHAPE: PageShape = PageShape { side: BrickSide::Sixteen, rim: 0 };
+/// How pages of cells lie that were made of others half as wide.
+pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, rim: 0 };
 
 /// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`, but for the outermost two.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -123,13 +123,13 @@ impl DifField {
         bins.sort_unstable_by_key(|&bin| MortonKey::of(bin));
         let factor = (factor * f64::from(1 << FACTOR_BITS)) as u64;
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
-        let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), SHAPE);
+        let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
         match self.cache_bytes() {
-            None => Self::in_memory(SHAPE, halving.bins.par_iter().filter_map(page).collect()),
+            None => Self::in_memory(HALVED, halving.bins.par_iter().filter_map(page).collect()),
             Some(cache_bytes) => {
                 let pages = halving.bins.par_iter().filter_map(|bin| Some((*bin, page(bin)?.0)));
                 let (bins, infos) = pages.collect::<Vec<_>>().into_iter().unzip();
-                Self::paged(SHAPE, infos, Box::new(Halving { bins, ..halving }), cache_bytes / 4)
+                Self::paged(HALVED, infos, Box::new(Halving { bins, ..halving }), cache_bytes / 4)
             }
         }
     }
@@ -154,11 +154,11 @@ mod tests {
                 let dense: Vec<u16> = (0..BIN.pow(3))
                     .map(|_| if random() % 3 == 0 { (random() % 30_000) as u16 + 1 } else { 0 })
                     .collect();
-                PageInfo::from_dense(bin, &dense, SHAPE).expect("it holds something")
+                PageInfo::from_dense(bin, &dense, HALVED).expect("it holds something")
             })
             .collect();
         pages.sort_by_key(|(info, _)| info.key);
-        Arc::new(DifField::in_memory(SHAPE, pages))
+        Arc::new(DifField::in_memory(HALVED, pages))
     }
 
     /// The formula, cell by cell.

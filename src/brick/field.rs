@@ -197,6 +197,21 @@ impl DifField {
         }
     }
 
+    /// Cells of the boxes around the full ones of all bins that some cells lie in.
+    #[must_use]
+    pub fn full_volume(&self, cells: CellBox) -> usize {
+        let bins = cells.cubes(BIN).filter_map(|bin| self.rank.get(&bin));
+        bins.map(|&rank| self.infos[rank as usize].full.volume()).sum()
+    }
+
+    /// The parts of some cells that lie within `reach` cells of a bin's full ones along every axis, which may overlap.
+    pub fn parts_near(&self, cells: CellBox, reach: i32) -> impl Iterator<Item = CellBox> + '_ {
+        let bins = cells.grown(reach, reach).cubes(BIN).filter_map(|bin| self.rank.get(&bin));
+        let near =
+            bins.map(move |&rank| self.infos[rank as usize].full.grown(reach, reach).intersection(&cells));
+        near.filter(|part| !part.is_empty())
+    }
+
     /// The parts of blocks that lie within `below` cells under, or `above` cells over, a full cell along
     /// every axis, as boxes of cells, in the Morton order of their blocks.
     #[must_use]

@@ -20,7 +20,7 @@ pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use binned::BinnedParticles;
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, unpack};
 pub use block::Block;
-pub use coarse::halved_box;
+pub use coarse::{HALVED, halved_box};
 pub use facts::FrameFacts;
 pub use field::DifField;
 pub use page::{BrickSide, PageInfo, PageShape, Pages, full_bits, fullness};

@@ -14,6 +14,7 @@ mod precision;
 
 pub use mean::{Binned, NoMeanCount, indicate};
 pub use plateau::Plateau;
+pub(crate) use precision::refuse_finest;
 pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for};
 
 use crate::recipe::Filters;
@@ -102,7 +103,7 @@ pub fn calibrate(
             Ok(Calibrated { calibration, plateau, step_cells })
         }
         Filters::Distances(distances) => {
-            precision::refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
+            refuse_finest(facts.spacing_cells(), facts.grid.cell_size())?;
             let plateau = Plateau::of_clouds(frame, distances);
             let calibration = Calibration::Clouds { plateau: plateau.value() };
             let step_cells = facts.spacing_cells_or_one() / UNITS;

@@ -1,6 +1,6 @@
-//! The field deep in the fluid, by which the isovalue places the surface without bias.
+//! The field deep in the fluid: by it the paper's isovalue is told, and shares of clouds become depths.
 //!
-//! At the true surface the smoothed field is 0.47 of its interior plateau ([`Isovalue::PLATEAU_PERCENT`]). The plateau is
+//! At the true surface the paper's smoothed field is 0.47 of its interior plateau ([`Isovalue::PLATEAU_PERCENT`]). The plateau is
 //! the median of the smoothed DIF over interior cells: those whose filters see nothing but fluid. What is interior is told
 //! by lengths in spacings, so that it is the same in cells of any size: gaps between particles in which a cube of two
 //! spacings finds room count as fluid, for particles at random leave such cubes empty in the middle of the fluid.

@@ -1,5 +1,7 @@
 //! How finely a field of 16 bits tells where its surface is.
 //!
+//! A step of distances is 1 / 8192 of a spacing in cells of any size. Of the paper's indicators:
+//!
 //! In cells of h spacings a cell of deep fluid holds h^3 particles, and the plateau P is as small a part of what a cell full
 //! of them would have. A flat surface is drawn through P Phi(x / s), x being the depth and s the standard deviation of
 //! what a particle is smoothed into. One step of the field therefore moves it by s / (P phi(z)), where Phi(z) = 0.47.

@@ -67,7 +67,8 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let drawing = field.drawing(&self.surfacing, *spacing, grid, components);
         let in_memory = self.particles.resident_bytes() + resources.host_bytes();
         let shape = field.indicator().map(|asked| asked.kind.shape(*side));
-        let estimate = Estimate::of(self.plan.counts(), shape, &drawing, in_memory);
+        let bins = self.plan.keys().iter().copied().zip(self.plan.counts());
+        let estimate = Estimate::of(bins, shape, &drawing, in_memory);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match *field {
             FieldRequest::Indicator(_) => estimate,

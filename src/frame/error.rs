@@ -49,7 +49,7 @@ pub enum FrameError {
     #[error(
         "the surface is empty: no cell's centre is inside of it; use smaller cells; is the --spacing right?"
     )]
-    NoDistance,
+    NoDistanceSurface,
     /// What was measured on a frame of another indicator says nothing of this one.
     #[error("it was packed with another indicator than the frame that all are drawn by")]
     OtherIndicator,
@@ -118,7 +118,7 @@ impl FrameError {
     pub(super) fn no_surface(recipe: &Recipe) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },
-            Filters::Distances(_) => Self::NoDistance,
+            Filters::Distances(_) => Self::NoDistanceSurface,
         }
     }
 }

@@ -201,7 +201,7 @@ impl Frame {
     /// Kernels have nothing to measure.
     ///
     /// # Errors
-    /// [`FrameError::TooFine`], where it is measured.
+    /// [`FrameError::TooFine`], where it is measured, and [`FrameError::OtherIndicator`], where the known one is of another.
     pub fn calibrate(
         &self,
         surfacing: &Surfacing,

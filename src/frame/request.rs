@@ -8,8 +8,8 @@ use crate::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::rivals::Method;
 use crate::stage::blur::{Filter, Smoothing};
 use crate::stage::distance::{BULK_GAIN, Distances, Inside};
-use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::stage::dual_mc::{Normals, vertices_alone};
+use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideCells};
 use crate::units::{Isovalue, Sigma, Smooth};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
@@ -97,19 +97,41 @@ impl FieldRequest {
         components: Vec<usize>,
     ) -> Drawing {
         let normals = surfacing.normals == Normals::Gradient;
+        let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
+        let vertices_alone = vertices_alone(spacing_cells);
         match *self {
             Self::Indicator(asked) => {
                 let filters = surfacing.filters(asked.kind, spacing, grid);
                 let carried_halo = surfacing.attribute_smoothing(asked.kind, spacing, grid).halo();
                 let (block_bytes, keeps_details) = (filters.block_bytes(), filters.keeps_details());
-                Drawing { block_bytes, carried_halo, keeps_details, normals, components }
+                let wide_levels = match asked.kind {
+                    IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells).level,
+                    IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
+                };
+                Drawing {
+                    block_bytes,
+                    carried_halo,
+                    keeps_details,
+                    vertices_alone,
+                    wide_levels,
+                    normals,
+                    components,
+                }
             }
             Self::Kernels(_) => {
                 let smoothing = attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size());
                 // Dual cells reach one cell up, and normals one cell each way.
                 let block_bytes = Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3);
                 let carried_halo = smoothing.halo();
-                Drawing { block_bytes, carried_halo, keeps_details: false, normals, components }
+                Drawing {
+                    block_bytes,
+                    carried_halo,
+                    keeps_details: false,
+                    vertices_alone,
+                    wide_levels: 0,
+                    normals,
+                    components,
+                }
             }
         }
     }

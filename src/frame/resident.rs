@@ -2,7 +2,7 @@
 //! in, buffers of vertices and indices out.
 //!
 //! The device can be a caller's own ([`Device::adopt`]), and so can the buffer ([`Device::foreign_buffer`]): those two
-//! calls state what the caller must hold to, everything here is safe. The host sees the DIF, to measure the isovalue
+//! calls state what the caller must hold to, everything here is safe. The host sees the DIF, to calibrate it
 //! and to find the blocks that the surface can pass through, and neither the particles nor the mesh. The mesh is that
 //! of the other backends, with positions rounded to f32.
 //!
@@ -55,7 +55,7 @@ pub struct ResidentSurface {
     pub indices: Arc<Buffer>,
     /// How many triangles there are.
     pub triangles: u32,
-    /// Given or measured.
+    /// Where the surface is in the field: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
     pub iso: Isovalue,
     /// The field's interior, measured whether or not the isovalue was given.
     pub plateau: Plateau,

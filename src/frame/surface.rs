@@ -87,7 +87,7 @@ impl CalibratedFrame<'_> {
     /// The frame's surface.
     ///
     /// # Errors
-    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], and [`FrameError::Scratch`] where scratch files fail.
+    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], [`FrameError::NoDistanceSurface`], and [`FrameError::Scratch`] where scratch files fail.
     pub fn surface(self, laps: &mut Laps) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());

@@ -75,7 +75,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     let mut averages = table(&["indicator", "sampling", "cell / spacing", "lattices"]);
     let mut along = table(&["indicator", "cell / spacing", "place", "plateau"]);
     let cells = options.choose(&CELLS[..], &CELLS[2..3]);
-    for indicator in [CLOUD, IndicatorKind::Symmetry, COUNTING] {
+    for indicator in [IndicatorKind::Symmetry, COUNTING] {
         for (sampling, jitter) in SAMPLINGS {
             for &cell in cells {
                 let measure = |lattices: &[Lattice]| -> Outcome<Vec<Vec<Found>>> {

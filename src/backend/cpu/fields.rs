@@ -5,14 +5,17 @@ use std::rc::Rc;
 use crate::brick::Block;
 use crate::grid::CellBox;
 use crate::recipe::{Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at};
-use crate::stage::blur::{Kernel, blur_while};
+use crate::stage::blur::{Kernel, blur_of_few, blur_while};
 use crate::stage::detail::{lost, raise};
 use crate::stage::distance::{
-    Bulk, Depths, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient, refined,
-    spread, wide_cells,
+    Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient,
+    refined, spread, wide_cells,
 };
 use crate::stage::indicator::SampledDif;
 use crate::units::Isovalue;
+
+/// Spray has particles in no more than one of so many cells.
+const FEW: usize = 16;
 
 /// Samples that are looked at before it is asked whether that was enough.
 const PIECE: usize = 1 << 10;
@@ -32,36 +35,85 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// The final field on each of some boxes of cells near one another where the surface can pass between them, as far as can be told
-/// before there is a field, by whether each is away from walls. They share what they can in so many bytes.
-pub(super) fn cut_fields(
-    recipe: &Recipe,
-    sampled: &SampledDif,
-    boxes: &[CellBox],
-    away_from_walls: &[bool],
+/// Makes, one after the other, the final field on each of some boxes of cells near one another where the surface can pass between
+/// them, as far as can be told before there is a field, by whether each is away from walls. They share what they can in so many bytes.
+pub(super) fn cut_fields<'a>(
+    recipe: &'a Recipe,
+    sampled: &'a SampledDif,
+    boxes: &'a [(CellBox, bool)],
     most_bytes: u64,
-) -> Vec<Option<Block>> {
-    let looking =
-        away_from_walls.iter().map(|&away_from_walls| Looking::For { iso: recipe.iso, away_from_walls });
-    let boxes = boxes.iter().copied().zip(looking);
+) -> Box<dyn Iterator<Item = Option<Block>> + 'a> {
+    let boxes = boxes
+        .iter()
+        .map(|&(cells, away_from_walls)| (cells, Looking::For { iso: recipe.iso, away_from_walls }));
     let blocks = |cells, looking| Blocks::new(recipe, sampled, cells, looking);
     let block = |field: Result<Field, Stopped>| Some(Rc::unwrap_or_clone(field.ok()?.block));
     let Filters::Distances(distances) = &recipe.filters else {
-        return boxes.map(|(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))).collect();
+        return Box::new(boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))));
     };
     let halo = distances.wide_halo();
     let volume = |cells: CellBox| distances.wide_cells(cells).grown(halo, halo).volume();
     let all = boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
     let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
-    let together = fits && volume(all) <= boxes.clone().map(|(cells, _)| volume(cells)).sum();
-    let made = |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
+    let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
+    let together = fits && volume(all) <= apart;
+    let whole = if together { volume(all) } else { apart };
+
+    // Nothing is beyond reach of particles: spray, in few of the cells, costs less drop by drop.
+    let reach = sampled.dif.reach() + distances.reach() + 1;
+    let is_spray = FEW * sampled.dif.full_volume(all) <= all.volume();
+    let near = |cells: CellBox| sampled.dif.parts_near(cells, reach).filter(|_| is_spray);
+    let near: Vec<Vec<CellBox>> = boxes.clone().map(|(cells, _)| near(cells).collect()).collect();
+    let cost = |part: &CellBox| {
+        let full = distances.wide_cells(part.grown(-reach, -reach));
+        if FEW * full.volume() <= volume(*part) { volume(*part) / FEW } else { volume(*part) }
+    };
+    if is_spray && 2 * near.iter().flatten().map(cost).sum::<usize>() <= whole {
+        return Box::new(boxes.zip(near).map(move |((cells, _), near)| {
+            let parts = near.into_iter().filter_map(|part| drops(recipe, distances, sampled, part));
+            let paste = |field: Option<Block>, part: Block| {
+                let mut field = field.unwrap_or_else(|| Block::zero(cells));
+                field.put_part(part.cells(), part.cells(), part.samples(), |_, sample| sample);
+                Some(field)
+            };
+            parts.fold(None, paste)
+        }));
+    }
+    let made = move |cells, looking| bulk(distances, &mut blocks(cells, looking)).ok();
     let of_all =
         if together { made(all, Looking::For { iso: recipe.iso, away_from_walls: true }) } else { None };
-    let field = |(cells, looking)| {
+    let field = move |(cells, looking)| {
         let wide = if together { of_all.clone() } else { made(cells, looking) };
         block(joined_fields(distances, &mut blocks(cells, looking), wide?))
     };
-    boxes.map(field).collect()
+    Box::new(boxes.map(field))
+}
+
+/// The final field on a box of cells around drops, `None` where no surface is.
+fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: CellBox) -> Option<Block> {
+    let Distances { level, near, least, .. } = *distances;
+    let wide = distances.wide_cells(cells);
+    let walls = walls_at(level, sampled.facts.walls());
+    let clouds = sampled.wide(level).gather_within(wide.grown(near, near), walls);
+    let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
+    if needed.is_empty() {
+        return None;
+    }
+    // The cells between the middles of those that are needed.
+    let further = i32::from(level > 0);
+    let between = CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
+    let mut blocks = Blocks { few: true, ..Blocks::new(recipe, sampled, between, Looking::Away) };
+    let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
+    // Further away no particle is near.
+    let padded = |Field { block, level }: Field| {
+        let mut all = Block::zero(wide);
+        all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
+        Field { block: Rc::new(all), level }
+    };
+    let fields = WideFields { bulk: padded(bulk), outlying: padded(outlying) };
+    let looking = Looking::For { iso: recipe.iso, away_from_walls: false };
+    let field = joined_fields(distances, &mut Blocks::new(recipe, sampled, cells, looking), fields).ok()?;
+    Some(Rc::unwrap_or_clone(field.block))
 }
 
 /// Whether a field is only wanted where the surface passes.
@@ -111,13 +163,15 @@ struct Blocks<'a> {
     looking: Looking,
     /// Whether blurred samples tell of all that follows.
     decides: bool,
+    /// Whether next to all samples are 0.
+    few: bool,
 }
 
 impl<'a> Blocks<'a> {
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, looking: Looking) -> Self {
         // The paper's smoothing is a mean of the DIF, and decides where nothing brings details back.
         let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
-        Self { sampled, cells, wanted: cells, looking, decides }
+        Self { sampled, cells, wanted: cells, looking, decides, few: false }
     }
 }
 
@@ -157,6 +211,9 @@ impl Fields for Blocks<'_> {
     }
 
     fn blur(&mut self, Field { block, level }: Field, kernel: &Kernel) -> Result<Field, Stopped> {
+        if self.few {
+            return Ok(Field { block: Rc::new(blur_of_few(&block, kernel, self.walls(level))), level });
+        }
         let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
         let block = blur_while(Rc::unwrap_or_clone(block), kernel, self.walls(level), goes_on);
         block.map(|block| Field { block: Rc::new(block), level }).ok_or(Stopped)

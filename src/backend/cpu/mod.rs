@@ -101,10 +101,8 @@ fn parent(region: &CellBox) -> IVec3 {
 fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox], together: u64) -> Vec<Option<BlockMesh>> {
     let &Surfaces { sampled, recipe, normals } = surfaces;
     let walls = surfaces.walls();
-    let cells: Vec<_> = regions.iter().map(|&region| normals.cells(region)).collect();
-    let away = |region: &CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(*region)));
-    let away: Vec<_> = regions.iter().map(away).collect();
-    let fields = cut_fields(recipe, sampled, &cells, &away, together);
-    let fields = regions.iter().zip(fields);
+    let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+    let boxes: Vec<_> = regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
+    let fields = regions.iter().zip(cut_fields(recipe, sampled, &boxes, together));
     fields.map(|(&region, field)| block_mesh(&field?, region, recipe.iso, normals, walls)).collect()
 }

@@ -22,7 +22,7 @@ use meniscus::sequence::inputs::Inputs;
 use meniscus::sequence::naming::Naming;
 use meniscus::sequence::state::Settings;
 use meniscus::simplify::{BYTES_A_THREAD, Reduction};
-use meniscus::stage::indicator::IndicatorKind;
+use meniscus::stage::indicator::{IndicatorKind, SampledDif};
 use meniscus::stitch::Stitched;
 use meniscus::units::{Isovalue, Sigma, Smooth, Tolerance};
 use serde_json::json;
@@ -30,7 +30,9 @@ use serde_json::json;
 use crate::Verdict;
 use crate::interrupt;
 use crate::method::MethodName;
-use crate::report::{advice, report_frame, report_isovalue, report_laps, report_simplified, report_warnings};
+use crate::report::{
+    advice, report_calibration, report_frame, report_laps, report_simplified, report_warnings,
+};
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
 use crate::sequence::{self, SequenceOptions};
@@ -411,9 +413,12 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let measured = calibrated.measured();
     let mesh = calibrated.surface(&mut laps).map_err(in_file)?;
     report_warnings(&frame, &notes);
-    measured.iter().for_each(|measured| report_isovalue(&frame, measured, surfacing.iso, &notes));
+    measured.iter().for_each(|measured| report_calibration(&frame, measured, surfacing.iso, &notes));
     if let Some(shortfall) = frame.shortfall(&mesh).map_err(in_file)? {
-        notes.say(format!("warning: {shortfall}{}", advice(options, None)));
+        notes.say(format!(
+            "warning: {shortfall}{}",
+            advice(options, frame.dif().is_some_and(SampledDif::is_clouds), None)
+        ));
     }
     let width = coordinate_width(&mesh, mesh.grid().cell_size(), format, &notes)?;
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {

@@ -69,7 +69,7 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
 }
 
 /// Says where the surface is drawn, and how finely the field tells it.
-pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isovalue>, notes: &Notes) {
+pub fn report_calibration(frame: &Frame, measured: &Calibrated, given: Option<Isovalue>, notes: &Notes) {
     let &Calibrated { calibration, plateau, step_cells } = measured;
     notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
     let fraction = |theta: u16| f64::from(theta) / f64::from(FULL);
@@ -80,7 +80,11 @@ pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isova
                 format!("{density:.4} particles in a cubed spacing deep in the fluid")
             }
             Plateau::Shallow { .. } => {
-                "a particle in each cubed spacing, as no fluid is deep enough to tell".to_owned()
+                let spacing = match frame.facts().spacing {
+                    Some(_) => "spacing",
+                    None => "spacing of one cell, for none is known",
+                };
+                format!("a particle in each cubed {spacing}, as no fluid is deep enough to tell")
             }
         });
         return;
@@ -104,19 +108,20 @@ pub fn report_isovalue(frame: &Frame, measured: &Calibrated, given: Option<Isova
     }
 }
 
-/// Advises on a surface that holds less than its particles. `frame` is the one whose isovalue it has, if that is another.
-pub fn advice(options: &Options, frame: Option<u64>) -> String {
+/// Advises on a surface, of clouds or not, that holds less than its particles. `frame` is the one whose isovalue or plateau it has, if
+/// that is another.
+pub fn advice(options: &Options, is_cloud: bool, frame: Option<u64>) -> String {
     let mut advice = String::new();
     if let Some(frame) = frame {
         let _ = write!(
             advice,
             "; {} was measured on frame {frame}",
-            if options.sampling.is_cloud() { "its plateau" } else { "its isovalue" }
+            if is_cloud { "its plateau" } else { "its isovalue" }
         );
     }
     if matches!(options.iso, IsoOption::Value(_)) {
         advice += "; a lower --iso, or --iso auto, shows more";
-    } else if options.method == MethodName::Dif && !options.sampling.is_cloud() {
+    } else if options.method == MethodName::Dif && !is_cloud {
         advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
     }
     advice + "; is their --spacing right?"

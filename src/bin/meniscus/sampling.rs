@@ -132,11 +132,6 @@ impl SamplingOptions {
         self.indicator.is_some()
     }
 
-    /// Whether that is cloud.
-    pub fn is_cloud(&self) -> bool {
-        matches!(self.indicator, None | Some(IndicatorName::Cloud))
-    }
-
     /// Whether there is one.
     pub fn mu0_given(&self) -> bool {
         self.mu0.is_some()

@@ -50,7 +50,7 @@ pub struct DeviceBlock {
     pub marks: u32,
     /// In cells.
     pub tiles_size: [u32; 3],
-    spare_too: u32,
+    spare: u32,
 }
 
 impl DeviceBlock {
@@ -68,7 +68,7 @@ impl DeviceBlock {
             tiles_lo: region.lo.to_array(),
             marks: 0,
             tiles_size: region.size().as_uvec3().to_array(),
-            spare_too: 0,
+            spare: 0,
         }
     }
 

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use zstd::bulk::Decompressor;
 
 use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
+use crate::calibration::refuse_finest;
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
@@ -275,7 +276,11 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     let indicator = match indicator {
         0 => Indicator::Symmetry,
         1 => Indicator::Counting(mean()?),
-        2 => Indicator::Cloud(Amount::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()))),
+        2 => {
+            let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
+            refuse_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
+            Indicator::Cloud(Amount::of_spacing(spacing_cells.unwrap_or(1.0)))
+        }
         other => return Err(fault(&format!("indicator {other}; there are 0, 1 and 2"))),
     };
     let mut particles = || {

@@ -8,7 +8,7 @@ use crate::grid::CellBox;
 use super::{Kernel, UNIT};
 
 /// A number that can be blurred.
-pub trait Sample: Copy + Default {
+pub trait Sample: Copy + Default + PartialEq {
     /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the kernel's weights, along an axis.
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, axis: usize);
 }
@@ -50,6 +50,44 @@ pub fn blur_while<T: Sample>(
         block.repeat_edges(walls);
     }
     Some(block)
+}
+
+/// The same of a block that is 0 but for a small box: what nothing reaches is 0 without a look.
+///
+/// # Panics
+/// As [`blur`].
+#[must_use]
+pub fn blur_of_few<T: Sample>(block: &Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
+    let full = block.box_of(|sample| sample != T::default());
+    let mut blurred = blurred_part(block, full, kernel);
+    if let Some(walls) = walls {
+        blurred.repeat_edges(walls);
+    }
+    blurred
+}
+
+/// Blurs a block that is 0 but for the box `full`.
+fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, kernel: &Kernel) -> Block<T> {
+    let (cells, reach) = (block.cells(), kernel.reach());
+    let mut blurred = Block::zero(cells.grown(-reach, -reach));
+    let reached = full.grown(reach, reach).intersection(&blurred.cells());
+    if full.is_empty() || reached.is_empty() {
+        return blurred;
+    }
+    let mut spare = Vec::new();
+    let mut part = block.part(full);
+    for axis in 0..3 {
+        let mut from = part.cells();
+        (from.lo[axis], from.hi[axis]) = (reached.lo[axis] - reach, reached.hi[axis] + reach);
+        let mut taps = Block::zero(from);
+        let there = from.intersection(&part.cells());
+        taps.put_part(there, part.cells(), part.samples(), |_, sample| sample);
+        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel, axis);
+        taps.along(axis, reach, &mut spare, &fill);
+        part = taps;
+    }
+    blurred.put_part(reached, reached, part.samples(), |_, sample| sample);
+    blurred
 }
 
 /// Integers of the DIF, by the formula of `mod.rs`.

@@ -17,11 +17,6 @@ pub trait Filter {
 
     /// Fields of a block that are there at once while it runs, its input and its output among them.
     fn fields(&self) -> FieldCount;
-
-    /// Whether every drop and every sheet can have a surface by it.
-    fn keeps_details(&self) -> bool {
-        true
-    }
 }
 
 /// Fields of a block that are there at once.

@@ -11,7 +11,7 @@ mod filter;
 mod smoothing;
 pub mod vulkan;
 
-pub use cpu::{Sample, blur, blur_while};
+pub use cpu::{Sample, blur, blur_of_few, blur_while};
 pub use filter::{FieldCount, Filter};
 pub use smoothing::Smoothing;
 
@@ -69,9 +69,10 @@ impl Kernel {
         Self::with_tails(tails.collect())
     }
 
-    /// The same with a gain of so many bits, 16 at the most.
+    /// Adds a gain of so many bits, 15 at the most.
     #[must_use]
     pub fn gaining(self, gain: u32) -> Self {
+        debug_assert!(gain < UNIT.ilog2(), "{gain} bits");
         Self { gain, ..self }
     }
 

@@ -52,8 +52,4 @@ impl Filter for Smoothing {
     fn fields(&self) -> FieldCount {
         FieldCount { host: 2, device: 2 }
     }
-
-    fn keeps_details(&self) -> bool {
-        false
-    }
 }

@@ -1,7 +1,7 @@
 //! Signed distances from clouds: a calm surface of the bulk, and the drops that stand out of it.
 //!
 //! All lengths are in particle spacings d, so that what is drawn does not depend on the cells. The surface of the bulk is made in
-//! [wide cells](super::indicator::WideCells) of 0.55 to 1.1 d.
+//! [wide cells](super::indicator::WideCells) of 0.55 to 1.1 d, or the grid's own where those are wider.
 //!
 //! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). Of the clouds' density under s, as a share
 //!    theta of the plateau, D_s = s Phi^-1(theta) is therefore a depth, held within 2.5 d.
@@ -14,7 +14,7 @@
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), rho being the clouds' density and G a Gaussian of 0.6 d. A particle
 //!    alone peaks at 1 in cells of any size, and is a ball of the distance r - 0.6 sqrt(2 ln 1 / N). N is made in cells half as wide as
 //!    wide ones, or in the grid's own where those are no finer.
-//! 5. Joined. A particle whose centre lies outside of the calm surface stands out, by S = -E in its wide cell; the greatest S within a
+//! 5. Joined. A particle whose centre lies outside of the calm surface stands out, by O = -E in its wide cell; the greatest O within a
 //!    spacing makes drops of the bulk's surface from 0.4 to 1 d. Where no particle is near, there is no surface.
 //!
 //! Every blur is one of [`blur`](super::blur); wide cells become cells by quadratic B-splines; gates are 3 x^2 - 2 x^3. Distances are

@@ -25,11 +25,17 @@ pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
 
-/// Vertices around so many particles of a bin, at the most for all but wild surfaces: around one alone, or in a bin full of
-/// wrinkled surface, where a plane through it has 16^2 times one to two.
+/// Vertices around a particle alone, so many cells from others at the least: a ball of 0.55 spacings has 7 to the squared spacing.
 #[must_use]
-pub fn bin_vertices(particles: u64) -> u64 {
-    (60 * particles).min(2000)
+pub fn vertices_alone(spacing_cells: f64) -> u64 {
+    (8.0 * spacing_cells * spacing_cells).max(60.0) as u64
+}
+
+/// Vertices around so many particles of a bin, at the most for all but wild surfaces: each with so many `alone`, or in a bin full
+/// of wrinkled surface, where a plane through it has 16^2 times one to two.
+#[must_use]
+pub fn bin_vertices(particles: u64, alone: u64) -> u64 {
+    particles.saturating_mul(alone).min(2000)
 }
 
 /// Whether vertices get normals.

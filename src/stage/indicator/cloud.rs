@@ -14,7 +14,7 @@ pub const SHARE_BITS: u32 = 16;
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
 /// Of less than this nothing might be left in a particle's own cell, where half of its cloud lies along each axis.
 const LEAST_AMOUNT: u16 = 4;
-/// The most: in fine cells two particles at the very middle of one, and more elsewhere in it, still add up.
+/// The most: in fine cells four particles at the very middle of one, and more elsewhere in it, still add up.
 const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;

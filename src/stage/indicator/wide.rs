@@ -4,7 +4,8 @@ use super::Amount;
 
 /// The least edge of the cells in which the calm surface is made, in spacings: finer ones are joined before.
 const LEAST_WIDE: f64 = 0.55;
-/// The field of wide cells, by the particles' spacing in cells.
+
+/// How wide the wide cells of a frame are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WideCells {
     /// Each is 2^`level` cells along an axis.

@@ -113,6 +113,7 @@ impl Setup<'_> {
         if is_frame(path) {
             self.options.validate_frame_input(path)?;
             let sampled = open_frame(path, resources.budget.0 / 4)?;
+            self.options.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, measured);

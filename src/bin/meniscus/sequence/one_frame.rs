@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use meniscus::calibration::Calibration;
 use meniscus::error::Error;
 use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources};
 use meniscus::io::bytes::Unpacking;
@@ -202,6 +203,7 @@ impl Conversion<'_> {
         let permit = self.gate.enter();
         let sampled = open_frame(path, budget.0 / 4)?;
         laps.lap("open");
+        self.setup.options.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..self.setup.resources.clone() };
         let frame = Frame::from_sampled(sampled, &self.setup.surfacing, resources);
         Ok(Ready { frame: Some(frame), infos: Vec::new(), time: None, permit })
@@ -285,7 +287,7 @@ impl Conversion<'_> {
                 warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
                 return Ok(None);
             }
-            Err(FrameError::NoKernelSurface | FrameError::NoDistance) => {
+            Err(FrameError::NoKernelSurface | FrameError::NoDistanceSurface) => {
                 warn(empty("no cell's centre is inside of the surface"));
                 return Ok(None);
             }
@@ -315,7 +317,8 @@ impl Conversion<'_> {
     /// Advises on a surface that holds less than its particles.
     fn advice(&self, frozen: &Frozen) -> String {
         let measured = self.setup.surfacing.iso.is_none() && frozen.calibration.is_some();
-        advice(self.setup.options, measured.then_some(frozen.frame))
+        let is_cloud = matches!(frozen.calibration, Some(Calibration::Clouds { .. }));
+        advice(self.setup.options, is_cloud, measured.then_some(frozen.frame))
     }
 }
 
