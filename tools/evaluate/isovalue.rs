@@ -16,7 +16,7 @@ use meniscus::units::{FULL, Isovalue};
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};
-use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
+use crate::methods::{COUNTING, grid, sampling, surfacing};
 use crate::sample::{Lattice, fill, place};
 use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
