@@ -63,6 +63,7 @@ at_every_place! {
     oracle:
         the_sparse_field_is_the_dense_one_to_the_bit
         the_mesh_is_that_of_the_dense_field_vertex_by_vertex
+        the_mesh_of_spray_is_that_of_the_dense_field
         threads_particle_order_and_brick_side_change_no_byte
         the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64
         a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much

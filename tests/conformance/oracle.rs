@@ -175,21 +175,46 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
 }
 
 pub fn the_mesh_is_that_of_the_dense_field_vertex_by_vertex(place: &Place) {
-    for variant in variants(place, 7) {
-        let Variant { particles, sampling, surfacing } = &variant;
-        let (frame, surface) = reconstruct(&particles[..], sampling, surfacing);
-        let field = dense_field(&frame, &variant);
-        let field =
-            Dense { cells: field.cells, values: field.values.iter().map(|&v| f64::from(v)).collect() };
-        let walls = sampling.domain.map(|d| d.cells());
-        let c = f64::from(surface.iso.threshold()) + 0.5;
-        let (positions, triangles) = dense::mesh(&field, c, walls);
-        assert_eq!(surface.mesh.triangles, triangles);
-        assert_eq!(surface.mesh.positions.len(), positions.len());
-        for (ours, theirs) in surface.mesh.positions.iter().zip(&positions) {
-            for axis in 0..3 {
-                assert!((ours[axis] - theirs[axis]).abs() < 1e-12, "{ours:?} is not {theirs:?}");
-            }
+    variants(place, 7).iter().for_each(assert_mesh_is_dense);
+}
+
+pub fn the_mesh_of_spray_is_that_of_the_dense_field(place: &Place) {
+    let mut random = Random::new(17);
+    let mut spray: Vec<[f64; 3]> = (0..24).map(|_| [(); 3].map(|()| 44.0 * random.unit() - 22.0)).collect();
+    // Two particles near each other, and drops of a few.
+    spray.extend([
+        [9.0, 1.0, 3.0],
+        [10.3, 1.2, 3.1],
+        [-8.0, -7.0, 8.0],
+        [-8.0, -6.0, 8.3],
+        [-7.2, -6.4, 8.9],
+    ]);
+    for (spacing, walls) in [(1.0, false), (1.5, true), (1.5, false), (2.0, false), (2.0, true), (3.0, false)]
+    {
+        let particles: Vec<[f64; 3]> = spray.iter().map(|p| p.map(|x| x * spacing)).collect();
+        let field = IndicatorKind::Cloud.into();
+        let mut sampling = Sampling { field, spacing: Some(spacing), ..place.sampling() };
+        if walls {
+            let half = DVec3::splat((17.0 * spacing).floor());
+            sampling.domain = Domain::new(&sampling.grid, -half, half).ok();
+        }
+        assert_mesh_is_dense(&Variant { particles, sampling, surfacing: surfacing() });
+    }
+}
+
+fn assert_mesh_is_dense(variant: &Variant) {
+    let Variant { particles, sampling, surfacing } = variant;
+    let (frame, surface) = reconstruct(&particles[..], sampling, surfacing);
+    let field = dense_field(&frame, variant);
+    let field = Dense { cells: field.cells, values: field.values.iter().map(|&v| f64::from(v)).collect() };
+    let walls = sampling.domain.map(|d| d.cells());
+    let c = f64::from(surface.iso.threshold()) + 0.5;
+    let (positions, triangles) = dense::mesh(&field, c, walls);
+    assert_eq!(surface.mesh.triangles, triangles);
+    assert_eq!(surface.mesh.positions.len(), positions.len());
+    for (ours, theirs) in surface.mesh.positions.iter().zip(&positions) {
+        for axis in 0..3 {
+            assert!((ours[axis] - theirs[axis]).abs() < 1e-12, "{ours:?} is not {theirs:?}");
         }
     }
 }
