@@ -4,6 +4,7 @@
 //! divergence theorem), so that a mesh far from the origin keeps its digits. Genus follows from
 //! Euler's `V - E + F = 2 (components - genus)`. Sums run over chunks of fixed length, added in order.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use glam::DVec3;
@@ -13,6 +14,9 @@ use serde::Serialize;
 use super::Mesh;
 use super::check::topology;
 use super::stars::is_sound;
+
+/// Volume over area to the power of 3/2, with factors, below which a piece has none.
+const FLAT: f64 = 1e-9;
 
 /// Triangles a partial sum.
 const CHUNK: usize = 1 << 14;
@@ -31,6 +35,8 @@ pub struct Measures {
     pub volume: Option<f64>,
     /// Pieces that share no vertex.
     pub components: usize,
+    /// Those of them that enclose next to nothing, as two triangles back to back.
+    pub flat_components: usize,
     /// Vertices - edges + triangles, of those vertices that triangles use.
     pub euler_characteristic: i64,
     /// Handles, of all components together. None unless closed, oriented and 2-manifold.
@@ -65,13 +71,15 @@ pub fn measure(mesh: &Mesh) -> Measures {
     let bounds = bounds(mesh);
     let centre = bounds.map_or(DVec3::ZERO, |[low, high]| (low + high) / 2.0);
     let sums = Sums::of(mesh, centre);
-    let components = components(mesh);
+    let pieces = pieces(mesh);
+    let components = pieces.len();
     let euler = vertices as i64 - topology.edges as i64 + topology.sound_triangles as i64;
     Measures {
         bounds: bounds.map(|corners| corners.map(|corner| corner.to_array())),
         area: sums.doubled_area / 2.0,
         volume: (topology.is_closed() && topology.is_oriented()).then_some(sums.sextuple_volume / 6.0),
         components,
+        flat_components: pieces.iter().filter(|piece| piece.is_flat()).count(),
         euler_characteristic: euler,
         genus: topology.is_closed_oriented_manifold().then_some(components as i64 - euler / 2),
         quality: sums.quality(topology.sound_triangles),
@@ -88,26 +96,42 @@ fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
     used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])
 }
 
-/// Counts the pieces by joining the vertices of every triangle.
-fn components(mesh: &Mesh) -> usize {
+/// A piece that shares no vertex with others.
+#[derive(Default)]
+struct Piece {
+    doubled_area: f64,
+    sextuple_volume: f64,
+}
+
+impl Piece {
+    /// Whether it encloses less than rounding leaves of nothing.
+    fn is_flat(&self) -> bool {
+        self.sextuple_volume.abs() <= FLAT * self.doubled_area.powf(1.5)
+    }
+}
+
+/// Finds the pieces by joining the vertices of every triangle.
+fn pieces(mesh: &Mesh) -> Vec<Piece> {
     // Each vertex points at a lesser one of its piece, the least at itself. No triangle names one beyond u32.
     let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
-    let mut used = vec![false; lesser.len()];
     for [a, b, c] in sound(mesh) {
-        let [a, b, c] = [a, b, c].map(|vertex| {
-            used[vertex as usize] = true;
-            root(&mut lesser, vertex)
-        });
+        let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));
         let least = a.min(b).min(c);
         for vertex in [a, b, c] {
             lesser[vertex as usize] = least;
         }
     }
-    (0..=u32::MAX)
-        .zip(&lesser)
-        .zip(used)
-        .filter(|&((vertex, &lesser), used)| used && vertex == lesser)
-        .count()
+    let mut pieces: BTreeMap<u32, Piece> = BTreeMap::new();
+    for triangle in sound(mesh) {
+        let least = root(&mut lesser, triangle[0]);
+        let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+        // As seen from a vertex of its own: far from others a small piece keeps its digits.
+        let from = DVec3::from(mesh.positions[least as usize]);
+        let piece = pieces.entry(least).or_default();
+        piece.doubled_area += (b - a).cross(c - a).length();
+        piece.sextuple_volume += (a - from).dot((b - from).cross(c - from));
+    }
+    pieces.into_values().collect()
 }
 
 fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {

@@ -36,6 +36,10 @@ const TURN: f32 = 0.2;
 const FOLD: f32 = -0.985;
 /// A triangle is a sliver when the squared sine of its least angle is less: 10 degrees.
 const SLIVER: f32 = 0.03;
+/// A closed part of no more triangles keeps so large a share of its volume with every collapse: one that is smaller than the
+/// distance could vanish or turn inside out.
+const SMALL: usize = 16;
+const KEPT: f32 = 0.5;
 
 /// What a patch is measured by.
 pub struct Measure<'a> {
@@ -151,6 +155,8 @@ struct Work<'a, 'b> {
     order: Vec<(f32, u32)>,
     /// The triangles that are to be, and their normals.
     parts: Vec<([Vec3A; 3], Vec3A)>,
+    /// The first triangles from one on.
+    near: Vec<u32>,
     moved: Vec<Moved>,
     /// For each vertex the last mark that it got, to be told from others without clearing.
     marks: Vec<u32>,
@@ -192,6 +198,7 @@ impl<'a> Measure<'a> {
             ring: Vec::new(),
             order: Vec::new(),
             parts: Vec::new(),
+            near: Vec::new(),
             moved: Vec::new(),
             marks: vec![0; vertices],
             mark: 0,
@@ -335,6 +342,7 @@ impl Work<'_, '_> {
         let target = ring[0].rim;
         if !self.may_turn(target, ring)
             || !self.may_join(vertex, target, ring)
+            || !self.keeps_volume(vertex, target, ring[0].triangle)
             || !self.find_new_homes(vertex, ring)
             || !self.are_edges_near(target, ring)
         {
@@ -426,6 +434,12 @@ impl Work<'_, '_> {
         {
             return false;
         }
+        // Of a part whose triangles elsewhere may have come to one, too, more than one must stay.
+        if ring.len() == 3
+            && ring.iter().all(|spoke| self.surface.across_from(spoke.triangle, spoke.rim) == NONE)
+        {
+            return false;
+        }
         self.mark += 1;
         for spoke in inner {
             self.marks[spoke.rim as usize] = self.mark;
@@ -437,6 +451,42 @@ impl Work<'_, '_> {
                 // Nothing is left of a tetrahedron.
                 && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
         })
+    }
+
+    /// Whether the part that a triangle belongs to keeps its share of volume, if it is small and closed.
+    fn keeps_volume(&mut self, vertex: u32, target: u32, triangle: u32) -> bool {
+        let Self { surface, near, .. } = self;
+        near.clear();
+        near.push(triangle);
+        let mut looked_at = 0;
+        while let Some(&triangle) = near.get(looked_at) {
+            looked_at += 1;
+            for beside in surface.beside(triangle) {
+                if beside == NONE {
+                    return true;
+                }
+                if !near.contains(&beside) {
+                    near.push(beside);
+                }
+            }
+            if near.len() > SMALL {
+                return true;
+            }
+        }
+        let [from, to] = [vertex, target].map(|vertex| surface.positions[vertex as usize]);
+        // As seen from the target, triangles that vanish have no volume.
+        let volume = |from: Vec3A| -> f32 {
+            let of = |&triangle: &u32| {
+                let corners = surface.triangles[triangle as usize];
+                let [a, b, c] = corners.map(
+                    |corner| if corner == vertex { from } else { surface.positions[corner as usize] } - to,
+                );
+                a.dot(b.cross(c))
+            };
+            near.iter().map(of).sum()
+        };
+        let after = volume(to);
+        after > 0.0 && after >= KEPT * volume(from)
     }
 
     /// Finds homes among the triangles that are to be for all whose home changes.

@@ -79,7 +79,7 @@ pub struct Reduction {
     pub smallest_drop: Option<u32>,
 }
 
-/// Of each particle's volume, what drops of few particles hold: of one 0.6 to 1.1, of two 0.7 to 1.1, of eight 0.8 to 1.1.
+/// The share of its particles' volume that a small drop holds: of one particle 0.6 to 1.1, of two 0.7 to 1.1, of eight 0.8 to 1.1.
 const HELD: f64 = 0.85;
 
 impl Reduction {

@@ -330,6 +330,11 @@ impl<'a> Surface<'a> {
         usize::from(b == vertex) + 2 * usize::from(c == vertex)
     }
 
+    /// The triangles across its edges, or `NONE`.
+    pub fn beside(&self, triangle: u32) -> [u32; 3] {
+        self.across[triangle as usize]
+    }
+
     /// The triangle across the edge that leaves `vertex`, or `NONE`.
     pub fn across_from(&self, triangle: u32, vertex: u32) -> u32 {
         self.across[triangle as usize][self.corner(triangle, vertex)]

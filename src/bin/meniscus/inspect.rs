@@ -41,7 +41,7 @@ struct Checked {
     measures: Measures,
 }
 
-/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds.
+/// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without components that enclose nothing.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
     for path in &options.meshes {
@@ -61,18 +61,21 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     if options.json {
         print_json(&all)?;
     }
-    let good = all.iter().all(|checked| checked.closed_oriented_manifold);
+    let good =
+        all.iter().all(|checked| checked.closed_oriented_manifold && checked.measures.flat_components == 0);
     Ok(if good { Verdict::Good } else { Verdict::Bad })
 }
 
 fn describe(measures: &Measures) -> String {
-    let Measures { bounds, area, volume, components, euler_characteristic, genus, quality } = measures;
+    let Measures { bounds, area, volume, components, flat_components, euler_characteristic, genus, quality } =
+        measures;
     let known = |value: Option<String>| value.unwrap_or_else(|| "unknown".to_owned());
     let lines = [
         ("box", known(bounds.map(|[lo, hi]| format!("{lo:?} to {hi:?}")))),
         ("area", area.to_string()),
         ("volume", known(volume.map(|v| v.to_string()))),
         ("components", components.to_string()),
+        ("without volume", flat_components.to_string()),
         ("genus", known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})")))),
         ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
         ("mean of least", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
