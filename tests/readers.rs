@@ -105,6 +105,21 @@ fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
 }
 
 #[test]
+fn a_particle_alone_reads_back_whatever_the_order_of_its_axes() {
+    let points = tuples(1);
+    for descr in ["<f4", "<f8", ">f4", ">f8"] {
+        for fortran in [false, true] {
+            let file = read(npy::read_particles, &build::npy(&points, descr, fortran));
+            assert_eq!(positions(&file.unwrap()), points, "{descr}, in Fortran's order: {fortran}");
+        }
+    }
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        let file = read(NPZ, &build::npz_frame(&points, compression)).unwrap();
+        assert_eq!(positions(&file), points, "{compression:?}");
+    }
+}
+
+#[test]
 fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
     let frames = [
         (

@@ -3,7 +3,7 @@
 
 use std::fmt::Debug;
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
 
@@ -112,6 +112,68 @@ impl Deref for Bytes {
             Self::Mapped(map) | Self::Scratch(map) => map,
             Self::Owned(vec) => vec,
         }
+    }
+}
+
+/// Bytes of which the memory is given back at once.
+const WINDOW: u64 = 1 << 20;
+
+/// Reads bytes as a file is read, and gives back the memory of what was read.
+#[derive(Debug)]
+pub struct Passing<'a> {
+    bytes: &'a Bytes,
+    at: u64,
+    /// From where on memory was not given back yet.
+    held_from: u64,
+}
+
+impl<'a> Passing<'a> {
+    /// From the first byte on.
+    #[must_use]
+    pub fn new(bytes: &'a Bytes) -> Self {
+        Self { bytes, at: 0, held_from: 0 }
+    }
+
+    fn give_back(&mut self) {
+        let end = self.at.min(self.bytes.len() as u64);
+        if self.held_from < end {
+            self.bytes.release(self.held_from as usize..end as usize);
+        }
+        self.held_from = self.at;
+    }
+}
+
+impl Read for Passing<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let left = self.bytes.get(usize::try_from(self.at).unwrap_or(usize::MAX)..).unwrap_or_default();
+        let read = left.len().min(buffer.len());
+        buffer[..read].copy_from_slice(&left[..read]);
+        self.at += read as u64;
+        if self.at - self.held_from >= WINDOW {
+            self.give_back();
+        }
+        Ok(read)
+    }
+}
+
+impl Seek for Passing<'_> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.give_back();
+        let end = self.bytes.len() as u64;
+        let at = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::End(by) => end.checked_add_signed(by),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+        };
+        self.at = at.ok_or(io::ErrorKind::InvalidInput)?;
+        self.held_from = self.at;
+        Ok(self.at)
+    }
+}
+
+impl Drop for Passing<'_> {
+    fn drop(&mut self) {
+        self.give_back();
     }
 }
 

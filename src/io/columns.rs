@@ -127,9 +127,12 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     /// Fills the tuples of `out`, each as wide as `columns` are many, from particle `first` on.
     fn read<T: Nearest>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
+        // Those of a single row can be, and their stride be too short for a tuple.
         let neighbours = columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
-            [xyz, _, _] if neighbours => self.read_tuples::<T, 3>(xyz, first, out, width),
+            [xyz, _, _] if neighbours && xyz.stride >= 3 * xyz.scalar.size() => {
+                self.read_tuples::<T, 3>(xyz, first, out, width)
+            }
             _ => {
                 for (component, column) in columns.iter().enumerate() {
                     let out = out.get_mut(component..).unwrap_or_default();

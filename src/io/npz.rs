@@ -3,14 +3,14 @@
 //! Arrays that are merely stored (`np.savez`) are read where they lie; where one is compressed
 //! (`np.savez_compressed`), all are unpacked. The archive's checksums are verified either way.
 
-use std::io::{Cursor, Read};
+use std::io::Read;
 
 use zip::result::ZipError;
 use zip::{CompressionMethod, ZipArchive};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, unpacked_limit};
+use super::bytes::{Bytes, Passing, Unpacked, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Rows};
 use super::names::{Quantity, quantities};
 use super::npy::{Header, shown};
@@ -96,10 +96,10 @@ struct Found {
     columns: Vec<Place>,
 }
 
-type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
+type Archive<'a> = ZipArchive<Passing<'a>>;
 
-fn archive(bytes: &[u8]) -> Result<Archive<'_>, ReadFault> {
-    ZipArchive::new(Cursor::new(bytes)).map_err(fault)
+fn archive(bytes: &Bytes) -> Result<Archive<'_>, ReadFault> {
+    ZipArchive::new(Passing::new(bytes)).map_err(fault)
 }
 
 fn fault(error: ZipError) -> ReadFault {
@@ -110,7 +110,7 @@ fn fault(error: ZipError) -> ReadFault {
 }
 
 /// All arrays of numbers that have rows of values.
-fn arrays(bytes: &[u8]) -> Result<Vec<Array>, ReadFault> {
+fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
     let mut archive = archive(bytes)?;
     let mut arrays = Vec::new();
     for entry in 0..archive.len() {
@@ -207,10 +207,6 @@ fn unpack(
             file.by_ref().take(CHUNK).read_to_end(&mut chunk).map_err(|e| damaged(e.to_string()))?;
             if chunk.is_empty() {
                 break;
-            }
-            if let Some(start) = array.stored_at {
-                let start = (start + read) as usize;
-                bytes.release(start..start + chunk.len());
             }
             read += chunk.len() as u64;
             if read > array.bytes {

@@ -117,7 +117,8 @@ impl Series {
     }
 
     fn moments(&self, frames: &[SeriesFrame]) -> Vec<Moment> {
-        let times: Option<Vec<f64>> = frames.iter().map(|frame| frame.time).collect();
+        let finite = |time: &f64| time.is_finite();
+        let times: Option<Vec<f64>> = frames.iter().map(|frame| frame.time.filter(finite)).collect();
         if let Some(times) = times.filter(|times| times.is_sorted_by(|a, b| a < b)) {
             let rate = self.codes_a_second();
             let code = |code: f64| if (code - code.round()).abs() < WHOLE { code.round() } else { code };
