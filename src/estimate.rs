@@ -148,14 +148,14 @@ impl Estimate {
         in_memory: u64,
     ) -> Self {
         let mut estimate = Self::of_program(drawing, in_memory);
+        let nonzero = |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
         let page = |count: usize, shape: PageShape| {
-            let nonzero = count.saturating_mul(shape.cells_a_particle());
-            PageSamples::most_bytes(nonzero, count.min(shape.side.bricks_a_bin()), shape) as u64
+            let bricks = count.min(shape.side.bricks_a_bin());
+            PageSamples::most_bytes(nonzero(count, shape), bricks, shape) as u64
         };
         if let Some(shape) = shape {
-            let nonzero =
-                |(key, count): (MortonKey, usize)| (key, count.saturating_mul(shape.cells_a_particle()));
-            estimate.field += wide_bytes(bins.clone().map(nonzero), drawing.wide_levels);
+            let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
+            estimate.field += wide_bytes(by_bin, drawing.wide_levels);
         }
         for (_, count) in bins {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);

@@ -192,6 +192,14 @@ impl<T: Copy + Default> Block<T> {
         part
     }
 
+    /// Puts in the samples of another block, of which all cells are in this one.
+    ///
+    /// # Panics
+    /// Unless they are.
+    pub fn put(&mut self, other: &Self) {
+        self.put_part(other.cells, other.cells, &other.samples, |_, sample| sample);
+    }
+
     /// A separable operation along x, then y, then z, as [`along`](Self::along) has it.
     ///
     /// # Panics

@@ -96,43 +96,28 @@ impl FieldRequest {
         grid: &Grid,
         components: Vec<usize>,
     ) -> Drawing {
-        let normals = surfacing.normals == Normals::Gradient;
         let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
-        let vertices_alone = vertices_alone(spacing_cells);
-        match *self {
-            Self::Indicator(asked) => {
-                let filters = surfacing.filters(asked.kind, spacing, grid);
-                let carried_halo = surfacing.attribute_smoothing(asked.kind, spacing, grid).halo();
-                let (block_bytes, keeps_details) = (filters.block_bytes(), filters.keeps_details());
-                let wide_levels = match asked.kind {
-                    IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells).level,
-                    IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
-                };
-                Drawing {
-                    block_bytes,
-                    carried_halo,
-                    keeps_details,
-                    vertices_alone,
-                    wide_levels,
-                    normals,
-                    components,
-                }
-            }
-            Self::Kernels(_) => {
-                let smoothing = attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size());
-                // Dual cells reach one cell up, and normals one cell each way.
-                let block_bytes = Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3);
-                let carried_halo = smoothing.halo();
-                Drawing {
-                    block_bytes,
-                    carried_halo,
-                    keeps_details: false,
-                    vertices_alone,
-                    wide_levels: 0,
-                    normals,
-                    components,
-                }
-            }
+        let plain = Drawing {
+            // Dual cells reach one cell up, and normals one cell each way.
+            block_bytes: Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
+            carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
+            keeps_details: false,
+            vertices_alone: vertices_alone(spacing_cells),
+            wide_levels: 0,
+            normals: surfacing.normals == Normals::Gradient,
+            components,
+        };
+        let Self::Indicator(asked) = *self else { return plain };
+        let filters = surfacing.filters(asked.kind, spacing, grid);
+        Drawing {
+            block_bytes: filters.block_bytes(),
+            carried_halo: surfacing.attribute_smoothing(asked.kind, spacing, grid).halo(),
+            keeps_details: filters.keeps_details(),
+            wide_levels: match asked.kind {
+                IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells).level,
+                IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
+            },
+            ..plain
         }
     }
 

@@ -51,29 +51,20 @@ pub(super) fn cut_fields<'a>(
     let Filters::Distances(distances) = &recipe.filters else {
         return Box::new(boxes.map(move |(cells, looking)| block(recipe.apply(&mut blocks(cells, looking)))));
     };
-    let halo = distances.wide_halo();
-    let volume = |cells: CellBox| distances.wide_cells(cells).grown(halo, halo).volume();
+    let volume = |cells: CellBox| looked_at(distances, cells);
     let all = boxes.clone().map(|(cells, _)| cells).fold(CellBox::EMPTY, |all, cells| all.union(&cells));
     let fits = distances.bulk_bytes(distances.wide_cells(all)) <= most_bytes;
     let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
     let together = fits && volume(all) <= apart;
     let whole = if together { volume(all) } else { apart };
-
-    // Nothing is beyond reach of particles: spray, in few of the cells, costs less drop by drop.
-    let reach = sampled.dif.reach() + distances.reach() + 1;
-    let is_spray = FEW * sampled.dif.full_volume(all) <= all.volume();
-    let near = |cells: CellBox| sampled.dif.parts_near(cells, reach).filter(|_| is_spray);
-    let near: Vec<Vec<CellBox>> = boxes.clone().map(|(cells, _)| near(cells).collect()).collect();
-    let cost = |part: &CellBox| {
-        let full = distances.wide_cells(part.grown(-reach, -reach));
-        if FEW * full.volume() <= volume(*part) { volume(*part) / FEW } else { volume(*part) }
-    };
-    if is_spray && 2 * near.iter().flatten().map(cost).sum::<usize>() <= whole {
+    if FEW * sampled.dif.full_volume(all) <= all.volume()
+        && let Some(near) = parts_of_spray(distances, sampled, boxes.clone().map(|(cells, _)| cells), whole)
+    {
         return Box::new(boxes.zip(near).map(move |((cells, _), near)| {
             let parts = near.into_iter().filter_map(|part| drops(recipe, distances, sampled, part));
             let paste = |field: Option<Block>, part: Block| {
                 let mut field = field.unwrap_or_else(|| Block::zero(cells));
-                field.put_part(part.cells(), part.cells(), part.samples(), |_, sample| sample);
+                field.put(&part);
                 Some(field)
             };
             parts.fold(None, paste)
@@ -87,6 +78,30 @@ pub(super) fn cut_fields<'a>(
         block(joined_fields(distances, &mut blocks(cells, looking), wide?))
     };
     Box::new(boxes.map(field))
+}
+
+/// Wide cells that the field on a box of cells is made of.
+fn looked_at(distances: &Distances, cells: CellBox) -> usize {
+    let halo = distances.wide_halo();
+    distances.wide_cells(cells).grown(halo, halo).volume()
+}
+
+/// The parts of each of some boxes that a surface can be in, if all cost less drop by drop than the `whole` number of wide cells: nothing
+/// is beyond reach of particles.
+fn parts_of_spray(
+    distances: &Distances,
+    sampled: &SampledDif,
+    boxes: impl Iterator<Item = CellBox>,
+    whole: usize,
+) -> Option<Vec<Vec<CellBox>>> {
+    let reach = sampled.dif.reach() + distances.reach() + 1;
+    let near: Vec<Vec<CellBox>> = boxes.map(|cells| sampled.dif.parts_near(cells, reach).collect()).collect();
+    let cost = |part: &CellBox| {
+        let full = distances.wide_cells(part.grown(-reach, -reach));
+        let volume = looked_at(distances, *part);
+        if FEW * full.volume() <= volume { volume / FEW } else { volume }
+    };
+    (2 * near.iter().flatten().map(cost).sum::<usize>() <= whole).then_some(near)
 }
 
 /// The final field on a box of cells around drops, `None` where no surface is.

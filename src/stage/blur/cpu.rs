@@ -52,7 +52,7 @@ pub fn blur_while<T: Sample>(
     Some(block)
 }
 
-/// The same of a block that is 0 but for a small box: what nothing reaches is 0 without a look.
+/// Blurs a block that is 0 but for a small box: what nothing reaches is 0 without a look.
 ///
 /// # Panics
 /// As [`blur`].
