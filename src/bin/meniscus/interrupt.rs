@@ -67,7 +67,7 @@ fn handle() {
         } else {
             "nothing was written"
         };
-        eprintln!("meniscus: interrupted; {what}");
+        crate::say::say(&format!("meniscus: interrupted; {what}"));
         std::process::exit(130);
     });
 }

@@ -13,6 +13,7 @@ mod reconstruct;
 mod report;
 mod run;
 mod sampling;
+mod say;
 mod sequence;
 mod stats;
 mod up;
@@ -69,7 +70,7 @@ fn main() -> ExitCode {
         Ok(Verdict::Good) => ExitCode::SUCCESS,
         Ok(Verdict::Bad) => ExitCode::from(1),
         Err(error) => {
-            eprintln!("meniscus: {error}");
+            say::say(&format!("meniscus: {error}"));
             ExitCode::from(match error.cause() {
                 Cause::Request => 2,
                 Cause::Input => 3,

@@ -94,13 +94,18 @@ impl Progress {
     }
 }
 
-/// Standard error as if it were a terminal, for whoever passes it on to one.
+/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read is dropped.
 #[derive(Debug)]
 struct Pretended;
 
 impl Pretended {
+    fn put(text: &str) -> io::Result<()> {
+        let _ = io::stderr().write_all(text.as_bytes());
+        Ok(())
+    }
+
     fn escape(n: usize, letter: char) -> io::Result<()> {
-        if n > 0 { write!(io::stderr(), "\x1b[{n}{letter}") } else { Ok(()) }
+        if n > 0 { Self::put(&format!("\x1b[{n}{letter}")) } else { Ok(()) }
     }
 }
 
@@ -126,18 +131,18 @@ impl TermLike for Pretended {
     }
 
     fn write_line(&self, line: &str) -> io::Result<()> {
-        writeln!(io::stderr(), "{line}")
+        Self::put(&format!("{line}\n"))
     }
 
     fn write_str(&self, text: &str) -> io::Result<()> {
-        write!(io::stderr(), "{text}")
+        Self::put(text)
     }
 
     fn clear_line(&self) -> io::Result<()> {
-        write!(io::stderr(), "\r\x1b[2K")
+        Self::put("\r\x1b[2K")
     }
 
     fn flush(&self) -> io::Result<()> {
-        io::stderr().flush()
+        Ok(())
     }
 }

@@ -20,6 +20,8 @@ const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
 
+use crate::say::say;
+
 #[derive(Args)]
 pub struct RunOptions {
     /// Where the stages run.
@@ -173,11 +175,9 @@ impl Notes {
     }
 
     fn print(&self, text: &str) {
-        // At once, and not piece by piece.
-        let line = format!("{text}\n");
         match &self.bars {
-            Some(bars) => bars.suspend(|| eprint!("{line}")),
-            None => eprint!("{line}"),
+            Some(bars) => bars.suspend(|| say(text)),
+            None => say(text),
         }
     }
 }
