@@ -51,11 +51,11 @@ impl Grid {
     /// A grid of cells with edge `cell` whose cell (0, 0, 0) has its lowest corner at `origin`.
     ///
     /// # Errors
-    /// [`UnitError::Length`] unless the edge is positive and all is finite.
+    /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`] unless the origin is.
     pub fn new(origin: DVec3, cell: f64) -> Result<Self, UnitError> {
         positive_length("the cell size", cell)?;
         match origin.to_array().iter().find(|x| !x.is_finite()) {
-            Some(&value) => Err(UnitError::Length { what: "the origin's coordinate", value }),
+            Some(&value) => Err(UnitError::NotFinite { what: "the origin's coordinates", value }),
             None => Ok(Self { origin, cell }),
         }
     }

@@ -23,17 +23,34 @@ const MOST_CELLS: usize = 1 << 24;
 /// even share is looked at.
 const MANY: usize = 1 << 18;
 
+/// How far apart particles are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spacings {
+    /// The one that holds for all, or would if they were even.
+    pub mean: f64,
+    /// Where they are plainly of two resolutions: the spacing of most, and that of the others.
+    pub two: Option<[f64; 2]>,
+}
+
 /// Estimates the spacing; `None` where there is no inside, as in a few particles or mere spray.
 #[must_use]
 pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+    spacings(particles).map(|spacings| spacings.mean)
+}
+
+/// Estimates the spacing as [`estimate`] does, and tells two resolutions apart.
+#[must_use]
+pub fn spacings(particles: &(impl Particles + ?Sized)) -> Option<Spacings> {
     if particles.len() <= MANY {
         return estimate_of_all(particles);
     }
     let (share, part) = part_of(particles);
     // A layer may be too thin to have an inside that so few can tell.
-    estimate_where(&part[..], ENOUGH_SHARE)
-        .map(|spacing| spacing * share.cbrt())
-        .or_else(|| estimate_of_all(particles))
+    let of_part = estimate_where(&part[..], ENOUGH_SHARE).map(|Spacings { mean, two }| Spacings {
+        mean: mean * share.cbrt(),
+        two: two.map(|two| two.map(|spacing| spacing * share.cbrt())),
+    });
+    of_part.or_else(|| estimate_of_all(particles))
 }
 
 /// About [`MANY`] of the particles, whatever their order, and how large a share of all they are.
@@ -59,12 +76,12 @@ fn scattered(position: [f64; 3]) -> u64 {
 }
 
 /// The same by all particles.
-fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<Spacings> {
     estimate_where(particles, 0.0)
 }
 
 /// The same, where interior cells hold so large a share of the particles.
-fn estimate_where(particles: &(impl Particles + ?Sized), enough_share: f64) -> Option<f64> {
+fn estimate_where(particles: &(impl Particles + ?Sized), enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;
     let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
@@ -80,20 +97,73 @@ fn estimate_where(particles: &(impl Particles + ?Sized), enough_share: f64) -> O
             let i = f64::from(i);
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
         });
-        let (mut total, mut cells) = (0, 0);
+        let mut inside = Vec::new();
         for shift in shifts {
-            let counts = counts(particles, lo - shift * cell, cell)?;
-            for (coord, count) in &counts {
-                if surrounded(&counts, *coord) {
-                    total += count;
-                    cells += 1;
-                }
-            }
+            inside.extend(interior(&counts(particles, lo - shift * cell, cell)?));
         }
+        let (total, cells) = (inside.iter().sum::<usize>(), inside.len());
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
-        enough.then(|| cell * (cells as f64 / total as f64).cbrt())
+        enough.then(|| {
+            // Coarse particles have their inside in wider cells.
+            let wider = || two_of(interior(&counts(particles, lo, WIDER * cell)?), WIDER * cell);
+            Spacings {
+                mean: cell * (cells as f64 / total as f64).cbrt(),
+                two: two_of(inside, cell).or_else(wider),
+            }
+        })
     })
+}
+
+/// The counts of interior cells.
+fn interior(counts: &Counts) -> Vec<usize> {
+    counts.iter().filter(|(coord, _)| surrounded(counts, **coord)).map(|(_, &count)| count).collect()
+}
+
+/// Cells that coarse particles are looked for in, over those of the estimate.
+const WIDER: f64 = 2.0;
+/// A share of the fluid's volume, or of its particles, that is a part of its own.
+const PART: f64 = 0.05;
+/// Particles in the cells of such a part, at the least: of fewer, spray cannot be told.
+const ENOUGH_IN_CELL: usize = 4;
+/// The share of such a part's cells whose counts are like each other.
+const EVEN: f64 = 0.8;
+
+/// The spacings of two resolutions, by the counts of interior cells of edge `cell`: there are two kinds of cells, each with
+/// counts of its own, and fewer cells between them. A fluid that thins out into spray has cells of every count.
+fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
+    counts.sort_unstable();
+    let total: usize = counts.iter().sum();
+    let mut below = 0;
+    // Where most particles are.
+    let most = *counts.iter().find(|&&count| {
+        below += count;
+        2 * below >= total
+    })?;
+    // Cells, and particles in them, with counts in a range of multiples of that.
+    let of = |from: f64, to: f64| {
+        let [from, to] =
+            [from, to].map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
+        &counts[from..to]
+    };
+    let cells = |part: &[usize]| part.len() as f64;
+    let particles = |part: &[usize]| part.iter().sum::<usize>() as f64;
+    let is_even = |part: &[usize]| {
+        let median = part[part.len() / 2];
+        let near = part.iter().filter(|&&count| count <= 2 * median && median <= 2 * count);
+        median >= ENOUGH_IN_CELL && near.count() as f64 > EVEN * cells(part)
+    };
+    let (thin, thinner) = (of(0.25, 0.5), of(0.0, 0.25));
+    let (dense, denser) = (of(2.0, 4.0), of(4.0, f64::INFINITY));
+    let other = if cells(thinner) >= PART * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
+        thinner
+    } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense) {
+        denser
+    } else {
+        return None;
+    };
+    let spacing = |part: &[usize]| cell * (cells(part) / particles(part)).cbrt();
+    is_even(other).then(|| [spacing(of(0.5, 2.0)), spacing(other)])
 }
 
 type Counts = HashMap<IVec3, usize>;
@@ -151,7 +221,7 @@ mod tests {
     #[test]
     fn of_many_particles_a_part_tells_the_same_whatever_their_order() {
         let mut particles = layers([120; 3]);
-        let all = estimate_of_all(&particles[..]).unwrap();
+        let all = estimate_of_all(&particles[..]).unwrap().mean;
         let part = estimate(&particles[..]).unwrap();
         assert!((all - 1.0).abs() < 0.01 && (part - 1.0).abs() < 0.01, "{all} {part}");
         assert_ne!(all, part, "all were looked at");

@@ -25,6 +25,14 @@ pub enum UnitError {
     /// How far a simplified surface may lie from the one that it replaces.
     #[error("--simplify must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
     Tolerance(f64),
+    /// A coordinate that must be finite.
+    #[error("{what} must be finite numbers; {value} is not")]
+    NotFinite {
+        /// What the coordinates are of.
+        what: &'static str,
+        /// The one that is not.
+        value: f64,
+    },
     /// A length that must be positive.
     #[error("{what} must be a positive length; {value} is not")]
     Length {
@@ -41,6 +49,15 @@ pub enum UnitError {
 /// [`UnitError::Length`] where it is not positive and finite.
 pub fn positive_length(what: &'static str, value: f64) -> Result<f64, UnitError> {
     (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { what, value })
+}
+
+/// A length as people read it: in decimals where these are few, else by its power of ten.
+#[must_use]
+pub fn shown(length: f64) -> String {
+    match length.abs() {
+        size if size == 0.0 || (0.01..1e9).contains(&size) => format!("{length:.6}"),
+        _ => format!("{length:.6e}"),
+    }
 }
 
 /// The isovalue `c`, held as an integer plus one half on the scale of the field.

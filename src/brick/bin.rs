@@ -90,9 +90,9 @@ pub enum BinError {
     },
     /// A coordinate is beyond the addressable grid.
     #[error(
-        "particle {index} at ({}, {}, {}) is more than {} cells of {cell_size} from the origin; \
+        "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin; \
          use a larger cell size, move --origin, or drop such particles with --skip-invalid",
-        position[0], position[1], position[2], crate::grid::CELL_LIMIT
+        position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::units::shown(*cell_size)
     )]
     TooFar {
         /// Counted from 0 in the order of the file.
@@ -289,7 +289,7 @@ impl<'a> BinPlan<'a> {
                 Ok::<_, Infallible>(())
             });
         });
-        Bins { keys, first, components, store: slots.into_store() }
+        slots.into_bins(keys, first, components)
     }
 
     /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin

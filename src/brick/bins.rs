@@ -29,6 +29,8 @@ pub struct Bins {
     pub(super) first: Vec<usize>,
     /// Components of each attribute.
     pub(super) components: Vec<usize>,
+    /// For each attribute, the particles that have no finite value of it.
+    pub(super) without: Vec<usize>,
     pub(super) store: Store,
 }
 
@@ -68,12 +70,16 @@ impl Slots {
         }
     }
 
-    pub(super) fn into_store(self) -> Store {
+    /// The bins that were filled, with particles from `first` on.
+    pub(super) fn into_bins(self, keys: Vec<MortonKey>, first: Vec<usize>, components: Vec<usize>) -> Bins {
         let plain = |bits: Vec<AtomicU32>| bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
-        Store::Memory {
-            records: self.records.into_iter().map(AtomicU64::into_inner).collect(),
-            attributes: self.attributes.into_iter().map(plain).collect(),
-        }
+        let attributes: Vec<Vec<f32>> = self.attributes.into_iter().map(plain).collect();
+        let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
+        let without =
+            |(values, &n): (&Vec<f32>, &usize)| values.par_chunks(n.max(1)).filter(is_lacking).count();
+        let without = attributes.iter().zip(&components).map(without).collect();
+        let records = self.records.into_iter().map(AtomicU64::into_inner).collect();
+        Bins { keys, first, components, without, store: Store::Memory { records, attributes } }
     }
 }
 
@@ -114,7 +120,13 @@ impl BinContents<'_> {
 
 impl Bins {
     /// Bytes that a bin takes in tables until the surface is done, however little it holds.
-    pub const TABLE_BYTES: u64 = 320;
+    pub const TABLE_BYTES: u64 = 344;
+
+    /// For each attribute, the particles whose value is not finite: beyond what f32 holds, or nothing at all.
+    #[must_use]
+    pub fn without(&self) -> &[usize] {
+        &self.without
+    }
 
     /// Bytes of a binned particle with attributes of so many components.
     #[must_use]

@@ -129,12 +129,8 @@ impl SpilledBins {
             }
             Ok::<_, io::Error>(())
         })?;
-        Ok(Bins {
-            keys: self.keys[bins.clone()].to_vec(),
-            first: self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect(),
-            components: self.components.clone(),
-            store: slots.into_store(),
-        })
+        let first = self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect();
+        Ok(slots.into_bins(self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
     /// A place for all runs once they are sorted, to be read bin by bin; this file is then done with.
@@ -152,6 +148,7 @@ impl SpilledBins {
             keys: self.keys.clone(),
             first: self.first.clone(),
             components: self.components.clone(),
+            without: vec![0; self.components.len()],
             store: Store::File { scratch, records_at, attributes_at },
         };
         Ok(SortedStore { bins, written: 0 })
@@ -181,6 +178,7 @@ impl SortedStore {
         for ((values, at), &n) in attributes.iter().zip(attributes_at).zip(&self.bins.components) {
             scratch.write_at(at + self.written * 4 * n as u64, cast_slice(values))?;
         }
+        self.bins.without.iter_mut().zip(&run.without).for_each(|(all, more)| *all += more);
         self.written += records.len() as u64;
         Ok(())
     }

@@ -7,6 +7,7 @@ use crate::estimate::Plan;
 use crate::particles::Particles;
 use crate::stage::indicator::PageRule;
 
+use super::lost::Occupied;
 use super::sink::FieldSink;
 use super::{FrameError, Resources};
 
@@ -32,24 +33,28 @@ pub(super) struct HostBins<'a> {
     pub(super) binned: BinnedParticles,
     pub(super) stages: &'a dyn Stages,
     pub(super) sink: FieldSink,
+    pub(super) occupied: Occupied,
     pub(super) resources: &'a Resources,
     /// Whether the bins are needed after the pages are made, for their attributes.
     pub(super) keep: bool,
 }
 
 impl Binned for HostBins<'_> {
-    type Made = (FieldSink, Option<Bins>);
+    type Made = (FieldSink, Occupied, Option<Bins>);
     type Error = FrameError;
 
     fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), FrameError> {
-        let Self { binned, stages, mut sink, resources, keep, .. } = self;
-        let take = |bins: &Bins| sink.take(stages, bins, rule);
+        let Self { binned, stages, mut sink, mut occupied, resources, keep } = self;
+        let take = |bins: &Bins| {
+            occupied.add(bins)?;
+            sink.take(stages, bins, rule)
+        };
         let kept = if keep {
             binned.visit_and_keep(&resources.scratch, take).map(Some)
         } else {
             binned.visit(take).map(|()| None)
         };
         let kept = kept.map_err(resources.scratch_error())?;
-        Ok((sink.full_cells(), (sink, kept)))
+        Ok((sink.full_cells(), (sink, occupied, kept)))
     }
 }

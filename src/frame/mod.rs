@@ -7,6 +7,7 @@ mod binned;
 mod counted;
 mod error;
 mod kernels;
+mod lost;
 mod request;
 pub mod resident;
 mod resources;
@@ -28,6 +29,7 @@ use crate::backend::{Stages, Work};
 use crate::brick::{Bins, FrameFacts};
 use crate::calibration::{Calibration, indicate};
 use crate::estimate::Estimate;
+use crate::grid::TILE;
 use crate::laps::Laps;
 use crate::mesh::source::MeshSource;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
@@ -39,6 +41,7 @@ use crate::units::MemoryBudget;
 
 use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
+use lost::Occupied;
 use sink::FieldSink;
 use surface::Drawn;
 
@@ -46,6 +49,8 @@ use surface::Drawn;
 #[derive(Debug)]
 pub struct Frame {
     field: Field,
+    /// Nothing of a frame that was sampled before.
+    occupied: Occupied,
     /// Kept only where attributes are carried.
     carried: Option<(Bins, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
@@ -99,30 +104,33 @@ impl Frame {
 
         let binned = binned::sorted(bin_plan, particles, carried, plan, &resources)?;
         let keep = !carried.is_empty();
-        let (field, bins) = match *field {
+        let mut occupied = Occupied::default();
+        let (field, occupied, bins) = match *field {
             FieldRequest::Indicator(asked) => {
                 laps.lap("bin");
                 let stages = resources.backend.start(budget);
                 let shape = asked.kind.shape(*side);
                 let sink = FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
-                let binned = HostBins { binned, stages: &*stages, sink, resources: &resources, keep };
-                let (indicator, (sink, bins)) = indicate(binned, &facts, asked, *side)?;
+                let binned =
+                    HostBins { binned, stages: &*stages, sink, occupied, resources: &resources, keep };
+                let (indicator, (sink, occupied, bins)) = indicate(binned, &facts, asked, *side)?;
                 let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
                 laps.lap("indicate");
-                (Field::Dif { sampled, stages }, bins)
+                (Field::Dif { sampled, stages }, occupied, bins)
             }
             FieldRequest::Kernels(method) => {
-                let bins = binned.visit_and_keep(&resources.scratch, |_| Ok(()));
+                let bins = binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins));
                 let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
                 laps.lap("bin");
                 let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
                 laps.lap("kernels");
-                (Field::Kernels(sampled), keep.then_some(bins))
+                (Field::Kernels(sampled), occupied, keep.then_some(bins))
             }
         };
         drop(in_scratch);
         Ok(Self {
             field,
+            occupied,
             carried: bins.map(|bins| (bins, carried_infos(particles.attributes(), carried))),
             surface_share: estimate.surface_share(budget),
             resources,
@@ -138,7 +146,13 @@ impl Frame {
         let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing, resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.start(resources.budget);
-        Self { field: Field::Dif { sampled, stages }, carried: None, surface_share, resources }
+        Self {
+            field: Field::Dif { sampled, stages },
+            occupied: Occupied::default(),
+            carried: None,
+            surface_share,
+            resources,
+        }
     }
 
     /// What the stages run on.
@@ -168,6 +182,12 @@ impl Frame {
     #[must_use]
     pub fn on_device(&self) -> Work {
         self.stages().map_or(Work::default(), Stages::on_device)
+    }
+
+    /// The attributes that some particles have no finite value of, and how many these are: the others alone tell their vertices.
+    pub fn lacking_attributes(&self) -> impl Iterator<Item = (&str, usize)> {
+        let carried = self.carried.iter().flat_map(|(bins, infos)| infos.iter().zip(bins.without()));
+        carried.filter(|&(_, &without)| without > 0).map(|(info, &without)| (info.name.as_str(), without))
     }
 
     /// The facts of the frame, whatever makes its field.
@@ -260,6 +280,22 @@ impl Frame {
         let FrameFacts { census, spacing, .. } = self.facts();
         let Some(spacing) = *spacing else { return Ok(None) };
         Shortfall::of(surface, census.binned, spacing).map_err(self.resources.scratch_error())
+    }
+
+    /// How many times as many particles there are, at the least, as their spacing leaves room for in the tiles that they are in. `None`
+    /// where it is not known, and 0 of a frame that was sampled before.
+    #[must_use]
+    pub fn crowding(&self) -> Option<f64> {
+        let spacing_cells = self.facts().spacing_cells()?;
+        Some(self.occupied.mean() * (spacing_cells / f64::from(TILE)).powi(3))
+    }
+
+    /// How many particles at least are in no surface, so far from any that tiles tell. None of a frame that was sampled before.
+    ///
+    /// # Errors
+    /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
+    pub fn lost(&self, surface: &Stitched) -> Result<u64, FrameError> {
+        self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
     /// The surface with what a reduction leaves of it.

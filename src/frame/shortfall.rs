@@ -4,6 +4,7 @@ use std::fmt;
 use std::io;
 
 use crate::stitch::Stitched;
+use crate::units::shown;
 
 /// The share of its particles' volume that is expected of a surface. Smoothing takes something off each drop and sheet.
 const EXPECTED: f64 = 0.5;
@@ -36,7 +37,8 @@ impl fmt::Display for Shortfall {
         let percent = 100.0 * share;
         write!(
             f,
-            "the surface holds {percent:.1} % of the volume of {particles} particles {spacing:.6} apart"
+            "the surface holds {percent:.1} % of the volume of {particles} particles {} apart",
+            shown(*spacing)
         )
     }
 }

@@ -12,6 +12,7 @@ use std::io::{self, Write};
 
 use glam::DVec3;
 use hashbrown::HashMap;
+use rayon::prelude::*;
 
 use crate::mesh::Mesh;
 use crate::mesh::source::MeshSource;
@@ -56,6 +57,21 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, _width: Coordinate
             out.extend([0; 2]);
         }
     })
+}
+
+/// How many vertices have the place of another in f32: whoever joins equal corners finds that the surface touches itself there.
+///
+/// # Errors
+/// Those of `mesh`, and [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
+pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
+    let positions =
+        mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
+    // Adding 0 leaves one of the two zeros.
+    let mut places: Vec<[u32; 3]> =
+        positions.par_iter().map(|position| position.map(|x| (x as f32 + 0.0).to_bits())).collect();
+    drop(positions);
+    places.par_sort_unstable();
+    Ok(places.windows(2).filter(|pair| pair[0] == pair[1]).count() as u64)
 }
 
 /// The positions of all pieces.

@@ -158,6 +158,14 @@ impl Stitched {
         self.spool.blocks()
     }
 
+    /// The tiles of a piece.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn tiles(&self, piece: usize) -> io::Result<Cow<'_, [Tile]>> {
+        self.spool.tiles(piece)
+    }
+
     /// The block of a piece.
     #[must_use]
     pub fn block(&self, piece: usize) -> IVec3 {

@@ -1,0 +1,140 @@
+//! Particles that are in no surface: sparse spray that cells are too coarse for, or that smoothing takes.
+//!
+//! A tile that the surface does not pass through lies inside of it or outside as a whole. Along a row of tiles that changes
+//! only in those that it passes through, so that one walk along x tells which hold particles and lie outside.
+
+use std::io;
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::brick::{Bins, unpack};
+use crate::grid::{BIN, BLOCK, TILE, local_from_morton};
+use crate::mesh::source::MeshSource;
+use crate::mesh::{TileMask, bits, cell_of_bit};
+use crate::stitch::Stitched;
+
+/// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of tiles, too.
+const SIDE: i32 = BIN / TILE;
+const _: () = assert!(SIDE == TILE);
+
+/// The tiles of a bin that have the least x.
+const FIRST: TileMask = 0x1111_1111_1111_1111;
+
+/// Which tiles hold particles: of each bin, and how many particles are in it.
+#[derive(Debug, Default)]
+pub(super) struct Occupied(Vec<(IVec3, u32, TileMask)>);
+
+impl Occupied {
+    /// Adds what bins hold.
+    pub fn add(&mut self, bins: &Bins) -> io::Result<()> {
+        let of_bin = |bin: usize| {
+            let contents = bins.contents(bin)?;
+            let place = |&record: &u64| unpack(record).0.map(|cell| cell as i32 / TILE).into();
+            let tiles = contents.packed().iter().map(place).fold(0, |tiles, place| tiles | bit_of(place));
+            Ok((bins.keys()[bin].coord(), u32::try_from(bins.count(bin)).unwrap_or(u32::MAX), tiles))
+        };
+        let added: Vec<_> = (0..bins.keys().len()).into_par_iter().map(of_bin).collect::<io::Result<_>>()?;
+        self.0.extend(added);
+        Ok(())
+    }
+
+    /// Particles of a tile that holds any, on average.
+    pub fn mean(&self) -> f64 {
+        let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| self.0.iter().map(|bin| f64::from(of(bin))).sum();
+        let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
+        particles / tiles.max(1.0)
+    }
+
+    /// How many particles at least are in no surface. Those are counted whose tile no surface passes through, nor any that touches
+    /// it from below; of a bin that has others, too, one a tile.
+    pub fn lost(&self, surface: &Stitched) -> io::Result<u64> {
+        let bins = Row::sorted(self, surface)?;
+        let passed = |place: IVec3| {
+            let bin = Row::key(place.div_euclid(IVec3::splat(SIDE)));
+            let found = bins.binary_search_by_key(&bin, |row| Row::key(row.bin));
+            found.is_ok_and(|at| bins[at].passed & bit_of(place) != 0)
+        };
+        let of_row = |row: &[Row]| {
+            let mut inside = 0;
+            let of_bin = |bin: &Row| {
+                let mut outside = 0;
+                for x in 0..SIDE {
+                    let passed = bin.passed >> x & FIRST;
+                    outside |= (FIRST & !passed & !inside) << x;
+                    inside = inside & !passed | bin.inside_behind >> x & passed;
+                }
+                let is_alone = |&bit: &u32| {
+                    let place = bin.bin * SIDE + cell_of_bit(bit);
+                    (1..8).all(|i| !passed(place - IVec3::new(i & 1, i >> 1 & 1, i >> 2)))
+                };
+                let lost = bits(bin.occupied & outside).filter(is_alone).count();
+                if lost == bin.occupied.count_ones() as usize {
+                    u64::from(bin.particles)
+                } else {
+                    lost as u64
+                }
+            };
+            row.iter().map(of_bin).sum::<u64>()
+        };
+        Ok(bins.par_chunk_by(|a, b| (a.bin.z, a.bin.y) == (b.bin.z, b.bin.y)).map(of_row).sum())
+    }
+}
+
+/// What the tiles of a bin are, in a row of bins along x.
+#[derive(Debug, Default, Clone, Copy)]
+struct Row {
+    bin: IVec3,
+    particles: u32,
+    occupied: TileMask,
+    /// Those that the surface passes through.
+    passed: TileMask,
+    /// Those of them behind which, along x, is the inside.
+    inside_behind: TileMask,
+}
+
+impl Row {
+    fn key(bin: IVec3) -> [i32; 3] {
+        [bin.z, bin.y, bin.x]
+    }
+
+    /// All bins that hold particles, or that a surface passes through, row by row.
+    fn sorted(occupied: &Occupied, surface: &Stitched) -> io::Result<Vec<Self>> {
+        let holding = |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
+        let mut all: Vec<Self> = occupied.0.iter().map(holding).collect();
+        for piece in 0..surface.pieces() {
+            let first = surface.block(piece) * (BLOCK / TILE);
+            for tile in &*surface.tiles(piece)? {
+                let place = first + local_from_morton(tile.index as usize);
+                let passed = bit_of(place);
+                let behind = tile.corners[1] >> (TILE - 1) & 1;
+                let bin = place.div_euclid(IVec3::splat(SIDE));
+                // Tiles are in Morton order: those of a bin come one after another.
+                if all.len() == occupied.0.len() || all.last().is_some_and(|last| last.bin != bin) {
+                    all.push(Self { bin, ..Self::default() });
+                }
+                let Some(last) = all.last_mut() else { continue };
+                last.passed |= passed;
+                last.inside_behind |= passed * behind;
+            }
+        }
+        all.par_sort_unstable_by_key(|row| Self::key(row.bin));
+        all.dedup_by(|other, one| {
+            let same = other.bin == one.bin;
+            if same {
+                one.particles += other.particles;
+                one.occupied |= other.occupied;
+                one.passed |= other.passed;
+                one.inside_behind |= other.inside_behind;
+            }
+            same
+        });
+        Ok(all)
+    }
+}
+
+/// The bit of a tile in its bin.
+fn bit_of(place: IVec3) -> TileMask {
+    let [x, y, z] = (place & (SIDE - 1)).to_array();
+    1 << (x + SIDE * (y + SIDE * z))
+}
