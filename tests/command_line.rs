@@ -722,7 +722,9 @@ fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
             let found = |cell: &str| {
                 let more = ["--cell", cell, "--indicator", indicator];
                 let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
-                assert!(!notes.contains("warning"), "{notes}");
+                // Counting loses drops of one particle, which clouds keep.
+                let lost = indicator == "counting" && notes.contains("are in no surface; --indicator cloud");
+                assert!(lost || !notes.contains("warning"), "{notes}");
                 let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
                 (measures.volume.unwrap(), measures.components)
             };

@@ -577,8 +577,10 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
     let notes =
         run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--indicator", "counting"], 0);
     let warnings: Vec<&str> = notes.lines().filter(|line| line.contains("warning")).collect();
-    let [warning] = warnings[..] else { panic!("{notes}") };
+    let [warning, lost] = warnings[..] else { panic!("{notes}") };
     assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
+    let all = dense.len() + thin.len();
+    assert!(lost.contains(&format!("{} of {all} particles are in no surface", thin.len())), "{notes}");
     assert!(folder.path().join("m_2.ply").exists());
 }
 

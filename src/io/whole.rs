@@ -5,6 +5,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use crc32fast::Hasher;
 use tempfile::NamedTempFile;
 
 use super::{WriteError, WriteFault};
@@ -89,31 +90,39 @@ impl WholeFile {
     /// # Errors
     /// As [`fill`](Self::fill) and [`FilledFile::keep`].
     pub fn write(self, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<u64, WriteError> {
-        self.fill(content)?.keep()
+        self.filled(content, None)?.keep()
     }
 
-    /// Writes what `content` writes to a file that has no name yet.
+    /// Writes what `content` writes to a file that has no name yet, and sums it up.
     ///
     /// # Errors
     /// [`WriteFault::Io`] where the system or `content` refuses, and [`WriteFault::Unsupported`] where `content` fails as
     /// [`io::ErrorKind::InvalidInput`].
     pub fn fill(
+        self,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<FilledFile, WriteError> {
+        self.filled(content, Some(Hasher::new()))
+    }
+
+    fn filled(
         mut self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+        crc: Option<Hasher>,
     ) -> Result<FilledFile, WriteError> {
         let filled = match &mut self.target {
             Target::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
-                match open.and_then(|mut file| counted(&mut file, content)) {
+                match open.and_then(|mut file| counted(&mut file, crc, content)) {
                     // A reader that has seen enough is no error.
-                    Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok(0),
+                    Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok((0, None)),
                     outcome => outcome,
                 }
             }
-            Target::Temporary { file, .. } => counted(file.as_file_mut(), content),
+            Target::Temporary { file, .. } => counted(file.as_file_mut(), crc, content),
         };
         match filled {
-            Ok(bytes) => Ok(FilledFile { file: self, bytes }),
+            Ok((bytes, crc)) => Ok(FilledFile { file: self, bytes, crc: crc.map_or(0, Hasher::finalize) }),
             Err(fault) => Err(WriteError::new(&self.path, fault_of(fault))),
         }
     }
@@ -124,9 +133,16 @@ impl WholeFile {
 pub struct FilledFile {
     file: WholeFile,
     bytes: u64,
+    crc: u32,
 }
 
 impl FilledFile {
+    /// CRC-32 of its bytes; 0 of a pipe that nobody reads to its end.
+    #[must_use]
+    pub fn crc(&self) -> u32 {
+        self.crc
+    }
+
     /// Its size.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -138,7 +154,7 @@ impl FilledFile {
     /// # Errors
     /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was taken meanwhile.
     pub fn keep(self) -> Result<u64, WriteError> {
-        let Self { file: WholeFile { path, target }, bytes } = self;
+        let Self { file: WholeFile { path, target }, bytes, .. } = self;
         let kept = match target {
             Target::Direct => Ok(()),
             Target::Temporary { file, place, replace } => {
@@ -180,11 +196,18 @@ pub fn sweep(folder: &Path) {
     }
 }
 
-fn counted(file: &mut File, content: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<u64> {
-    let mut counted = Counted { out: BufWriter::with_capacity(BUFFER, file), bytes: 0 };
-    content(&mut counted)?;
-    counted.flush()?;
-    Ok(counted.bytes)
+/// How many bytes `content` writes to `file`, and what sums them up, if anything does.
+fn counted(
+    file: &mut File,
+    crc: Option<Hasher>,
+    content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<(u64, Option<Hasher>)> {
+    let out = Counted { out: file, bytes: 0, crc };
+    let mut out = BufWriter::with_capacity(BUFFER, out);
+    content(&mut out)?;
+    out.flush()?;
+    let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
+    Ok((bytes, crc))
 }
 
 /// What is at `path`, through links; nothing if its name is free.
@@ -238,12 +261,14 @@ fn fault_of(fault: io::Error) -> WriteFault {
 struct Counted<W> {
     out: W,
     bytes: u64,
+    crc: Option<Hasher>,
 }
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let written = self.out.write(buffer)?;
         self.bytes += written as u64;
+        self.crc.iter_mut().for_each(|crc| crc.update(&buffer[..written]));
         Ok(written)
     }
 

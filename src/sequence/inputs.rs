@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
-use crate::io::input::{is_known, steps};
+use crate::io::input::{holds_mesh, is_known, steps};
 
 use super::SequenceError;
 
@@ -29,10 +29,10 @@ pub enum Inputs {
     Pattern(Pattern),
     /// All that we read in a folder.
     Folder(PathBuf),
-    /// Those of a folder whose names differ in their numbers alone.
+    /// Those of a folder or a glob whose names differ in their numbers alone.
     Part {
-        /// Of the files.
-        folder: PathBuf,
+        /// All of them.
+        of: Box<Self>,
         /// What tells them from others.
         family: Family,
     },
@@ -147,7 +147,10 @@ impl Inputs {
                 folder.join(format!("{prefix}{{}}{suffix}")).display().to_string()
             }
             Self::Folder(folder) => folder.display().to_string(),
-            Self::Part { folder, family } => folder.join(family.to_string()).display().to_string(),
+            Self::Part { of, family } => match &**of {
+                Self::Folder(folder) => folder.join(family.to_string()).display().to_string(),
+                all => all.describe(),
+            },
             Self::Steps(file) => file.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
@@ -166,6 +169,9 @@ impl Inputs {
             return Err(SequenceError::several(&self.describe(), &families));
         }
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
+        if let Some(family) = families.keys().next() {
+            refuse_decimals(family, &frames)?;
+        }
         if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
             return Err(SequenceError::Names(format!(
                 "{} and {} are both frame {}; name one sequence, with {{}} for its numbers",
@@ -177,20 +183,70 @@ impl Inputs {
         Ok(frames)
     }
 
-    /// The sequences that the files belong to, told by their names: of a scene with several fluids each is one.
+    /// The sequences that the files belong to, told by their names: of a scene with several fluids each is one. Of a folder that
+    /// holds particles, meshes are none, whoever made them.
     ///
     /// # Errors
     /// As [`list`](Self::list), but for several.
     pub fn sequences(&self) -> Result<Vec<Self>, SequenceError> {
-        let families = self.families(&self.found()?);
+        let mut families = self.families(&self.found()?);
         if families.len() < 2 {
             return Ok(vec![self.clone()]);
         }
+        if matches!(self, Self::Folder(_)) {
+            // What cannot be read is told of when its turn comes.
+            let is_mesh =
+                |files: &Vec<PathBuf>| files.first().is_some_and(|file| holds_mesh(file).unwrap_or(false));
+            if !families.values().all(is_mesh) {
+                families.retain(|_, files| !is_mesh(files));
+            }
+        }
         let part = |(family, files): (Family, Vec<PathBuf>)| match self {
-            Self::Folder(folder) => Self::Part { folder: folder.clone(), family },
+            Self::Folder(_) => Self::Part { of: Box::new(self.clone()), family },
             _ => Self::Files(files),
         };
         Ok(families.into_iter().map(part).collect())
+    }
+
+    /// The same without what comes to be in its folder and is named otherwise than `first`, such as the meshes that are made.
+    #[must_use]
+    pub fn like(&self, first: &FrameFile) -> Self {
+        match self {
+            Self::Folder(_) | Self::Glob(_) => {
+                Self::Part { of: Box::new(self.clone()), family: first.family() }
+            }
+            _ => self.clone(),
+        }
+    }
+
+    /// Whether a file would be taken for a frame if it were there.
+    #[must_use]
+    pub fn takes(&self, path: &Path) -> bool {
+        let named = |path: &Path| {
+            path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+        };
+        let is_in = |folder: &Path| {
+            let whole = |folder: &Path| match folder.as_os_str().is_empty() {
+                true => Path::new(".").canonicalize(),
+                false => folder.canonicalize(),
+            };
+            path.parent()
+                .and_then(|parent| whole(parent).ok())
+                .is_some_and(|own| whole(folder).is_ok_and(|f| f == own))
+        };
+        match self {
+            Self::Pattern(pattern) => is_in(&pattern.folder) && pattern.digits(&named(path)).is_some(),
+            Self::Folder(folder) => is_in(folder) && is_known(path),
+            Self::Glob(pattern) => {
+                glob::Pattern::new(pattern).is_ok_and(|pattern| pattern.matches_path(path))
+            }
+            Self::Part { of, family } => {
+                of.takes(path)
+                    && by_last_digits(path.to_owned())
+                        .is_some_and(|frame| frame.is_ok_and(|f| f.family() == *family))
+            }
+            Self::Steps(_) | Self::Files(_) => false,
+        }
     }
 
     /// The files of each sequence. A pattern, or a file of steps, says itself what belongs together.
@@ -208,7 +264,7 @@ impl Inputs {
             Self::Pattern(pattern) => {
                 let number = |path: PathBuf| {
                     let digits = pattern.digits(path.file_name()?.to_str()?)?.to_owned();
-                    frame(digits, path)
+                    Some(frame(digits, path))
                 };
                 let folder = Some(&*pattern.folder).filter(|folder| !folder.as_os_str().is_empty());
                 let here = folder.is_none();
@@ -216,16 +272,16 @@ impl Inputs {
                 let named = |path: PathBuf| {
                     if here { path.file_name().map_or_else(PathBuf::new, Into::into) } else { path }
                 };
-                files.map(named).filter_map(number).collect()
+                files.map(named).filter_map(number).collect::<Result<_, _>>()?
             }
             Self::Folder(folder) => {
                 // A folder holds other things too: what has no number is no frame.
                 let known =
                     files_in(folder)?.into_iter().filter(|path| is_known(path) && !is_later_piece(path));
-                known.filter_map(by_last_digits).collect()
+                known.filter_map(by_last_digits).collect::<Result<_, _>>()?
             }
-            Self::Part { folder, family } => {
-                let mut frames = Self::Folder(folder.clone()).found()?;
+            Self::Part { of, family } => {
+                let mut frames = of.found()?;
                 frames.retain(|frame| frame.family() == *family);
                 frames
             }
@@ -270,14 +326,40 @@ fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameF
     frames.iter().zip(frames.iter().skip(1))
 }
 
-fn frame(digits: String, path: PathBuf) -> Option<FrameFile> {
-    Some(FrameFile { number: digits.parse().ok()?, digits, path })
+fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SequenceError> {
+    match digits.parse() {
+        Ok(number) => Ok(FrameFile { number, digits, path }),
+        Err(_) => {
+            let what = format!("{}: frames are numbered up to {}", path.display(), u64::MAX);
+            Err(SequenceError::Names(what))
+        }
+    }
 }
 
-fn by_last_digits(path: PathBuf) -> Option<FrameFile> {
-    let name = path.file_name()?.to_str()?;
-    let (_, digits, _) = split_number(name)?;
-    frame(digits.to_owned(), path)
+/// The frame that a file is by its name; nothing where that has no number.
+fn by_last_digits(path: PathBuf) -> Option<Result<FrameFile, SequenceError>> {
+    let name = path.file_name()?.to_string_lossy().into_owned();
+    let (_, digits, _) = split_number(&name)?;
+    Some(frame(digits.to_owned(), path))
+}
+
+/// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in another order.
+fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), SequenceError> {
+    let before = family.prefix.strip_suffix('.').and_then(|before| before.chars().last());
+    if !before.is_some_and(|last| last.is_ascii_digit()) {
+        return Ok(());
+    }
+    let fraction = |frame: &FrameFile| frame.digits.trim_end_matches('0').to_owned();
+    match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
+        None => Ok(()),
+        Some((a, b)) => Err(SequenceError::Names(format!(
+            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by {family}",
+            a.path.display(),
+            b.path.display(),
+            a.number,
+            b.number,
+        ))),
+    }
 }
 
 /// Cuts a name around the last digits before its extension.
@@ -297,7 +379,7 @@ pub(super) fn split_number(name: &str) -> Option<(&str, &str, &str)> {
 fn numbered(files: Vec<PathBuf>) -> Result<Vec<FrameFile>, SequenceError> {
     let frames: Vec<_> = files.iter().cloned().map(by_last_digits).collect();
     match frames.iter().position(Option::is_none) {
-        None => Ok(frames.into_iter().flatten().collect()),
+        None => frames.into_iter().flatten().collect(),
         Some(_) if frames.iter().all(Option::is_none) => {
             let count = |(number, path): (usize, PathBuf)| FrameFile {
                 number: number as u64,
@@ -371,8 +453,8 @@ pub fn gaps(frames: &[FrameFile]) -> Gaps {
             ranges.push((a.number + step, a.number + (b.number - a.number - 1) / step * step));
         }
     }
-    let count = ranges.iter().map(|(first, last)| (last - first) / step + 1).sum();
-    Gaps { step, ranges, count, sparse: count >= frames.len() as u64 }
+    let gaps = Gaps { step, ranges, sparse: false };
+    Gaps { sparse: gaps.count() >= frames.len() as u64, ..gaps }
 }
 
 fn greatest_common_divisor(a: u64, b: u64) -> u64 {
@@ -382,8 +464,8 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
 /// What the file of a missing number would be called, going by the one before it.
 #[must_use]
 pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
-    let before = frames.iter().rev().find(|frame| frame.number < number);
-    let Some(FrameFile { digits, path, .. }) = before.or(frames.first()) else { return PathBuf::new() };
+    let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
+    let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
     let width = if digits.starts_with('0') { digits.len() } else { 1 };
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let at = name.rfind(&**digits).unwrap_or(0);
@@ -395,27 +477,45 @@ pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
 pub struct Gaps {
     /// From one number to the next.
     pub step: u64,
-    /// The first and the last missing number of each gap.
+    /// The first and the last missing number of each gap: there may be any number of frames between two time stamps.
     pub ranges: Vec<(u64, u64)>,
-    /// Missing numbers in all.
-    pub count: u64,
     /// More is missing than there: a choice of frames, and not a sequence with gaps.
     pub sparse: bool,
 }
 
 impl Gaps {
-    /// The missing numbers, one by one.
-    pub fn numbers(&self) -> impl Iterator<Item = u64> + '_ {
-        self.ranges.iter().flat_map(|&(first, last)| (first..=last).step_by(self.step.max(1) as usize))
+    /// Missing numbers in all.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.ranges.iter().map(|(first, last)| (last - first) / self.step.max(1) + 1).sum()
+    }
+
+    /// Those of them from `first` to `last`.
+    #[must_use]
+    pub fn within(&self, first: u64, last: u64) -> Self {
+        let step = self.step.max(1);
+        let clipped = |&(lo, hi): &(u64, u64)| {
+            let (below, above) =
+                (first.saturating_sub(lo).div_ceil(step), hi.saturating_sub(last).div_ceil(step));
+            (below.saturating_add(above) <= (hi - lo) / step).then(|| (lo + below * step, hi - above * step))
+        };
+        Self { ranges: self.ranges.iter().filter_map(clipped).collect(), ..self.clone() }
     }
 }
+
+/// Gaps that are told one by one.
+const TOLD: usize = 20;
 
 impl std::fmt::Display for Gaps {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let range = |&(first, last): &(u64, u64)| {
             if first == last { first.to_string() } else { format!("{first} to {last}") }
         };
-        f.write_str(&self.ranges.iter().map(range).collect::<Vec<_>>().join(", "))
+        f.write_str(&self.ranges.iter().take(TOLD).map(range).collect::<Vec<_>>().join(", "))?;
+        match self.ranges.len().saturating_sub(TOLD) {
+            0 => Ok(()),
+            more => write!(f, ", and {more} more gaps"),
+        }
     }
 }
 
@@ -447,12 +547,32 @@ mod tests {
     #[test]
     fn gaps_are_told_by_the_step_that_leads_to_all() {
         let found = gaps(&frames(&[0, 10, 20, 40, 50, 90]));
-        assert_eq!((found.step, &*found.ranges, found.count), (10, &[(30, 30), (60, 80)][..], 4));
+        assert_eq!((found.step, &*found.ranges, found.count()), (10, &[(30, 30), (60, 80)][..], 4));
         assert!(!found.sparse);
-        assert_eq!(found.numbers().collect::<Vec<_>>(), [30, 60, 70, 80]);
+        for (first, last, within) in [
+            (0, u64::MAX, &[(30, 30), (60, 80)][..]),
+            (31, 75, &[(60, 70)]),
+            (65, 80, &[(70, 80)]),
+            (71, 79, &[]),
+            (90, 100, &[]),
+        ] {
+            assert_eq!(found.within(first, last).ranges, within, "{first} to {last}");
+        }
         assert_eq!(gaps(&frames(&[3, 4, 5])).ranges, []);
         assert!(gaps(&frames(&[1, 10, 20])).sparse);
         assert!(gaps(&frames(&[0, 12, 13, 14])).sparse, "four frames of fifteen are a choice");
+    }
+
+    #[test]
+    fn gaps_between_time_stamps_are_told_by_their_ends() {
+        let stamps = [0, 1_700_000_000_000_000_000, 1_700_000_000_016_666_667, u64::MAX];
+        let found = gaps(&frames(&stamps));
+        assert_eq!((found.count(), found.sparse), (u64::MAX - 3, true));
+        assert_eq!(found.within(5, 8).ranges, [(5, 8)]);
+        assert_eq!(found.within(u64::MAX, u64::MAX).count(), 0);
+        let many: Vec<u64> = (0..100).map(|i| 3 * i + i % 2).collect();
+        let told = gaps(&frames(&many)).to_string();
+        assert!(told.starts_with("2, 8, 14, ") && told.ends_with(", and 30 more gaps"), "{told}");
     }
 
     #[test]

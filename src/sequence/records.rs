@@ -10,6 +10,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 
 use crate::io::WriteError;
@@ -30,6 +31,27 @@ pub struct Record {
     pub fingerprint: u32,
     /// What it was made into.
     pub mesh: SeriesFrame,
+    /// CRC-32 of the bytes of that file.
+    pub crc: u32,
+}
+
+impl Record {
+    /// Whether `output` holds the bytes that were written, which takes as long as to read them.
+    #[must_use]
+    pub fn is_whole(&self, output: &Path) -> bool {
+        crc(output).is_ok_and(|crc| crc == self.crc)
+    }
+}
+
+/// CRC-32 of a file's bytes.
+fn crc(path: &Path) -> io::Result<u32> {
+    let (mut file, mut crc, mut buffer) = (File::open(path)?, Hasher::new(), vec![0; 1 << 18]);
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(crc.finalize()),
+            read => crc.update(&buffer[..read]),
+        }
+    }
 }
 
 /// The record of each frame in the last log that has one.
@@ -54,7 +76,7 @@ impl Records {
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));
     }
 
-    /// The record of a frame whose output is whole and what it would be if it were made now.
+    /// The record of a frame whose output has its size, and would have it if it were made now.
     #[must_use]
     pub fn current(&self, frame: u64, input: &Path, output: &Path, fingerprint: u32) -> Option<&Record> {
         let record = self.0.get(&frame)?;
@@ -213,7 +235,7 @@ mod tests {
             normals: true,
             attributes: Vec::new(),
         };
-        Record { input: Stamp { bytes: 9, modified: 7 }, fingerprint, mesh }
+        Record { input: Stamp { bytes: 9, modified: 7 }, fingerprint, mesh, crc: crc32fast::hash(b"mesh") }
     }
 
     fn names(folder: &Path) -> Vec<String> {
@@ -240,6 +262,10 @@ mod tests {
         assert_eq!(current(6), None, "other settings");
         assert_eq!(records.current(2, &input, &output, 5), None, "another frame");
         assert_eq!(records.current(1, &input, &folder.path().join("b.ply"), 5), None, "another output");
+        assert!(record.is_whole(&output));
+        fs::write(&output, "mess").unwrap();
+        assert!(!record.is_whole(&output), "other bytes of the same number");
+        assert!(!record.is_whole(folder.path()), "no file");
         fs::write(&output, "mes").unwrap();
         assert_eq!(current(5), None, "a truncated output");
         fs::write(&output, "mesh").unwrap();

@@ -20,7 +20,7 @@ use meniscus::mesh::measure::measure;
 use meniscus::particles::{Particles, bounds};
 use meniscus::spacing;
 use meniscus::stage::indicator::{IndicatorKind, SampledDif};
-use meniscus::units::{MeanCount, MemoryBudget};
+use meniscus::units::{MeanCount, MemoryBudget, shown};
 use serde::Serialize;
 
 use crate::reconstruct::is_frame;
@@ -214,7 +214,7 @@ fn describe(info: &Info) -> String {
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
             line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
-            line("spacing", spacing.map_or("unknown".into(), |s| format!("{s:.6}, from {source}")));
+            line("spacing", spacing.map_or("unknown".into(), |s| format!("{}, from {source}", shown(s))));
             if let Some(bytes) = memory_bytes {
                 line("memory", format!("about {} by default", ByteSize(*bytes)));
             }

@@ -2,6 +2,7 @@
 
 mod allocator;
 mod devices;
+mod identity;
 mod info;
 mod inspect;
 mod interrupt;

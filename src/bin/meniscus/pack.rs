@@ -13,9 +13,10 @@ use meniscus::laps::Laps;
 use meniscus::particles::Particles;
 
 use crate::Verdict;
+use crate::identity::refuse_same_file;
 use crate::interrupt;
-use crate::reconstruct::{is_frame, refuse_same_file};
-use crate::report::{report_frame, report_laps, report_warnings};
+use crate::reconstruct::is_frame;
+use crate::report::{LeftOut, report_laps, report_lattice, warnings};
 use crate::run::{RunOptions, unpacking};
 use crate::sampling::SamplingOptions;
 
@@ -54,8 +55,9 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
     sampling.refuse_unfit(&Surfacing::PLAIN).map_err(in_file)?;
     let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
-    report_warnings(&frame, &notes);
-    report_frame(&frame, &notes);
+    warnings(&frame).iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+    LeftOut::from(frame.facts().census).say(sampling.field, &notes);
+    report_lattice(&frame, &notes);
     let sampled = frame.dif().ok_or_else(|| Error::Request("kernels cannot be packed".into()))?;
     let bytes = output.write(|out| write_frame(out, sampled).map(drop))?;
     drop(unfinished);

@@ -10,7 +10,7 @@ use meniscus::error::Error;
 use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
 use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Surfacing};
 use meniscus::io::glb::{Compression, Layout};
-use meniscus::io::input::open_particles;
+use meniscus::io::input::{file_and_step, open_particles};
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::whole::Replace;
@@ -28,10 +28,11 @@ use meniscus::units::{Isovalue, Sigma, Smooth, Tolerance};
 use serde_json::json;
 
 use crate::Verdict;
+use crate::identity::refuse_same_file;
 use crate::interrupt;
 use crate::method::MethodName;
 use crate::report::{
-    advice, report_calibration, report_frame, report_laps, report_simplified, report_warnings,
+    LeftOut, advice, merged, report_calibration, report_laps, report_lattice, report_simplified, warnings,
 };
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
@@ -391,10 +392,11 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     }
     let resources = options.resources(&options.output)?;
     options.validate_memory(&reduction, &resources)?;
-    refuse_same_file(input, &options.output)?;
+    refuse_same_file(file_and_step(input).0, &options.output)?;
     if let Some(stats) = &options.stats {
         refuse_same_file(input, stats)?;
         refuse_same_file(&options.output, stats)?;
+        options.prepare_stats()?;
     }
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let prepare = || MeshOutput::prepare(&options.output, replace);
@@ -408,12 +410,14 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
     let made = options.frame(input, (&request, &surfacing), format, resources, &mut laps, &notes)?;
     let Some(frame) = made else { return Ok(Verdict::Good) };
-    report_frame(&frame, &notes);
+    report_lattice(&frame, &notes);
     let calibrated = frame.calibrate(&surfacing, None, &mut laps).map_err(in_file)?;
     let measured = calibrated.measured();
     let mesh = calibrated.surface(&mut laps).map_err(in_file)?;
-    report_warnings(&frame, &notes);
+    warnings(&frame).iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     measured.iter().for_each(|measured| report_calibration(&frame, measured, surfacing.iso, &notes));
+    let lost = frame.lost(&mesh).map_err(in_file)?;
+    LeftOut { lost, ..frame.facts().census.into() }.say(request.field, &notes);
     if let Some(shortfall) = frame.shortfall(&mesh).map_err(in_file)? {
         notes.say(format!(
             "warning: {shortfall}{}",
@@ -428,6 +432,9 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
+    if let Some(warning) = merged(&*mesh, format, &options.output)? {
+        notes.say(format!("warning: {warning}"));
+    }
     let bytes = output.write(&orientation.turned(&*mesh), width)?;
     drop(unfinished);
     laps.lap("write");
@@ -442,21 +449,11 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     report_laps(&laps, &notes);
     if options.stats.is_some() {
         let iso = measured.and_then(|measured| measured.calibration.iso());
-        let record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
+        let mut record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
+        record["in_no_surface"] = json!(lost);
         options.append_stats(&record)?;
     }
     Ok(Verdict::Good)
-}
-
-/// A file that is to be read or written and written again is a slip of the hand.
-pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
-    let whole = |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path));
-    match (whole(one), whole(other)) {
-        (Ok(a), Ok(b)) if a == b => {
-            Err(Error::Request(format!("{}: is given for two purposes", other.display())))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// f64 where f32 would move vertices by more than 1 / 256 of a cell, or not hold them, if the format can.

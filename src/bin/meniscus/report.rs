@@ -1,37 +1,111 @@
 //! What a run says of a frame, for people.
 
 use std::fmt::Write;
+use std::path::Path;
 
-use meniscus::brick::Census;
+use meniscus::brick::{Census, FrameFacts};
 use meniscus::calibration::{Calibrated, ON_CORNERS, Plateau};
-use meniscus::frame::Frame;
+use meniscus::error::Error;
+use meniscus::frame::{FieldRequest, Frame};
+use meniscus::io::output::MeshFormat;
+use meniscus::io::{WriteError, stl};
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
 use meniscus::simplify::{Reduction, Simplified};
 use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::{FULL, Isovalue};
+use meniscus::units::{FULL, Isovalue, shown};
 
 use crate::method::MethodName;
 use crate::reconstruct::{IsoOption, Options};
 use crate::run::Notes;
 
-/// Says what went wrong with the backend and was made good.
-pub fn report_warnings(frame: &Frame, notes: &Notes) {
-    frame.warnings().iter().for_each(|warning| notes.say(format!("warning: {warning}")));
+/// Particles that are so many times too dense for their spacing are half as far apart.
+const CROWDED: f64 = 8.0;
+
+/// What went wrong with a frame and was made good, or left out: with its backend, its spacing and its attributes.
+pub fn warnings(frame: &Frame) -> Vec<String> {
+    let FrameFacts { census: Census { binned, .. }, spacing, .. } = *frame.facts();
+    let crowded = frame.crowding().filter(|&crowding| crowding > CROWDED).map(|crowding| {
+        format!(
+            "there are {crowding:.1} times as many particles as {} apart have room: is their --spacing right?",
+            shown(spacing.unwrap_or_default())
+        )
+    });
+    let lacking = frame.lacking_attributes().map(|(name, without)| {
+        format!(
+            "{without} of {binned} particles have no {name} that is a finite number of 32 bits: the others alone tell that of \
+             the vertices"
+        )
+    });
+    frame.warnings().into_iter().chain(crowded).chain(lacking).collect()
 }
 
-/// Says what became of the particles, and warns of a lattice on the corners of cells.
-pub fn report_frame(frame: &Frame, notes: &Notes) {
-    let Census { not_finite, too_far, outside, .. } = frame.facts().census;
-    for (count, what) in [
-        (not_finite, "dropped: a coordinate is not finite"),
-        (too_far, "dropped: beyond the addressable grid"),
-        (outside, "not counted: outside of the domain"),
-    ] {
-        if count > 0 {
-            notes.say(format!("{count} particles {what}"));
+/// What a format makes of vertices that f32 does not tell apart.
+pub fn merged(mesh: &dyn MeshSource, format: MeshFormat, path: &Path) -> Result<Option<String>, Error> {
+    if format != MeshFormat::Stl {
+        return Ok(None);
+    }
+    let merged = stl::merged_vertices(mesh).map_err(|fault| WriteError::new(path, fault))?;
+    Ok((merged > 0).then(|| {
+        format!(
+            "{merged} vertices have the place of another in f32, and {format} has nothing else to tell them by; .ply keeps them"
+        )
+    }))
+}
+
+/// Particles and drops that surfaces leave out.
+#[derive(Debug, Default, Clone, Copy)]
+pub struct LeftOut {
+    pub census: Census,
+    /// Particles in no surface, at the least.
+    pub lost: u64,
+    pub drops: u64,
+}
+
+/// So many particles in no surface are not worth a word.
+const FEW: u64 = 10;
+
+impl LeftOut {
+    pub fn add(&mut self, other: &Self) {
+        self.census.binned += other.census.binned;
+        self.census.not_finite += other.census.not_finite;
+        self.census.too_far += other.census.too_far;
+        self.census.outside += other.census.outside;
+        self.lost += other.lost;
+        self.drops += other.drops;
+    }
+
+    /// Says how many particles are left out, and why, of a field.
+    pub fn say(&self, field: FieldRequest, notes: &Notes) {
+        let Census { binned, not_finite, too_far, outside } = self.census;
+        for (count, what) in [
+            (not_finite, "dropped: a coordinate is not finite"),
+            (too_far, "dropped: beyond the addressable grid"),
+            (outside, "not counted: outside of the domain"),
+        ] {
+            if count > 0 {
+                notes.say(format!("{count} particles {what}"));
+            }
+        }
+        if self.lost > FEW {
+            let advice = match field.indicator().map(|asked| asked.kind) {
+                Some(IndicatorKind::Counting | IndicatorKind::Symmetry) => "--indicator cloud keeps drops",
+                Some(IndicatorKind::Cloud) | None => "smaller cells keep more",
+            };
+            let lost = self.lost;
+            notes.say(format!("warning: at least {lost} of {binned} particles are in no surface; {advice}"));
         }
     }
+}
+
+impl From<Census> for LeftOut {
+    fn from(census: Census) -> Self {
+        Self { census, ..Self::default() }
+    }
+}
+
+/// Warns of a lattice on the corners of cells.
+pub fn report_lattice(frame: &Frame, notes: &Notes) {
     let symmetric = frame.dif().filter(|sampled| sampled.indicator.kind() == IndicatorKind::Symmetry);
     let Some(sampled) = symmetric else { return };
     let mean = sampled.dif.mean_of_full();
@@ -46,7 +120,7 @@ pub fn report_frame(frame: &Frame, notes: &Notes) {
 }
 
 /// What is said of drops of few particles.
-pub fn left_out(drops: u64, particles: u32) -> String {
+pub fn dropped(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
@@ -58,7 +132,7 @@ pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: 
         ));
     }
     if let Some(particles) = reduction.smallest_drop {
-        notes.say(left_out(simplified.dropped().drops, particles));
+        notes.say(dropped(simplified.dropped().drops, particles));
     }
     if let Some(tolerance) = reduction.tolerance {
         let (left, whole) = (simplified.triangle_count(), simplified.whole().triangle_count());

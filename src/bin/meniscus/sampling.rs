@@ -12,9 +12,9 @@ use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::Particles;
 use meniscus::sequence::frozen::on_sound_grid;
-use meniscus::spacing;
+use meniscus::spacing::{self, Spacings};
 use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::units::{MeanCount, positive_length};
+use meniscus::units::{MeanCount, positive_length, shown};
 
 use crate::run::Notes;
 
@@ -179,16 +179,41 @@ pub struct Cells {
     pub spacing: Option<f64>,
     /// Where the spacing comes from, where it matters.
     pub source: Option<String>,
+    /// Why it may be wrong.
+    pub doubt: Option<String>,
 }
 
 impl Cells {
     fn describe(&self) -> String {
-        let size = format!("cell size {:.6}", self.size);
+        let size = format!("cell size {}", shown(self.size));
         match (self.spacing, &self.source) {
-            (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), {size}"),
+            (Some(spacing), Some(source)) => format!("spacing {} ({source}), {size}", shown(spacing)),
             _ => format!("spacing not known, taken to be the cell size; {size}"),
         }
     }
+}
+
+/// By how much the spacing of a scene may differ from what its particles look like.
+const DOUBTFUL: f64 = 2.0;
+
+/// Why a spacing may not be that of the particles: a scene that lies beside them need not be theirs, and they may be of two.
+fn doubt_of(spacing: f64, scene: Option<&Path>, found: Spacings) -> Option<String> {
+    let Spacings { mean, two } = found;
+    if let Some([one, other]) = two {
+        return Some(format!(
+            "the particles are of two resolutions, {} and {} apart, and all are taken to be {} apart; --spacing says another",
+            shown(one),
+            shown(other),
+            shown(spacing)
+        ));
+    }
+    let scene = scene.filter(|_| !(1.0 / DOUBTFUL..=DOUBTFUL).contains(&(spacing / mean)))?;
+    Some(format!(
+        "{} says that particles are {} apart, by their density they are {}: --spacing says which",
+        scene.display(),
+        shown(spacing),
+        shown(mean)
+    ))
 }
 
 /// Edge of a cell in spacings. In those of two thirds single drops are angular and hold more or less by where they lie; these take
@@ -212,6 +237,7 @@ impl SamplingRequest {
         let indicator = self.field.indicator();
         let by = indicator.map_or(String::new(), |asked| format!(", indicator {}", asked.kind.name()));
         notes.say(format!("{}{by}", cells.describe()));
+        cells.doubt.iter().for_each(|doubt| notes.say(format!("warning: {doubt}")));
         let grid = self.grid(cells.size)?;
         let sampling = self.sampling_on(grid, self.field, cells.spacing, carried, resources)?;
         if self.origin.is_some() {
@@ -219,8 +245,8 @@ impl SamplingRequest {
         }
         let sound = on_sound_grid(&file.particles, sampling);
         if sound.grid != grid {
-            let [x, y, z] = sound.grid.origin().to_array();
-            notes.say(format!("all particles stand on a lattice: the grid's origin is {x:.6},{y:.6},{z:.6}"));
+            let origin = sound.grid.origin().to_array().map(shown).join(",");
+            notes.say(format!("all particles stand on a lattice: the grid's origin is {origin}"));
         }
         Ok(sound)
     }
@@ -254,17 +280,22 @@ impl SamplingRequest {
     /// The edge of a cell, the spacing, and where that comes from. Only where cells have a size of their own and no kernels are
     /// drawn can it be unknown: the filters are then as wide as for particles a cell apart.
     pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
+        let mut doubt = None;
         let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, "as given".to_owned())
         } else if let Some(spacing) = file.spacing {
             (spacing, "from the file".to_owned())
         } else if let Some((spacing, scene)) = spacing_beside(path) {
+            doubt =
+                spacing::spacings(&file.particles).and_then(|found| doubt_of(spacing, Some(&scene), found));
             (spacing, format!("from {}", scene.display()))
         } else if file.particles.is_empty() {
             let fault = FrameError::NoParticles(Census::default());
             return Err(Error::Frame { path: path.to_owned(), fault });
         } else {
-            let estimate = spacing::estimate(&file.particles);
+            let found = spacing::spacings(&file.particles);
+            let estimate = found.map(|found| found.mean);
+            doubt = found.and_then(|found| doubt_of(found.mean, None, found));
             let estimate = match (self.cell, self.field) {
                 (Cell::Size(size), FieldRequest::Indicator(asked)) => {
                     // Nobody asks for cells that are refused: then it was spray that was estimated.
@@ -273,7 +304,7 @@ impl SamplingRequest {
                         Surfacing::PLAIN.refuse_too_fine(asked, Some(spacing), &grid).is_ok()
                     };
                     let Some(spacing) = estimate.filter(fits) else {
-                        return Ok(Cells { size, spacing: None, source: None });
+                        return Ok(Cells { size, spacing: None, source: None, doubt: None });
                     };
                     Some(spacing)
                 }
@@ -286,6 +317,6 @@ impl SamplingRequest {
             Cell::Size(size) => size,
             Cell::Ratio(ratio) => positive_length("the cell size", ratio * spacing)?,
         };
-        Ok(Cells { size, spacing: Some(spacing), source: Some(source) })
+        Ok(Cells { size, spacing: Some(spacing), source: Some(source), doubt })
     }
 }

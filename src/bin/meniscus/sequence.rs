@@ -8,12 +8,16 @@ mod options;
 mod tally;
 mod watch;
 
+use std::collections::HashMap;
 use std::fmt::Write;
+use std::path::Path;
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use meniscus::calibration::Calibration;
 use meniscus::error::{Cause, Error};
 use meniscus::frame::{Resources, Sampling, Surfacing};
+use meniscus::io::input::file_and_step;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::io::whole::sweep;
@@ -27,6 +31,7 @@ use meniscus::simplify::{BYTES_A_THREAD, Reduction};
 use meniscus::stage::indicator::IndicatorKind;
 
 use crate::Verdict;
+use crate::identity::{Identity, two_purposes};
 use crate::interrupt;
 use crate::lanes::Division;
 use crate::reconstruct::{Options, is_frame};
@@ -51,6 +56,8 @@ struct Setup<'a> {
     reduction: Reduction,
     resources: Resources,
     notes: Notes,
+    /// The inputs as they are from the first frame on: what else comes is none.
+    begun: OnceLock<Inputs>,
 }
 
 /// Runs the command, for each sequence that is there.
@@ -79,6 +86,7 @@ pub fn run(options: &Options, inputs: &Inputs, naming: &Naming) -> Result<Verdic
             reduction: options.reduction()?,
             resources: resources.clone(),
             notes: options.run.notes(),
+            begun: OnceLock::new(),
         };
         options.validate_memory(&setup.reduction, &resources)?;
         match setup.start() {
@@ -106,9 +114,18 @@ fn told_apart(sequences: &[Inputs], naming: &Naming) -> Result<bool, Error> {
 }
 
 impl Setup<'_> {
+    /// All frames that are there now.
+    fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
+        let frames = self.begun.get().unwrap_or(self.inputs).list()?;
+        if let Some(first) = frames.first() {
+            self.begun.get_or_init(|| self.inputs.like(first));
+        }
+        Ok(frames)
+    }
+
     /// The frames of the sequence that are there now.
     fn frames(&self) -> Result<Vec<FrameFile>, Error> {
-        Ok(self.options.sequence.selection().of(self.inputs.list()?))
+        Ok(self.options.sequence.selection().of(self.all_frames()?))
     }
 
     fn start(&self) -> Result<Verdict, Error> {
@@ -138,9 +155,12 @@ impl Setup<'_> {
     fn run(&self, first: &FrameFile, frames: &[FrameFile]) -> Result<Verdict, Error> {
         let Self { options, naming, notes, .. } = self;
         let format = self.format(first)?;
-        self.refuse_own_inputs(frames)?;
         let sequence = naming.sequence(first);
         let store = Store::beside(&sequence);
+        let Orientation { shown: up, .. } = options.up.orientation(&first.path, format);
+        let series = Series { format, sequence, fps: options.sequence.fps, up };
+        self.refuse_own_inputs(frames, &series, &store)?;
+        options.prepare_stats()?;
         let wanted: Vec<&FrameFile> =
             frames.iter().filter(|frame| options.sequence.wants(frame.number)).collect();
         if wanted.is_empty() && options.sequence.watch.is_none() {
@@ -173,8 +193,6 @@ impl Setup<'_> {
             crate::print(&numbers.join("\n"))?;
             return Ok(Verdict::Good);
         }
-        let Orientation { shown: up, .. } = options.up.orientation(&first.path, format);
-        let series = Series { format, sequence, fps: options.sequence.fps, up };
         Conversion::new(self, format, store, wanted.len()).run(kept, frames, &series)
     }
 
@@ -219,18 +237,32 @@ impl Setup<'_> {
         Ok(format)
     }
 
-    fn refuse_own_inputs(&self, frames: &[FrameFile]) -> Result<(), Error> {
-        let Ok(folder) = self.naming.folder().canonicalize() else { return Ok(()) };
-        let own = |frame: &&FrameFile| {
+    /// Refuses outputs that are inputs, by whatever name, or would be taken for some.
+    fn refuse_own_inputs(&self, frames: &[FrameFile], series: &Series, store: &Store) -> Result<(), Error> {
+        let inputs: HashMap<Identity, &Path> =
+            frames.iter().map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path)).collect();
+        let begun = self.begun.get().unwrap_or(self.inputs);
+        for frame in frames {
             let output = self.naming.path(frame);
-            output.file_name() == frame.path.file_name()
-                && frame.path.canonicalize().is_ok_and(|path| path.parent() == Some(&folder))
-        };
-        match frames.iter().find(own) {
-            None => Ok(()),
-            Some(frame) => {
-                Err(Error::Request(format!("{}: is given for two purposes", frame.path.display())))
+            if let Some(input) = inputs.get(&Identity::of(&output)) {
+                return Err(two_purposes(&output, input));
             }
+            if begun.takes(&output) {
+                return Err(Error::Request(format!(
+                    "{}: would be taken for a frame of {}; name the meshes otherwise, or write them into another folder",
+                    output.display(),
+                    self.inputs.describe()
+                )));
+            }
+        }
+        let Some(stats) = &self.options.stats else { return Ok(()) };
+        let own = Identity::of(stats);
+        let outputs = frames.iter().map(|frame| self.naming.path(frame));
+        let others = outputs.chain(series.files()).chain([store.state_path()]);
+        let taken = inputs.get(&own).map(|input| input.to_path_buf());
+        match taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own)) {
+            None => Ok(()),
+            Some(other) => Err(two_purposes(stats, &other)),
         }
     }
 

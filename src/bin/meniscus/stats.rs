@@ -56,6 +56,22 @@ impl Options {
         joined(joined(facts(frame.facts()), of_field), of_run)
     }
 
+    /// Makes sure, before the work, that statistics can be appended; a file that was not there is not there then.
+    pub fn prepare_stats(&self) -> Result<(), Error> {
+        let Some(path) =
+            self.stats.as_ref().filter(|path| path.metadata().is_ok_and(|m| m.is_file()) || !path.exists())
+        else {
+            return Ok(());
+        };
+        let is_new = !path.exists();
+        let file = OpenOptions::new().create(true).append(true).open(path);
+        file.map_err(|e| WriteError::new(path, e))?;
+        if is_new {
+            let _ = std::fs::remove_file(path);
+        }
+        Ok(())
+    }
+
     /// Appends a line to the statistics, if they are asked for.
     pub fn append_stats(&self, record: &Value) -> Result<(), Error> {
         let Some(path) = &self.stats else { return Ok(()) };

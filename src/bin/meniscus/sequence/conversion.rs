@@ -23,7 +23,7 @@ use crate::run::Notes;
 
 use super::one_frame::{Done, Filled};
 use super::tally::Tally;
-use super::watch::Watch;
+use super::watch::{Ready, Watch};
 use super::{POLL, Setup};
 
 /// What all lanes share.
@@ -58,6 +58,8 @@ struct Job {
     frame: FrameFile,
     /// Where they are open already.
     particles: Option<ParticleFile>,
+    /// Whether its mesh was made before, of a file that has changed since.
+    again: bool,
 }
 
 /// What became of a frame.
@@ -113,16 +115,16 @@ impl<'a> Conversion<'a> {
     ) -> Result<(), Error> {
         // The lanes live as long as they are sent to.
         let send = |job: Job| drop(to_lanes.send(job));
-        let mut jobs = todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None });
+        let mut jobs = todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
             // The first is most likely the one that is measured: a lane waits for it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames, &tally.notes)?;
-            tally.list(frames);
+            tally.list(frames, |_| false);
             if let Some(Job { frame, .. }) = first {
                 let measured = measured.filter(|(number, _)| *number == frame.number);
-                send(Job { frame, particles: measured.map(|(_, file)| file) });
+                send(Job { frame, particles: measured.map(|(_, file)| file), again: false });
             }
         }
         jobs.for_each(send);
@@ -137,7 +139,7 @@ impl<'a> Conversion<'a> {
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames, &tally.notes)?;
-            tally.list(frames);
+            tally.list(frames, |frame| options.resume && options.wants(frame.number));
         }
         let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
         let todo: Vec<&FrameFile> =
@@ -181,9 +183,7 @@ impl<'a> Conversion<'a> {
             drop(results);
             match followed {
                 Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
-                None => outcomes
-                    .iter()
-                    .try_for_each(|outcome| self.note(outcome, &mut tally, &progress).map(drop)),
+                None => outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally, &progress)),
             }
         });
         progress.finish();
@@ -205,25 +205,27 @@ impl<'a> Conversion<'a> {
         loop {
             if self.stop.load(Ordering::Relaxed) {
                 drop(to_lanes);
-                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally, progress).map(drop));
+                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally, progress));
             }
             match outcomes.recv_timeout(POLL) {
                 Ok(outcome) => {
                     under_way -= 1;
                     let number = outcome.frame.number;
-                    if !self.note(outcome, tally, progress)? {
-                        watch.failed(number);
-                    }
+                    self.note(outcome, tally, progress)?;
+                    watch.done(number);
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
-                    for frame in watch.ready(&self.setup.frames()?) {
-                        if options.wants(frame.number) && !(options.resume && tally.lists(&frame)) {
-                            under_way += 1;
-                            tally.total += 1;
-                            progress.lengthen(size(&frame));
-                            let _ = to_lanes.send(Job { frame, particles: None });
+                    for Ready { frame, again } in watch.ready(&self.setup.frames()?) {
+                        let is_done = options.resume && !again && tally.lists(&frame);
+                        if !options.wants(frame.number) || is_done {
+                            watch.done(frame.number);
+                            continue;
                         }
+                        under_way += 1;
+                        tally.total += 1;
+                        progress.lengthen(size(&frame));
+                        let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
                     if under_way == 0 && watch.is_over() {
                         return Ok(());
@@ -233,17 +235,16 @@ impl<'a> Conversion<'a> {
         }
     }
 
-    /// Notes what became of a frame; whether it was made.
-    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally, progress: &Progress) -> Result<bool, Error> {
+    /// Notes what became of a frame.
+    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally, progress: &Progress) -> Result<(), Error> {
         let Outcome { frame, result } = outcome;
-        let made = result.is_ok();
         let taken = tally.take(&frame, result, progress.has_bars());
         if !matches!(taken, Ok(false)) {
             self.stop.store(true, Ordering::Relaxed);
         }
         taken?;
         progress.advance(tally.done, tally.total, tally.failed.len(), || size(&frame));
-        Ok(made)
+        Ok(())
     }
 
     /// Converts frames until there are no more.
@@ -257,12 +258,12 @@ impl<'a> Conversion<'a> {
         // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
         let _pool = pool.build().expect("threads can be started");
-        while let Some(Job { frame, particles }) = next(jobs) {
+        while let Some(Job { frame, particles, again }) = next(jobs) {
             if self.stop.load(Ordering::Relaxed) {
                 continue;
             }
             let stage = |stage: &str| progress.stage(lane, || format!("frame {}: {stage}", frame.number));
-            let opened = self.open(&frame, particles, &stage);
+            let opened = self.open(&frame, particles, again, &stage);
             let Some(settled) = self.settled.wait() else { return };
             let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
             progress.stage(lane, String::new);

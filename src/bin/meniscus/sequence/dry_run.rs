@@ -13,6 +13,7 @@ use meniscus::sequence::frozen::Stamp;
 use meniscus::sequence::inputs::{FrameFile, gaps};
 use meniscus::sequence::records::Records;
 use meniscus::sequence::state::{State, Store};
+use rayon::prelude::*;
 
 use crate::Verdict;
 use crate::reconstruct::is_frame;
@@ -35,14 +36,14 @@ impl Setup<'_> {
             None => self.freeze(frames, &self.resources, &self.notes)?.0,
         };
         let records = Records::read(store.folder());
+        let fingerprint =
+            kept.as_ref().filter(|_| self.options.sequence.resume).map(|state| state.fingerprint());
         let done = |frame: &&&FrameFile| {
             let output = self.naming.path(frame);
-            let state = kept.as_ref().filter(|_| self.options.sequence.resume);
-            state.is_some_and(|s| {
-                records.current(frame.number, &frame.path, &output, s.fingerprint()).is_some()
-            })
+            let current = |fingerprint| records.current(frame.number, &frame.path, &output, fingerprint);
+            fingerprint.and_then(current).is_some_and(|record| record.is_whole(&output))
         };
-        let skipped = wanted.iter().filter(done).count();
+        let skipped = wanted.par_iter().filter(done).count();
         let mut text = format!(
             "would convert {} of {} frames of {} to {}",
             wanted.len() - skipped,
@@ -54,7 +55,7 @@ impl Setup<'_> {
             let _ = write!(text, "; {skipped} are done");
         }
         let missing = gaps(frames);
-        if missing.count > 0 {
+        if missing.count() > 0 {
             let _ = write!(text, "\nmissing: {missing}");
         }
         let _ = write!(text, "\n{}", describe(&frozen));

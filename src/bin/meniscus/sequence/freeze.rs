@@ -9,6 +9,7 @@ use meniscus::io::{ParticleFile, ReadError};
 use meniscus::sequence::SequenceError;
 use meniscus::sequence::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
 use meniscus::sequence::inputs::FrameFile;
+use meniscus::units::shown;
 
 use crate::reconstruct::is_frame;
 use crate::run::{Notes, unpacking};
@@ -38,7 +39,7 @@ impl Setup<'_> {
         loop {
             let ready = match &mut watch {
                 None => std::mem::take(&mut current),
-                Some(watch) => watch.ready(&current),
+                Some(watch) => watch.ready(&current).into_iter().map(|ready| ready.frame).collect(),
             };
             for frame in ready {
                 if looked_at == LOOKED_AT {
@@ -67,7 +68,7 @@ impl Setup<'_> {
                             || matches!(error, Error::Frame { fault: FrameError::TooFine(_), .. }) =>
                     {
                         if let Some(watch) = &mut watch {
-                            watch.failed(frame.number);
+                            watch.done(frame.number);
                         }
                         first_error = first_error.or(Some(error));
                     }
@@ -121,6 +122,7 @@ impl Setup<'_> {
         }
         let file = open_particles(path, unpacking(resources))?;
         let cells = self.request.cells(path, &file)?;
+        cells.doubt.iter().for_each(|doubt| self.notes.say(format!("warning: {doubt}")));
         let (grid, field) = match lattice {
             Some((frozen, _)) => (frozen.grid()?, frozen.field(self.request.field)),
             None => (self.request.grid(cells.size)?, self.request.field),
@@ -152,7 +154,7 @@ pub fn describe(frozen: &Frozen) -> String {
     let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], calibration, .. } = frozen;
     let spacing_cells = spacing.map_or(1.0, |spacing| spacing / cell_size);
     let spacing = match (spacing, spacing_source) {
-        (Some(spacing), Some(source)) => format!("spacing {spacing:.6} ({source}), "),
+        (Some(spacing), Some(source)) => format!("spacing {} ({source}), ", shown(spacing.to_owned())),
         _ => String::new(),
     };
     let mean = calibration.and_then(|known| known.mean());
@@ -165,7 +167,10 @@ pub fn describe(frozen: &Frozen) -> String {
         }
         None => String::new(),
     };
-    let origin =
-        if [*x, *y, *z] == [0.0; 3] { String::new() } else { format!(", origin {x:.6},{y:.6},{z:.6}") };
-    format!("{spacing}cell size {cell_size:.6}{origin}{mu0}{isovalue}")
+    let origin = if [*x, *y, *z] == [0.0; 3] {
+        String::new()
+    } else {
+        format!(", origin {}", [*x, *y, *z].map(shown).join(","))
+    };
+    format!("{spacing}cell size {}{origin}{mu0}{isovalue}", shown(*cell_size))
 }

@@ -6,12 +6,12 @@ use meniscus::calibration::Calibration;
 use meniscus::error::Error;
 use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources};
 use meniscus::io::bytes::Unpacking;
-use meniscus::io::input::open_particles;
+use meniscus::io::input::{file_and_step, open_particles};
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::MeshOutput;
 use meniscus::io::series::SeriesFrame;
 use meniscus::io::whole::{FilledFile, Replace};
-use meniscus::io::{CoordinateWidth, ParticleFile, ReadError};
+use meniscus::io::{CoordinateWidth, ParticleFile, ReadError, ReadFault};
 use meniscus::laps::Laps;
 use meniscus::mesh::bounds::Bounded;
 use meniscus::mesh::source::MeshSource;
@@ -20,14 +20,14 @@ use meniscus::particles::{AttributeInfo, Particles, carried_infos};
 use meniscus::sequence::frozen::{Frozen, Stamp};
 use meniscus::sequence::inputs::FrameFile;
 use meniscus::sequence::records::Record;
-use meniscus::simplify::Dropped;
 use meniscus::units::MemoryBudget;
 use serde_json::{Value, json};
 
+use crate::identity::refuse_same_file;
 use crate::interrupt::{self, Unfinished};
 use crate::lanes::Permit;
 use crate::reconstruct::{coordinate_width, is_frame};
-use crate::report::advice;
+use crate::report::{self, LeftOut, advice};
 use crate::run::Notes;
 use crate::up::Orientation;
 
@@ -40,7 +40,7 @@ pub struct Done {
     /// Where statistics are asked for.
     pub stats: Option<Value>,
     pub seconds: f64,
-    pub dropped: Dropped,
+    pub left_out: LeftOut,
     pub warnings: Vec<String>,
 }
 
@@ -51,7 +51,7 @@ pub struct Filled {
     record: Record,
     stats: Option<Value>,
     seconds: f64,
-    dropped: Dropped,
+    left_out: LeftOut,
     warnings: Vec<String>,
 }
 
@@ -71,6 +71,7 @@ pub struct Opened {
 struct Ready<'a> {
     /// `None` where there are no particles.
     frame: Option<Frame>,
+    left_out: LeftOut,
     /// What its vertices carry.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
@@ -81,20 +82,23 @@ struct Ready<'a> {
 type Found = (Box<dyn MeshSource + Send>, CoordinateWidth);
 
 impl Conversion<'_> {
-    /// Makes sure that a frame's mesh can be written, and opens the frame, unless its particles are open already.
+    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is made `again`, and opens the frame,
+    /// unless its particles are open already.
     pub fn open(
         &self,
         frame: &FrameFile,
         particles: Option<ParticleFile>,
+        again: bool,
         stage: &dyn Fn(&str),
     ) -> Result<Opened, Error> {
         let mut laps = Laps::default();
         let Setup { options, resources, .. } = self.setup;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
-        let replace =
-            if options.sequence.resume || options.run.overwrite { Replace::Allow } else { Replace::Refuse };
+        let allowed = options.sequence.resume || options.run.overwrite || again;
+        let replace = if allowed { Replace::Allow } else { Replace::Refuse };
         let target = self.output(frame);
+        refuse_same_file(file_and_step(path).0, &target)?;
         let orientation = options.up.orientation(path, self.format);
         let layout = options.layout(orientation);
         let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
@@ -129,15 +133,15 @@ impl Conversion<'_> {
             Some(file) => self.sample(path, file, frozen, stage, &mut laps),
             None => self.unpack(path, &mut laps),
         };
-        let Ready { frame: sampled, infos, time, permit } = ready?;
-        let (mut dropped, mut warnings) = (Dropped::default(), Vec::new());
+        let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
+        let mut warnings = Vec::new();
         let surface = match &sampled {
             None => None,
             Some(sampled) => {
                 stage("meshing");
                 let surface = permit
-                    .run(|| self.surface(path, sampled, frozen, &mut dropped, &mut warnings, &mut laps));
-                warnings.extend(sampled.warnings());
+                    .run(|| self.surface(path, sampled, frozen, &mut left_out, &mut warnings, &mut laps));
+                warnings.extend(report::warnings(sampled));
                 surface?
             }
         };
@@ -146,9 +150,14 @@ impl Conversion<'_> {
         let (mesh, width) = surface.unwrap_or_else(|| {
             (Box::new(empty_mesh(self.setup.surfacing.normals, infos)), CoordinateWidth::F32)
         });
+        warnings.extend(report::merged(&*mesh, self.format, &target)?);
         let turned = orientation.turned(&*mesh);
         let bounded = Bounded::new(&turned);
         let file = permit.run(|| output.fill(&bounded, width))?;
+        if Stamp::of(path).ok() != Some(input) {
+            let what = "it has changed while it was read; --resume makes it again".to_owned();
+            return Err(ReadError::new(path, ReadFault::Unsupported(what)).into());
+        }
         let bytes = file.bytes();
         drop(permit);
         laps.lap("write");
@@ -166,7 +175,7 @@ impl Conversion<'_> {
             normals: mesh.has_normals(),
             attributes: mesh.attributes(),
         };
-        let record = Record { input, fingerprint: settled.fingerprint, mesh: listed };
+        let record = Record { input, fingerprint: settled.fingerprint, mesh: listed, crc: file.crc() };
         let stats = options.stats.is_some().then(|| {
             let mut stats = match &sampled {
                 Some(sampled) => options.record(
@@ -182,19 +191,20 @@ impl Conversion<'_> {
                 }
             };
             stats["frame"] = json!(frame.number);
+            stats["in_no_surface"] = json!(left_out.lost);
             stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
             stats
         });
-        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), dropped, warnings })
+        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), left_out, warnings })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
     pub fn finish(&self, filled: Filled) -> Result<Done, Error> {
-        let Filled { file, unfinished, record, stats, seconds, dropped, warnings } = filled;
+        let Filled { file, unfinished, record, stats, seconds, left_out, warnings } = filled;
         file.keep()?;
         drop(unfinished);
         interrupt::undisturbed(|| self.store.log.keep(&record))?;
-        Ok(Done { mesh: record.mesh, stats, seconds, dropped, warnings })
+        Ok(Done { mesh: record.mesh, stats, seconds, left_out, warnings })
     }
 
     /// Reads a frame that was sampled before.
@@ -206,7 +216,7 @@ impl Conversion<'_> {
         self.setup.options.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..self.setup.resources.clone() };
         let frame = Frame::from_sampled(sampled, &self.setup.surfacing, resources);
-        Ok(Ready { frame: Some(frame), infos: Vec::new(), time: None, permit })
+        Ok(Ready { frame: Some(frame), left_out: LeftOut::default(), infos: Vec::new(), time: None, permit })
     }
 
     /// Samples the particles of a frame.
@@ -244,15 +254,16 @@ impl Conversion<'_> {
             counted = Counted::for_surface(&file.particles, &sampling, surfacing);
         }
         stage("sampling");
-        let frame = match counted {
-            Err(FrameError::NoParticles(_)) => None,
+        let (frame, census) = match counted {
+            Err(FrameError::NoParticles(census)) => (None, census),
             counted => {
                 let counted = counted.map_err(in_file)?;
+                let census = counted.census();
                 let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
-                Some(permit.run(sample)?)
+                (Some(permit.run(sample)?), census)
             }
         };
-        Ok(Ready { frame, infos, time: file.time, permit })
+        Ok(Ready { frame, left_out: census.into(), infos, time: file.time, permit })
     }
 
     /// What is left of a lane's memory for the frame, where as much as its surface takes is needed beside it: for the
@@ -273,26 +284,30 @@ impl Conversion<'_> {
         path: &Path,
         sampled: &Frame,
         frozen: &Frozen,
-        dropped: &mut Dropped,
+        left_out: &mut LeftOut,
         warnings: &mut Vec<String>,
         laps: &mut Laps,
     ) -> Result<Option<Found>, Error> {
         let reduction = &self.setup.reduction;
         let mut warn = |text: String| warnings.push(text);
         let empty = |why: &str| format!("{why}: an empty mesh");
+        let binned = sampled.facts().census.binned as u64;
         let in_file = |fault| Error::Frame { path: path.to_owned(), fault };
         let drawn = sampled.calibrate(&self.setup.surfacing, frozen.calibration.as_ref(), laps);
         let surface = match drawn.and_then(|frame| frame.surface(laps)) {
             Err(FrameError::NoSurface { .. }) => {
+                left_out.lost = binned;
                 warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
                 return Ok(None);
             }
             Err(FrameError::NoKernelSurface | FrameError::NoDistanceSurface) => {
+                left_out.lost = binned;
                 warn(empty("no cell's centre is inside of the surface"));
                 return Ok(None);
             }
             surface => surface.map_err(in_file)?,
         };
+        left_out.lost = sampled.lost(&surface).map_err(in_file)?;
         if let Some(shortfall) = sampled.shortfall(&surface).map_err(in_file)? {
             warn(format!("{shortfall}{}", self.advice(frozen)));
         }
@@ -302,13 +317,13 @@ impl Conversion<'_> {
         }
         match sampled.simplify(surface, reduction, laps) {
             Err(FrameError::NothingLeft(all)) => {
-                *dropped = all;
+                left_out.drops = all.drops;
                 warn(empty(&format!("all components are below {}", all.limits())));
                 Ok(None)
             }
             Err(fault) => Err(in_file(fault)),
             Ok(simplified) => {
-                *dropped = simplified.dropped();
+                left_out.drops = simplified.dropped().drops;
                 Ok(Some((Box::new(simplified), width)))
             }
         }

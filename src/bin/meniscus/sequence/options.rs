@@ -1,5 +1,7 @@
 //! Options on which frames are converted, and how their conversion goes.
 
+use std::ops::RangeInclusive;
+
 use clap::Args;
 use meniscus::error::Error;
 use meniscus::sequence::inputs::Selection;
@@ -38,6 +40,9 @@ pub struct SequenceOptions {
     pub progress: ProgressMode,
 }
 
+/// Of more or less than these, times are no numbers that programs can tell apart.
+const FPS: RangeInclusive<f64> = 1e-9..=1e9;
+
 fn range(text: &str) -> Result<(u64, u64), String> {
     let numbers = text.split_once("..").and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
     numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
@@ -63,11 +68,16 @@ impl SequenceOptions {
     }
 
     pub fn validate(&self) -> Result<(), Error> {
-        if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
-            return Err(Error::Request(format!("--fps must be a positive number; {fps} is not")));
+        if let Some(fps) = self.fps.filter(|fps| !FPS.contains(fps)) {
+            let (least, most) = FPS.into_inner();
+            return Err(Error::Request(format!("--fps must be from {least} to {most}; {fps:?} is not")));
         }
         if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
             return Err(Error::Request(format!("--watch takes seconds; {seconds} are none")));
+        }
+        let Selection { start, end, .. } = self.selection();
+        if start > end {
+            return Err(Error::Request(format!("there are no frames from --start {start} to --end {end}")));
         }
         Ok(())
     }
@@ -86,8 +96,14 @@ impl SequenceOptions {
         self.plan || self.watch.is_some()
     }
 
+    /// The first and the last frame of the sequence that this run converts.
+    pub fn wanted(&self) -> (u64, u64) {
+        self.frames.unwrap_or((0, u64::MAX))
+    }
+
     /// Whether a frame of the sequence is one of those that this run converts.
     pub fn wants(&self, number: u64) -> bool {
-        self.frames.is_none_or(|(first, last)| (first..=last).contains(&number))
+        let (first, last) = self.wanted();
+        (first..=last).contains(&number)
     }
 }

@@ -1,7 +1,6 @@
 //! What became of the frames: noted one by one, listed for other programs, and summed up at the end.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::time::{Duration, Instant};
 
 use bytesize::ByteSize;
@@ -9,6 +8,7 @@ use meniscus::error::{Cause, Error};
 use meniscus::io::series::{Series, SeriesFrame};
 use meniscus::sequence::inputs::{FrameFile, gaps, missing_path};
 use meniscus::sequence::records::Records;
+use rayon::prelude::*;
 use serde_json::json;
 
 use crate::Verdict;
@@ -18,7 +18,7 @@ use crate::run::Notes;
 use super::Setup;
 use super::conversion::Conversion;
 use super::one_frame::Done;
-use crate::report::left_out;
+use crate::report::{LeftOut, dropped};
 
 /// Between two writings of what lists all frames, at the least.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);
@@ -34,8 +34,7 @@ pub struct Tally<'a> {
     fatal: Option<Error>,
     pub done: usize,
     pub total: usize,
-    /// Drops that were left out.
-    drops: u64,
+    left_out: LeftOut,
     begun: Instant,
     /// When the series was written last, or would have been.
     series_written: Instant,
@@ -54,23 +53,26 @@ impl<'a> Tally<'a> {
             fatal: None,
             done: 0,
             total: 0,
-            drops: 0,
+            left_out: LeftOut::default(),
             begun,
             series_written: begun,
             notes: conversion.setup.notes.clone(),
         }
     }
 
-    /// Lists what else is done already.
-    pub fn list(&mut self, frames: &[FrameFile]) {
+    /// Lists what else is done already. Those whose bytes are looked at are done if these are as they were written.
+    pub fn list(&mut self, frames: &[FrameFile], is_looked_at: impl Fn(&FrameFile) -> bool + Sync) {
         let records = Records::read(self.conversion.store.folder());
-        for frame in frames {
-            if !self.lists(frame)
-                && let Some(record) = self.conversion.current(&records, frame)
-            {
-                self.listed.insert(frame.number, record.mesh.clone());
-            }
-        }
+        let Self { conversion, listed, failed, .. } = self;
+        let done = |frame: &FrameFile| {
+            let number = frame.number;
+            let is_open = !listed.contains_key(&number) && !failed.contains_key(&number);
+            let record = conversion.current(&records, frame).filter(|_| is_open)?;
+            let is_done = !is_looked_at(frame) || record.is_whole(&conversion.output(frame));
+            is_done.then(|| (number, record.mesh.clone()))
+        };
+        let done: Vec<_> = frames.par_iter().filter_map(done).collect();
+        listed.extend(done);
     }
 
     /// Whether a frame is done.
@@ -89,8 +91,8 @@ impl<'a> Tally<'a> {
         let notes = self.notes.clone();
         self.done += 1;
         match result {
-            Ok(Done { mesh, stats, seconds, dropped, warnings }) => {
-                self.drops += dropped.drops;
+            Ok(Done { mesh, stats, seconds, left_out, warnings }) => {
+                self.left_out.add(&left_out);
                 self.failed.remove(&frame.number);
                 for warning in warnings {
                     notes.say(format!("warning: {}: {warning}", frame.path.display()));
@@ -143,7 +145,7 @@ impl<'a> Tally<'a> {
         let Setup { options, notes, inputs, .. } = self.conversion.setup;
         // Other jobs may have done frames meanwhile, and the last of them lists all.
         let alone = self.conversion.store.locked();
-        self.list(&inputs.list()?);
+        self.list(&self.conversion.setup.all_frames()?, |_| false);
         let log = &self.conversion.store.log;
         let (listed, merged) = std::thread::scope(|scope| {
             let merging = scope.spawn(|| interrupt::undisturbed(|| log.merge()));
@@ -153,15 +155,11 @@ impl<'a> Tally<'a> {
         merged.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         drop(alone);
         let made = self.done - self.failed.len().min(self.done);
-        let missing = gaps(frames);
-        let gone: Vec<u64> = missing.numbers().filter(|&number| options.sequence.wants(number)).collect();
-        if missing.sparse && !gone.is_empty() {
+        let (first, last) = options.sequence.wanted();
+        let mut missing = gaps(frames).within(first, last);
+        if missing.sparse && missing.count() > 0 {
             notes.say(format!("{}: there are no frames {missing}", inputs.describe()));
-        } else {
-            for number in gone {
-                let path = missing_path(frames, number);
-                self.failed.insert(number, format!("{}: missing", path.display()));
-            }
+            missing.ranges.clear();
         }
         notes.say(format!(
             "{}: {made} frames in {:.2} s",
@@ -169,18 +167,34 @@ impl<'a> Tally<'a> {
             self.begun.elapsed().as_secs_f64()
         ));
         if let Some(particles) = self.conversion.setup.reduction.smallest_drop {
-            notes.say(left_out(self.drops, particles));
+            notes.say(dropped(self.left_out.drops, particles));
         }
-        if !self.failed.is_empty() {
-            let mut list = format!("meniscus: {} frames failed:", self.failed.len());
-            for (number, cause) in &self.failed {
-                let _ = write!(list, "\n  frame {number}: {cause}");
-            }
+        self.left_out.say(self.conversion.setup.request.field, notes);
+        let failed = self.failed.len() as u64 + missing.count();
+        if failed > 0 {
+            let one = |(number, cause): (&u64, &String)| (*number, format!("frame {number}: {cause}"));
+            let gap = |&(first, last): &(u64, u64)| {
+                let [from, to] =
+                    [first, last].map(|number| missing_path(frames, number).display().to_string());
+                (
+                    first,
+                    if first == last {
+                        format!("frame {first}: {from}: missing")
+                    } else {
+                        format!("frames {first} to {last}: {from} to {to}: missing")
+                    },
+                )
+            };
+            let mut lines: Vec<(u64, String)> =
+                self.failed.iter().map(one).chain(missing.ranges.iter().map(gap)).collect();
+            lines.sort();
+            let mut list = format!("meniscus: {failed} frames failed:");
+            lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
             notes.error(list);
         }
         match self.fatal {
             Some(error) => Err(error),
-            None if self.failed.is_empty() => Ok(Verdict::Good),
+            None if failed == 0 => Ok(Verdict::Good),
             None => Ok(Verdict::Bad),
         }
     }

@@ -1,5 +1,5 @@
 //! Which frames of a running simulation are complete: those whose file has not changed for a while. One that turns out
-//! not to be is tried again when it has changed.
+//! not to be, because it grows after a pause or is written once more, is given again.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -22,7 +22,16 @@ pub struct Watch {
 struct Seen {
     stamp: Stamp,
     since: Instant,
-    given: bool,
+    /// What it was when it was given.
+    given: Option<Stamp>,
+    under_way: bool,
+}
+
+/// A frame that is complete, as far as can be told.
+pub struct Ready {
+    pub frame: FrameFile,
+    /// Whether it was given before, and has changed since.
+    pub again: bool,
 }
 
 impl Watch {
@@ -30,8 +39,9 @@ impl Watch {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
-    /// The frames that have become complete since the last call, of those that are there now.
-    pub fn ready(&mut self, frames: &[FrameFile]) -> Vec<FrameFile> {
+    /// The frames that have become complete since the last call, of those that are there now. Each is under way until it is
+    /// [`done`](Self::done).
+    pub fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
@@ -39,33 +49,33 @@ impl Watch {
             let Ok(stamp) = Stamp::of(&frame.path) else { continue };
             let seen = self.seen.entry(frame.number).or_insert_with(|| {
                 self.last_news = now;
-                Seen { stamp, since: now, given: false }
+                Seen { stamp, since: now, given: None, under_way: false }
             });
             if seen.stamp != stamp {
                 self.last_news = now;
                 (seen.stamp, seen.since) = (stamp, now);
-            } else if !seen.given && now - seen.since >= SETTLED {
-                seen.given = true;
-                ready.push(frame.clone());
+            } else if seen.given != Some(stamp) && !seen.under_way && now - seen.since >= SETTLED {
+                let again = seen.given.replace(stamp).is_some();
+                seen.under_way = true;
+                ready.push(Ready { frame: frame.clone(), again });
             }
         }
         ready
     }
 
-    /// A frame that was given could not be read: perhaps it was not complete, and will change.
-    pub fn failed(&mut self, number: u64) {
+    /// Nothing more is done with a frame that was given until its file changes: it was made, or could not be read.
+    pub fn done(&mut self, number: u64) {
         if let Some(seen) = self.seen.get_mut(&number) {
-            seen.given = false;
-            // Until it changes there is no sense in another try.
-            seen.since = Instant::now() + Duration::from_secs(u64::from(u32::MAX));
+            seen.under_way = false;
         }
     }
 
     /// Whether nothing more is to be expected.
     pub fn is_over(&self) -> bool {
         let Selection { end, step, .. } = self.selection;
-        let last = self.seen.iter().next_back();
-        let complete = last.is_some_and(|(&number, seen)| seen.given && number.saturating_add(step) > end);
+        let last = self.seen.last_key_value();
+        let complete = last.is_some_and(|(number, _)| number.saturating_add(step) > end)
+            && self.seen.values().all(|seen| seen.given == Some(seen.stamp));
         complete || self.last_news.elapsed().as_secs_f64() > self.idle.max(SETTLED.as_secs_f64())
     }
 }
