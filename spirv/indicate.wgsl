@@ -23,9 +23,9 @@ fn add(at: u32, high: u32, value: u32) {
     }
 }
 
-// b <= 31.
+// b <= 31, by none of which a shift is as wide as a word.
 fn shifted(a: u32, b: u32) -> vec2<u32> {
-    return vec2(a << b, select(a >> (32u - b), 0u, b == 0u));
+    return vec2(a << b, (a >> 1u) >> (31u - b));
 }
 
 // |2 S + n - n F|.

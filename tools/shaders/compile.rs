@@ -8,6 +8,9 @@ use meniscus::programs::{PROGRAMS, constants};
 use naga::Module;
 use naga::back::spv;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
+use rspirv::binary::Assemble;
+use rspirv::dr::{Instruction, Operand};
+use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 
 /// A source that cannot be read or compiled: its name, the line and the cause.
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
@@ -81,5 +84,44 @@ pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
         ..spv::Options::default()
     };
     let words = spv::write_vec(&module, &info, &options, None)?;
+    let words = without_idle_layouts(&words).map_err(|fault| format!("{name}: {fault}"))?;
     Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
+}
+
+/// Takes the layouts off all types but those of storage buffers and push blocks: Vulkan allows none in the memory of a work group,
+/// and naga lays out all arrays (VUID-StandaloneSpirv-None-10684).
+fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
+    let mut module = rspirv::dr::load_words(words).map_err(|fault| fault.to_string())?;
+    let ids = |of: &Instruction| of.operands.iter().filter_map(Operand::id_ref_any).collect::<Vec<Word>>();
+    let reached_from = |classes: &[StorageClass]| {
+        let types = &module.types_global_values;
+        let is_of =
+            |operand: &Operand| matches!(operand, Operand::StorageClass(class) if classes.contains(class));
+        let is_pointer =
+            |of: &&Instruction| of.class.opcode == Op::TypePointer && of.operands.iter().any(is_of);
+        let mut open: Vec<Word> = types.iter().filter(is_pointer).flat_map(ids).collect();
+        let mut reached = HashSet::new();
+        while let Some(next) = open.pop() {
+            if reached.insert(next) {
+                open.extend(types.iter().filter(|of| of.result_id == Some(next)).flat_map(ids));
+            }
+        }
+        reached
+    };
+    let laid_out = reached_from(&[StorageClass::StorageBuffer, StorageClass::PushConstant]);
+    let shared = reached_from(&[StorageClass::Workgroup]);
+    let target = |of: &Instruction| {
+        let layouts = [Decoration::ArrayStride, Decoration::Offset, Decoration::MatrixStride];
+        let is_layout =
+            |operand: &Operand| matches!(operand, Operand::Decoration(what) if layouts.contains(what));
+        of.operands.iter().any(is_layout).then(|| of.operands[0].unwrap_id_ref())
+    };
+    let targets: HashSet<Word> = module.annotations.iter().filter_map(target).collect();
+    if let Some(both) = targets.iter().find(|id| laid_out.contains(*id) && shared.contains(*id)) {
+        return Err(
+            format!("type {both} is of a buffer and of a work group, and can have but one layout").into()
+        );
+    }
+    module.annotations.retain(|of| target(of).is_none_or(|id| laid_out.contains(&id)));
+    Ok(module.assemble())
 }
