@@ -15,7 +15,7 @@ use meniscus::mesh::Mesh;
 use meniscus::recipe::Detail;
 use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::{Isovalue, Sigma, Smooth};
-use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, ValidationLog, VulkanError};
+use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
 
 fn open() -> Option<(Device, ValidationLog)> {
     device::open(&DeviceOptions::default()).map_err(device::skip).ok()
@@ -83,6 +83,23 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
     assert_eq!(device.allocated(), 0, "buffers are left");
     drop(device);
     assert_eq!(log.messages(), [""; 0]);
+}
+
+#[test]
+fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
+    let particles = splashes(31);
+    let (frame, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
+    for queues in [Queues::One, Queues::OneAsTwo] {
+        let options = DeviceOptions { queues, shares_host_memory: Some(false), ..DeviceOptions::default() };
+        let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
+        let input = [positions(&device, &particles)];
+        let pipeline = Pipeline::new(&device).unwrap();
+        let surface = pipeline.surface(&input, &settings(&sampling(), &surfacing())).unwrap();
+        assert_eq!(surface.census, frame.facts().census, "{queues:?}");
+        assert!(read(&device, &surface) == rounded(&expected.mesh), "{queues:?}");
+        drop((surface, pipeline, input, device));
+        assert_eq!(log.messages(), [""; 0], "{queues:?}");
+    }
 }
 
 #[test]

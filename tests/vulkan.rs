@@ -25,13 +25,19 @@ use meniscus::recipe::{PaperFilters, Recipe};
 use meniscus::stage::blur::{self, Kernel};
 use meniscus::stage::indicator::{IndicatorKind, PageRule};
 use meniscus::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::vulkan::{Device, DeviceOptions, Faults, Place, Queue, ValidationLog};
+use meniscus::vulkan::{
+    Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
+};
 
 const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
 
 /// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
 fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
-    let (device, log) = device::open(&DeviceOptions::default()).map_err(device::skip).ok()?;
+    validated_with(&DeviceOptions::default(), test)
+}
+
+fn validated_with<T>(options: &DeviceOptions, test: impl FnOnce(&Device) -> T) -> Option<T> {
+    let (device, log) = device::open(options).map_err(device::skip).ok()?;
     let outcome = test(&device);
     assert_eq!(device.allocated(), 0, "buffers are left");
     drop(device);
@@ -205,6 +211,56 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
         // A quarter of it is the device's, half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
     });
+}
+
+#[test]
+fn a_frame_is_the_same_whatever_queues_there_are_and_whosever_the_memory_is() {
+    let particles = splashes(23);
+    for queues in [Queues::One, Queues::OneAsTwo] {
+        for shares_host_memory in [Some(false), Some(true)] {
+            let options = DeviceOptions { queues, shares_host_memory, ..DeviceOptions::default() };
+            validated_with(&options, |device| {
+                assert_eq!(device.shares_host_memory(), shares_host_memory == Some(true));
+                let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                let what = format!("{queues:?}, {shares_host_memory:?}");
+                assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), &what);
+            });
+        }
+    }
+}
+
+#[test]
+fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
+    let Some((device, _)) = device::open(&DeviceOptions::default()).map_err(device::skip).ok() else {
+        return;
+    };
+    let mut batch = device.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    device.faults().submission.store(1, Ordering::Relaxed);
+    assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
+    for _ in 0..2 {
+        assert_eq!(device.buffer(Place::Device, 4).unwrap_err(), VulkanError::Lost);
+        assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
+    }
+}
+
+#[test]
+fn a_device_is_told_by_its_number_or_by_a_number_in_its_name() {
+    let instance = match Instance::connect(false) {
+        Ok(instance) => instance,
+        Err(why) => return device::skip(why),
+    };
+    let devices = instance.devices().unwrap();
+    let Some(device) = devices.first() else { return device::skip("there is no device") };
+    let chosen = |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
+    assert_eq!(chosen("0"), Ok(0));
+    let numbers = device.name.split(|c: char| !c.is_ascii_digit());
+    let numbers: Vec<&str> =
+        numbers.filter(|text| text.parse().is_ok_and(|number: usize| number >= devices.len())).collect();
+    for number in numbers {
+        assert_eq!(chosen(number), Ok(0), "{number} of {}", device.name);
+    }
+    assert!(matches!(chosen("987654321"), Err(VulkanError::NotFound { .. })));
 }
 
 #[test]

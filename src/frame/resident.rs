@@ -120,6 +120,7 @@ impl Pipeline {
         }
 
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
+        let written = parts.written().to_vec();
         let rows = |count: u32| device.buffer(Place::Device, ROW * u64::from(count));
         let (positions, indices) = (rows(layout.vertices())?, rows(layout.triangles())?);
         let buffers = StitchBuffers {
@@ -136,7 +137,7 @@ impl Pipeline {
         batch.begin()?;
         batch.stage("stitch", positions.bytes() + indices.bytes());
         stitch(device, &mut batch, &self.stitch, &layout, recipe.iso, &buffers)?;
-        batch.submit(&[])?;
+        batch.submit(&written)?;
         batch.wait()?;
         Ok(ResidentSurface {
             positions,

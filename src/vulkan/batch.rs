@@ -73,13 +73,13 @@ impl Device {
             batch.pool = shared
                 .raw
                 .create_command_pool(&vk::CommandPoolCreateInfo::default().queue_family_index(family), None)
-                .map_err(VulkanError::of("vkCreateCommandPool"))?;
+                .map_err(shared.noting("vkCreateCommandPool"))?;
             let info =
                 vk::CommandBufferAllocateInfo::default().command_pool(batch.pool).command_buffer_count(1);
             batch.commands = shared
                 .raw
                 .allocate_command_buffers(&info)
-                .map_err(VulkanError::of("vkAllocateCommandBuffers"))?[0];
+                .map_err(shared.noting("vkAllocateCommandBuffers"))?[0];
             let sizes = [vk::DescriptorPoolSize {
                 ty: vk::DescriptorType::STORAGE_BUFFER,
                 descriptor_count: 8 * DISPATCHES,
@@ -88,15 +88,13 @@ impl Device {
             batch.sets = shared
                 .raw
                 .create_descriptor_pool(&info, None)
-                .map_err(VulkanError::of("vkCreateDescriptorPool"))?;
+                .map_err(shared.noting("vkCreateDescriptorPool"))?;
             if timestamps {
                 let info = vk::QueryPoolCreateInfo::default()
                     .query_type(vk::QueryType::TIMESTAMP)
                     .query_count(STAGES + 1);
-                batch.queries = shared
-                    .raw
-                    .create_query_pool(&info, None)
-                    .map_err(VulkanError::of("vkCreateQueryPool"))?;
+                batch.queries =
+                    shared.raw.create_query_pool(&info, None).map_err(shared.noting("vkCreateQueryPool"))?;
             }
         }
         Ok(batch)
@@ -114,13 +112,13 @@ impl Batch {
         // SAFETY: nothing of this batch is in use.
         unsafe {
             raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
-                .map_err(VulkanError::of("vkResetCommandPool"))?;
+                .map_err(self.device.noting("vkResetCommandPool"))?;
             raw.reset_descriptor_pool(self.sets, vk::DescriptorPoolResetFlags::empty())
-                .map_err(VulkanError::of("vkResetDescriptorPool"))?;
+                .map_err(self.device.noting("vkResetDescriptorPool"))?;
             let info =
                 vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
             raw.begin_command_buffer(self.commands, &info)
-                .map_err(VulkanError::of("vkBeginCommandBuffer"))?;
+                .map_err(self.device.noting("vkBeginCommandBuffer"))?;
             if self.queries != vk::QueryPool::null() {
                 if self.device.queue(self.queue).host_reset {
                     raw.reset_query_pool(self.queries, 0, STAGES + 1);
@@ -207,7 +205,7 @@ impl Batch {
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
         // SAFETY: the pool and the layout are this device's.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }
-            .map_err(VulkanError::of("vkAllocateDescriptorSets"))?[0];
+            .map_err(self.device.noting("vkAllocateDescriptorSets"))?[0];
         let info = |view: &View| {
             [vk::DescriptorBufferInfo { buffer: view.buffer.raw(), offset: view.offset, range: view.bytes }]
         };
@@ -303,6 +301,9 @@ impl Batch {
     /// [`VulkanError::Lost`] and others of the driver.
     pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
         self.timestamp();
+        if Faults::strikes(&self.device.faults.submission) {
+            self.device.lose();
+        }
         self.device.check_alive()?;
         let raw = &self.device.raw;
         let state = self.device.queue(self.queue);
@@ -320,7 +321,7 @@ impl Batch {
                 vk::PipelineStageFlags::HOST,
                 vk::AccessFlags::HOST_READ,
             );
-            raw.end_command_buffer(self.commands).map_err(VulkanError::of("vkEndCommandBuffer"))?;
+            raw.end_command_buffer(self.commands).map_err(self.device.noting("vkEndCommandBuffer"))?;
             let waits: Vec<_> = after.iter().map(|ticket| self.device.queue(ticket.queue).timeline).collect();
             let wait_values: Vec<_> = after.iter().map(|ticket| ticket.value).collect();
             let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; after.len()];
@@ -402,9 +403,7 @@ impl Drop for Batch {
         let _ = self.wait();
         // SAFETY: nothing of this batch is in use: it is done, or its device is lost.
         unsafe {
-            if self.pending
-                && self.device.raw.device_wait_idle().is_err_and(|e| e != vk::Result::ERROR_DEVICE_LOST)
-            {
+            if self.pending && self.device.queue(self.queue).idle(&self.device.raw).is_err() {
                 // The device may still be at work: what it works on stays.
                 self.buffers.drain(..).for_each(std::mem::forget);
                 self.kernels.drain(..).for_each(std::mem::forget);

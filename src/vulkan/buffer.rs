@@ -49,6 +49,7 @@ impl Device {
     /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do not allow it.
     pub fn buffer(&self, place: Place, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
         let shared = &self.shared;
+        shared.check_alive()?;
         let bytes = bytes.next_multiple_of(4).max(4);
         let exhausted = VulkanError::OutOfMemory { bytes };
         let limit = shared.memory.unwrap_or(u64::MAX);
@@ -81,7 +82,7 @@ impl Device {
         };
         // SAFETY: the device is alive; the memory is bound before anything uses the buffer.
         unsafe {
-            buffer.raw = shared.raw.create_buffer(&info, None).map_err(VulkanError::of("vkCreateBuffer"))?;
+            buffer.raw = shared.raw.create_buffer(&info, None).map_err(shared.noting("vkCreateBuffer"))?;
             let allocation = shared
                 .allocator
                 .lock()
@@ -97,13 +98,13 @@ impl Device {
                     linear: true,
                     allocation_scheme: AllocationScheme::GpuAllocatorManaged,
                 })
-                .map_err(|_| exhausted)?;
+                .map_err(|_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted })?;
             let (memory, offset) = (allocation.memory(), allocation.offset());
             buffer.allocation = Some(allocation);
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, offset)
-                .map_err(VulkanError::of("vkBindBufferMemory"))?;
+                .map_err(shared.noting("vkBindBufferMemory"))?;
         }
         Ok(Arc::new(buffer))
     }

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use ash::vk;
+use ash::{khr, vk};
 use gpu_allocator::AllocationSizes;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
-use super::instance::lacks;
+use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
 /// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
@@ -27,6 +27,22 @@ pub struct DeviceOptions {
     pub pipeline_cache: Option<PathBuf>,
     /// Bytes of a storage buffer that shaders are shown at the most, where the device would allow more.
     pub storage_range: Option<u64>,
+    /// The queues to use.
+    pub queues: Queues,
+    /// Whether its memory is taken to be the host's; by the kind of device where it is `None`.
+    pub shares_host_memory: Option<bool>,
+}
+
+/// The queues of a device that are used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Queues {
+    /// One for copies beside the one for kernels, where the device has a family for copies alone.
+    #[default]
+    All,
+    /// One for everything.
+    One,
+    /// One for everything that is used as if it were two: copies wait for kernels, and kernels for copies.
+    OneAsTwo,
 }
 
 /// What shaders and buffers may be like.
@@ -103,7 +119,8 @@ pub(super) struct Shared {
 }
 
 pub(super) struct QueueState {
-    pub(super) raw: Mutex<vk::Queue>,
+    /// Shared where one queue is used as two.
+    pub(super) raw: Arc<Mutex<vk::Queue>>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
     /// Queries are reset by the host: a queue for copies alone cannot.
@@ -111,6 +128,18 @@ pub(super) struct QueueState {
     pub(super) timeline: vk::Semaphore,
     /// The value that the last submission will signal.
     pub(super) last: AtomicU64,
+}
+
+impl QueueState {
+    /// Waits until nothing more is under way; a lost device has nothing.
+    pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
+        let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the queue is the device's, and locked: nobody else uses it.
+        match unsafe { device.queue_wait_idle(*queue) } {
+            Err(vk::Result::ERROR_DEVICE_LOST) => Ok(()),
+            waited => waited,
+        }
+    }
 }
 
 impl Device {
@@ -136,6 +165,7 @@ impl Device {
         let family = find(compute, graphics).or(find(compute, vk::QueueFlags::empty()));
         let family = family.expect("a device without compute is refused");
         let transfer = find(vk::QueueFlags::TRANSFER, graphics | compute);
+        let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
         let queue_infos: Vec<_> = used
             .iter()
@@ -143,12 +173,22 @@ impl Device {
             .collect();
         let mut features =
             vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).host_query_reset(true);
-        let create =
-            vk::DeviceCreateInfo::default().queue_create_infos(&queue_infos).push_next(&mut features);
+        // SAFETY: the device is one of the instance's.
+        let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
+        // Whoever offers it demands that it is enabled.
+        let subset = names(&known.unwrap_or_default(), khr::portability_subset::NAME);
+        let extensions: Vec<_> = subset.iter().map(|name| name.as_ptr()).collect();
+        let create = vk::DeviceCreateInfo::default()
+            .queue_create_infos(&queue_infos)
+            .enabled_extension_names(&extensions)
+            .push_next(&mut features);
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { instance.raw.create_device(info.physical, &create, None) }
             .map_err(VulkanError::of("vkCreateDevice"))?;
-        let queues = used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
+        let mut queues: Vec<_> = used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
+        if options.queues == Queues::OneAsTwo {
+            queues.push(queues[0]);
+        }
         let owner = Some(Arc::clone(instance));
         Self::around(&instance.raw, owner, info.physical, raw, queues, options)
     }
@@ -170,8 +210,16 @@ impl Device {
     pub unsafe fn adopt(foreign: Foreign, options: &DeviceOptions) -> Result<Self, VulkanError> {
         let Foreign { instance, physical, device, family, queue } = foreign;
         // SAFETY: the device is one of the instance's.
-        let properties = unsafe { instance.get_physical_device_properties(physical) };
-        if let Some(lacks) = lacks(&instance, physical, &properties) {
+        let (properties, families) = unsafe {
+            (
+                instance.get_physical_device_properties(physical),
+                instance.get_physical_device_queue_family_properties(physical),
+            )
+        };
+        let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+        let of_queue =
+            (!families.get(family as usize).is_some_and(computes)).then_some("its queue does not compute");
+        if let Some(lacks) = lacks(&instance, physical, &properties).or(of_queue) {
             let device = properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
             return Err(VulkanError::Unfit { device, lacks });
         }
@@ -220,10 +268,10 @@ impl Device {
             raw,
             instance: owner,
             name: properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned(),
-            shares_host_memory: matches!(
+            shares_host_memory: options.shares_host_memory.unwrap_or(matches!(
                 properties.device_type,
                 vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU
-            ),
+            )),
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             pipeline_cache: vk::PipelineCache::null(),
             cache_file,
@@ -313,7 +361,7 @@ impl Shared {
             let cache = self.raw.create_pipeline_cache(&info, None);
             cache.or_else(|_| self.raw.create_pipeline_cache(&empty, None))
         };
-        cache.map_err(VulkanError::of("vkCreatePipelineCache"))
+        cache.map_err(self.noting("vkCreatePipelineCache"))
     }
 
     fn add_queue(
@@ -327,10 +375,13 @@ impl Shared {
             .initial_value(0);
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
         // SAFETY: the device is alive, and what is pointed to outlives the call.
-        let timeline = unsafe { self.raw.create_semaphore(&info, None) }
-            .map_err(VulkanError::of("vkCreateSemaphore"))?;
+        let timeline =
+            unsafe { self.raw.create_semaphore(&info, None) }.map_err(self.noting("vkCreateSemaphore"))?;
+        let known = self.queues.iter().map(|known| &known.raw);
+        let same = known.clone().find(|raw| *raw.lock().unwrap_or_else(PoisonError::into_inner) == queue);
+        let raw = same.map_or_else(|| Arc::new(Mutex::new(queue)), Arc::clone);
         self.queues.push(QueueState {
-            raw: Mutex::new(queue),
+            raw,
             family,
             timestamps: properties.timestamp_valid_bits > 0,
             host_reset: !properties.queue_flags.contains(vk::QueueFlags::COMPUTE),
@@ -349,17 +400,17 @@ impl Shared {
 
     /// The families of all queues, where there are several.
     pub(super) fn families(&self) -> Vec<u32> {
-        self.queues.iter().map(|queue| queue.family).collect()
+        let mut families: Vec<u32> = self.queues.iter().map(|queue| queue.family).collect();
+        families.dedup();
+        families
     }
 
-    /// Marks the device as lost where an error says so.
+    /// The error of a call; marks the device as lost where it says so.
     pub(super) fn noting(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
         move |result| {
             let error = VulkanError::of(call)(result);
-            if error == VulkanError::Lost {
-                self.lost.store(true, Ordering::Relaxed);
-            }
-            error
+            // A lost device stays lost, whatever it says later.
+            if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) { self.lose() } else { error }
         }
     }
 
@@ -369,11 +420,8 @@ impl Shared {
         VulkanError::Lost
     }
 
-    /// Fails once the device is lost, or if it is to be lost now.
+    /// Fails once the device is lost.
     pub(super) fn check_alive(&self) -> Result<(), VulkanError> {
-        if Faults::strikes(&self.faults.submission) {
-            self.lost.store(true, Ordering::Relaxed);
-        }
         if self.lost.load(Ordering::Relaxed) { Err(VulkanError::Lost) } else { Ok(()) }
     }
 

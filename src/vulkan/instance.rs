@@ -4,7 +4,7 @@ use std::ffi::{CStr, c_void};
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use ash::{ext, vk};
+use ash::{ext, khr, vk};
 
 use super::VulkanError;
 
@@ -77,11 +77,23 @@ pub struct DeviceInfo {
     pub api: [u32; 3],
     /// Its driver's name and version.
     pub driver: String,
-    /// Bytes of its own memory.
+    /// The version of the conformance tests that its driver passes: major, minor, subminor, patch. All are 0 where it passes none.
+    pub conformance: [u8; 4],
+    /// Bytes of its own memory: of the largest heap.
     pub memory: u64,
+    /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does not.
+    pub free: u64,
     /// Why it cannot be used, if it cannot.
     pub lacks: Option<&'static str>,
     pub(super) physical: vk::PhysicalDevice,
+}
+
+impl DeviceInfo {
+    /// Whether its driver passes the conformance tests of any version. Those that translate to other interfaces may not.
+    #[must_use]
+    pub fn is_conformant(&self) -> bool {
+        self.conformance != [0; 4]
+    }
 }
 
 impl Instance {
@@ -103,18 +115,26 @@ impl Instance {
             .engine_name(c"meniscus")
             .api_version(vk::API_VERSION_1_2);
         let layers = [VALIDATION.as_ptr()];
-        let extensions = [ext::debug_utils::NAME.as_ptr(), ext::validation_features::NAME.as_ptr()];
+        // SAFETY: no instance is needed to ask.
+        let known = unsafe { entry.enumerate_instance_extension_properties(None) }.unwrap_or_default();
+        // Devices that are Vulkan but for a few features, such as MoltenVK, are hidden from who does not ask for them.
+        let portability = names(&known, khr::portability_enumeration::NAME);
+        let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
+        if validation {
+            extensions.extend([ext::debug_utils::NAME.as_ptr(), ext::validation_features::NAME.as_ptr()]);
+        }
         let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
         let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
         let log = ValidationLog::default();
         let mut messages = messenger_info(&log);
-        let mut info = vk::InstanceCreateInfo::default().application_info(&application);
+        let mut info = vk::InstanceCreateInfo::default()
+            .application_info(&application)
+            .enabled_extension_names(&extensions);
+        if portability.is_some() {
+            info = info.flags(vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR);
+        }
         if validation {
-            info = info
-                .enabled_layer_names(&layers)
-                .enabled_extension_names(&extensions)
-                .push_next(&mut features)
-                .push_next(&mut messages);
+            info = info.enabled_layer_names(&layers).push_next(&mut features).push_next(&mut messages);
         }
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }
@@ -157,15 +177,15 @@ impl Instance {
         let found = match choice {
             DeviceChoice::Best => {
                 let usable = devices.iter().filter(|device| device.lacks.is_none());
-                usable.min_by_key(|device| device.kind).or(devices.first())
+                usable.min_by_key(|device| (!device.is_conformant(), device.kind)).or(devices.first())
             }
-            DeviceChoice::Named(wanted) => match wanted.parse() {
-                Ok(index) => devices.get::<usize>(index),
-                Err(_) => {
-                    let wanted = wanted.to_lowercase();
-                    devices.iter().find(|device| device.name.to_lowercase().contains(&wanted))
-                }
-            },
+            DeviceChoice::Named(wanted) => {
+                let numbered = wanted.parse().ok().and_then(|index: usize| devices.get(index));
+                let wanted = wanted.to_lowercase();
+                // Names hold numbers, too.
+                let named = || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
+                numbered.or_else(named)
+            }
         };
         let Some(found) = found else {
             return Err(match choice {
@@ -186,12 +206,13 @@ impl Instance {
         let mut driver = vk::PhysicalDeviceDriverProperties::default();
         let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut driver);
         // SAFETY: the device is one of this instance's.
-        let (memory, base) = unsafe {
+        let base = unsafe {
             self.raw.get_physical_device_properties2(physical, &mut properties);
-            (self.raw.get_physical_device_memory_properties(physical), properties.properties)
+            properties.properties
         };
+        let (memory, free) = self.heap(physical);
+        let vk::ConformanceVersion { major, minor, subminor, patch } = driver.conformance_version;
         let text = |text: Result<&CStr, _>| text.unwrap_or(c"").to_string_lossy().into_owned();
-        let local = |heap: &&vk::MemoryHeap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
         let version = base.api_version;
         DeviceInfo {
             index,
@@ -213,11 +234,38 @@ impl Instance {
                 text(driver.driver_name_as_c_str()),
                 text(driver.driver_info_as_c_str())
             ),
-            memory: memory.memory_heaps_as_slice().iter().filter(local).map(|heap| heap.size).sum(),
+            conformance: [major, minor, subminor, patch],
+            memory,
+            free,
             lacks: lacks(&self.raw, physical, &base),
             physical,
         }
     }
+
+    /// Bytes of a device's largest heap of its own, and how many of them nobody uses.
+    fn heap(&self, physical: vk::PhysicalDevice) -> (u64, u64) {
+        // SAFETY: the device is one of this instance's.
+        let known = unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
+        let tells = names(&known, ext::memory_budget::NAME).is_some();
+        let mut budgets = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
+        let mut memory = vk::PhysicalDeviceMemoryProperties2::default();
+        if tells {
+            memory = memory.push_next(&mut budgets);
+        }
+        // SAFETY: the device is one of this instance's, and offers the extension if it is asked for.
+        unsafe { self.raw.get_physical_device_memory_properties2(physical, &mut memory) };
+        let memory = memory.memory_properties;
+        let heaps = memory.memory_heaps_as_slice().iter().enumerate();
+        let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
+        let Some((i, heap)) = local.max_by_key(|(_, heap)| heap.size) else { return (0, 0) };
+        let free = budgets.heap_budget[i].saturating_sub(budgets.heap_usage[i]);
+        (heap.size, if tells { free.min(heap.size) } else { heap.size })
+    }
+}
+
+/// A name, if it is among those of extensions.
+pub(super) fn names(extensions: &[vk::ExtensionProperties], name: &'static CStr) -> Option<&'static CStr> {
+    extensions.iter().any(|known| known.extension_name_as_c_str() == Ok(name)).then_some(name)
 }
 
 /// What a device would need and has not got.
@@ -242,7 +290,9 @@ pub(super) fn lacks(
         () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
         () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
         () if !families.iter().any(computes) => Some("it has no queue for compute"),
-        () if limits.max_compute_work_group_invocations < 256 => Some("its work groups are too small"),
+        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]) < 256 => {
+            Some("its work groups are too small")
+        }
         () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
         () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
         () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
@@ -274,9 +324,8 @@ fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'
             vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
         )
         .message_type(
-            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
-                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
-                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+            // What the loader has to say (GENERAL), of drivers that it cannot open and the like, is no mistake of ours.
+            vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
         )
         .pfn_user_callback(Some(note))
         .user_data(Arc::as_ptr(&log.0).cast_mut().cast())

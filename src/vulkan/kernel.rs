@@ -111,7 +111,7 @@ impl Device {
                     &vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings),
                     None,
                 )
-                .map_err(VulkanError::of("vkCreateDescriptorSetLayout"))?;
+                .map_err(self.shared.noting("vkCreateDescriptorSetLayout"))?;
             let sets = [kernel.sets];
             let mut layout = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
             if !program.push.is_empty() {
@@ -119,10 +119,10 @@ impl Device {
             }
             kernel.layout = raw
                 .create_pipeline_layout(&layout, None)
-                .map_err(VulkanError::of("vkCreatePipelineLayout"))?;
+                .map_err(self.shared.noting("vkCreatePipelineLayout"))?;
             let module = raw
                 .create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None)
-                .map_err(VulkanError::of("vkCreateShaderModule"))?;
+                .map_err(self.shared.noting("vkCreateShaderModule"))?;
             let entry = std::ffi::CString::new(program.name).expect("a plain name");
             let stage = vk::PipelineShaderStageCreateInfo::default()
                 .stage(vk::ShaderStageFlags::COMPUTE)
@@ -132,7 +132,7 @@ impl Device {
             let made = raw.create_compute_pipelines(self.shared.pipeline_cache, &info, None);
             raw.destroy_shader_module(module, None);
             kernel.pipeline =
-                made.map_err(|(_, result)| VulkanError::of("vkCreateComputePipelines")(result))?[0];
+                made.map_err(|(_, result)| self.shared.noting("vkCreateComputePipelines")(result))?[0];
         }
         Ok(kernel)
     }

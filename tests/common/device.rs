@@ -11,7 +11,9 @@ use meniscus::grid::CellBox;
 use meniscus::mesh::BlockMesh;
 use meniscus::stage::indicator::PageRule;
 use meniscus::units::MemoryBudget;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, ValidationLog, VulkanError};
+use meniscus::vulkan::{
+    Device, DeviceChoice, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
+};
 
 /// A device whose frames fail their test if any of their work is not done on the device, or has to be made good.
 #[derive(Debug)]
@@ -74,11 +76,20 @@ impl Stages for WatchedStages {
     }
 }
 
-/// A device of its own.
+/// A device of its own: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where `MENISCUS_REQUIRE_VULKAN` is `gpu`, one that
+/// computes on the processor fails the test.
 pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanError> {
     let instance = Instance::connect(true)?;
     let log = instance.log();
-    Ok((Device::open(&instance, &DeviceChoice::Best, options)?, log))
+    let choice = std::env::var("MENISCUS_TEST_DEVICE").map_or(DeviceChoice::Best, DeviceChoice::Named);
+    let info = instance.choose(&choice)?;
+    let gpu = std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_some_and(|what| what == "gpu");
+    assert!(
+        !gpu || info.kind != DeviceKind::Cpu,
+        "a GPU is demanded: {} computes on the processor",
+        info.name
+    );
+    Ok((Device::open(&instance, &choice, options)?, log))
 }
 
 /// One for all tests of a file, watched. What validation has found by now fails the test that asks.

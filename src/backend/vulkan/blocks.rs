@@ -18,7 +18,7 @@ use crate::stage::blur::Kernel;
 use crate::stage::distance::vulkan::tables;
 use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour, lengths};
 use crate::stage::dual_mc::{Crossings, Normals, normal};
-use crate::vulkan::{Batch, Buffer, Device, Place, View, VulkanError};
+use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
 
 use super::fields::{Padded, PaddedBlocks, PaddedFields};
 use super::lane::{Lane, Layout, fly, part};
@@ -52,7 +52,7 @@ impl DeviceFrame {
         regions: &[CellBox],
     ) -> Result<DeviceSurfaces, VulkanError> {
         let (mut tiles, mut ends) = (Growing::default(), Growing::default());
-        let mut blocks = Vec::new();
+        let (mut blocks, mut written) = (Vec::new(), None);
         self.each_batch(state, surfaces, regions, &mut |_, lane, batch, begins| {
             let totals = begins[batch.regions.len()];
             let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
@@ -60,14 +60,19 @@ impl DeviceFrame {
             lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
             tiles.append(&self.device, &mut lane.download, &lane.buffers["tiles"].part(0, tile_bytes))?;
             ends.append(&self.device, &mut lane.download, &lane.buffers["ends"].part(0, end_bytes))?;
-            lane.download.submit(lane.compute.last())?;
+            written = Some(lane.download.submit(lane.compute.last())?);
             lane.download.wait()?;
             let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
             let coords = batch.regions.iter().map(|region| block_of(*region));
             blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
             Ok(())
         })?;
-        Ok(DeviceSurfaces { blocks, tiles: tiles.view(&self.device)?, ends: ends.view(&self.device)? })
+        Ok(DeviceSurfaces {
+            blocks,
+            tiles: tiles.view(&self.device)?,
+            ends: ends.view(&self.device)?,
+            written,
+        })
     }
 
     /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order.
@@ -104,6 +109,16 @@ pub struct DeviceSurfaces {
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
     pub ends: View,
+    /// When both are there: whoever reads them waits for it on the device.
+    pub(super) written: Option<Ticket>,
+}
+
+impl DeviceSurfaces {
+    /// What commands that read the surfaces have to wait for.
+    #[must_use]
+    pub fn written(&self) -> &[Ticket] {
+        self.written.as_slice()
+    }
 }
 
 /// A buffer that grows.

@@ -24,6 +24,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     }
     for device in devices.iter().filter(|_| !options.json) {
         let usable = device.lacks.map_or(String::new(), |lacks| format!("; cannot be used: {lacks}"));
+        let usable = if device.is_conformant() { usable } else { format!("; not conformant{usable}") };
         crate::print(&format!(
             "{} {}: {}, Vulkan {}, {}, {}{usable}",
             device.index,
@@ -48,7 +49,9 @@ fn record(device: &DeviceInfo) -> serde_json::Value {
         "kind": device.kind.to_string(),
         "vulkan": version(device),
         "driver": device.driver,
+        "conformance": device.conformance.map(|part| part.to_string()).join("."),
         "memory_bytes": device.memory,
+        "free_bytes": device.free,
         "usable": device.lacks.is_none(),
         "lacks": device.lacks,
     })

@@ -13,7 +13,7 @@ use meniscus::frame::Resources;
 use meniscus::io::bytes::Unpacking;
 use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceKind, DeviceOptions, Instance};
+use meniscus::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
 
 /// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
@@ -89,37 +89,53 @@ impl RunOptions {
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
             (BackendName::Cpu, None) => Ok(Arc::new(Cpu)),
-            (BackendName::Auto, None) => {
-                let looked_for = budget >= DRIVERS && may_have_gpu();
-                match looked_for.then(|| self.vulkan(Some(DeviceKind::Discrete))) {
-                    Some(Ok(Some(vulkan))) => Ok(Arc::new(vulkan)),
-                    _ => Ok(Arc::new(Cpu)),
-                }
-            }
+            (BackendName::Auto, None) => Ok(self.fast_device(budget).map_or_else(
+                |why| {
+                    self.notes().detail(format!("on the CPU: {why}"));
+                    Arc::new(Cpu) as Arc<dyn Backend>
+                },
+                |vulkan| Arc::new(vulkan),
+            )),
             (BackendName::Auto, Some(_)) | (BackendName::Vulkan, _) => {
-                let vulkan = self.vulkan(None)?;
-                Ok(Arc::new(vulkan.expect("any kind will do")))
+                let instance = Instance::connect(false)?;
+                let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
+                Ok(Arc::new(opened(&instance, &instance.choose(&choice)?)?))
             }
         }
     }
 
-    /// The device of choice; `None` if it is of another kind than `kind`.
-    fn vulkan(&self, kind: Option<DeviceKind>) -> Result<Option<Vulkan>, Error> {
-        let instance = Instance::connect(false)?;
-        let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
-        let info = instance.choose(&choice)?;
-        if kind.is_some_and(|kind| kind != info.kind) {
-            return Ok(None);
+    /// A device that is worth while without being asked for, or why there is none.
+    fn fast_device(&self, budget: MemoryBudget) -> Result<Vulkan, String> {
+        if budget < DRIVERS {
+            return Err(format!("drivers of GPUs may need {}, and --memory is less", ByteSize(DRIVERS.0)));
         }
-        let pipeline_cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
-        let options =
-            DeviceOptions { memory: Some(info.memory / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
-        Ok(Some(Vulkan::new(Device::open(&instance, &choice, &options)?)?))
+        if !may_have_gpu() {
+            return Err("there is no GPU".into());
+        }
+        let text = |error: VulkanError| error.to_string();
+        let instance = Instance::connect(false).map_err(text)?;
+        let info = instance.choose(&DeviceChoice::Best).map_err(text)?;
+        if info.kind != DeviceKind::Discrete {
+            return Err(format!("{} is no discrete GPU", info.name));
+        }
+        if !info.is_conformant() {
+            return Err(format!("{} passes no conformance tests; --backend vulkan takes it", info.name));
+        }
+        opened(&instance, &info).map_err(text)
     }
 
     pub fn notes(&self) -> Notes {
         Notes { quiet: self.quiet, verbose: self.verbose, bars: None }
     }
+}
+
+/// A device with its kernels compiled, that may take three quarters of what is free of its memory.
+fn opened(instance: &Arc<Instance>, info: &DeviceInfo) -> Result<Vulkan, VulkanError> {
+    let pipeline_cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
+    let options =
+        DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
+    let choice = DeviceChoice::Named(info.index.to_string());
+    Vulkan::new(Device::open(instance, &choice, &options)?)
 }
 
 /// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
