@@ -147,6 +147,18 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
 }
 
 #[test]
+fn a_folder_of_meshes_is_refused_before_the_work() {
+    let folder = frames(&["f_1.xyz", "f_2.xyz"]);
+    run(folder.path(), &["reconstruct", ".", "-o", "made/", "--spacing", "1"], 0);
+    refused(
+        folder.path(),
+        &["reconstruct", "made", "-o", "again/", "--spacing", "1"],
+        "holds meshes and no particles",
+    );
+    refused(folder.path(), &["reconstruct", "made", "-o", "m_{}.ply", "--spacing", "1"], "holds meshes");
+}
+
+#[test]
 fn meshes_whose_names_would_make_frames_of_them_are_refused_before_the_work() {
     let folder = frames(&["f_1.ply", "f_2.ply"]);
     refused(folder.path(), &["reconstruct", ".", "-o", "f_{:04}.ply"], "would be taken for a frame");

@@ -190,16 +190,20 @@ impl Inputs {
     /// As [`list`](Self::list), but for several.
     pub fn sequences(&self) -> Result<Vec<Self>, SequenceError> {
         let mut families = self.families(&self.found()?);
-        if families.len() < 2 {
-            return Ok(vec![self.clone()]);
-        }
-        if matches!(self, Self::Folder(_)) {
+        let all = families.len();
+        if let Self::Folder(folder) = self {
             // What cannot be read is told of when its turn comes.
-            let is_mesh =
-                |files: &Vec<PathBuf>| files.first().is_some_and(|file| holds_mesh(file).unwrap_or(false));
-            if !families.values().all(is_mesh) {
-                families.retain(|_, files| !is_mesh(files));
+            let is_mesh = |file: &PathBuf| holds_mesh(file).unwrap_or(false);
+            families.retain(|_, files| !files.first().is_some_and(is_mesh));
+            if families.len() < all.min(1) {
+                return Err(SequenceError::Names(format!(
+                    "{}: holds meshes and no particles",
+                    folder.display()
+                )));
             }
+        }
+        if all < 2 {
+            return Ok(vec![self.clone()]);
         }
         let part = |(family, files): (Family, Vec<PathBuf>)| match self {
             Self::Folder(_) => Self::Part { of: Box::new(self.clone()), family },

@@ -93,8 +93,8 @@ impl StitchKernels {
     /// # Errors
     /// Those of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
-        let kernel = |program| device.kernel(program).map(Arc::new);
-        Ok(Self { starts: kernel(&STARTS)?, vertices: kernel(&VERTICES)?, triangles: kernel(&TRIANGLES)? })
+        let [starts, vertices, triangles] = device.kernels([&STARTS, &VERTICES, &TRIANGLES])?;
+        Ok(Self { starts, vertices, triangles })
     }
 }
 

@@ -83,6 +83,12 @@ pub struct DeviceInfo {
     pub memory: u64,
     /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does not.
     pub free: u64,
+    /// Its families of queues.
+    pub families: Vec<vk::QueueFamilyProperties>,
+    /// Its heaps, and the types of memory in them.
+    pub heaps: vk::PhysicalDeviceMemoryProperties,
+    /// What its shaders and buffers may be like.
+    pub limits: vk::PhysicalDeviceLimits,
     /// Why it cannot be used, if it cannot.
     pub lacks: Option<&'static str>,
     pub(super) physical: vk::PhysicalDevice,
@@ -206,11 +212,11 @@ impl Instance {
         let mut driver = vk::PhysicalDeviceDriverProperties::default();
         let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut driver);
         // SAFETY: the device is one of this instance's.
-        let base = unsafe {
+        let (base, families) = unsafe {
             self.raw.get_physical_device_properties2(physical, &mut properties);
-            properties.properties
+            (properties.properties, self.raw.get_physical_device_queue_family_properties(physical))
         };
-        let (memory, free) = self.heap(physical);
+        let (heaps, memory, free) = self.heaps(physical);
         let vk::ConformanceVersion { major, minor, subminor, patch } = driver.conformance_version;
         let text = |text: Result<&CStr, _>| text.unwrap_or(c"").to_string_lossy().into_owned();
         let version = base.api_version;
@@ -237,13 +243,16 @@ impl Instance {
             conformance: [major, minor, subminor, patch],
             memory,
             free,
+            families,
+            heaps,
+            limits: base.limits,
             lacks: lacks(&self.raw, physical, &base),
             physical,
         }
     }
 
-    /// Bytes of a device's largest heap of its own, and how many of them nobody uses.
-    fn heap(&self, physical: vk::PhysicalDevice) -> (u64, u64) {
+    /// A device's heaps, bytes of the largest of its own, and how many of them nobody uses.
+    fn heaps(&self, physical: vk::PhysicalDevice) -> (vk::PhysicalDeviceMemoryProperties, u64, u64) {
         // SAFETY: the device is one of this instance's.
         let known = unsafe { self.raw.enumerate_device_extension_properties(physical) }.unwrap_or_default();
         let tells = names(&known, ext::memory_budget::NAME).is_some();
@@ -257,9 +266,9 @@ impl Instance {
         let memory = memory.memory_properties;
         let heaps = memory.memory_heaps_as_slice().iter().enumerate();
         let local = heaps.filter(|(_, heap)| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
-        let Some((i, heap)) = local.max_by_key(|(_, heap)| heap.size) else { return (0, 0) };
+        let Some((i, heap)) = local.max_by_key(|(_, heap)| heap.size) else { return (memory, 0, 0) };
         let free = budgets.heap_budget[i].saturating_sub(budgets.heap_usage[i]);
-        (heap.size, if tells { free.min(heap.size) } else { heap.size })
+        (memory, heap.size, if tells { free.min(heap.size) } else { heap.size })
     }
 }
 

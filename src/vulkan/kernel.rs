@@ -4,6 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use ash::{util::read_spv, vk};
+use rayon::prelude::*;
 
 use super::device::Shared;
 use super::{Device, VulkanError};
@@ -78,6 +79,19 @@ impl fmt::Debug for Kernel {
 }
 
 impl Device {
+    /// Compiles several programs side by side.
+    ///
+    /// # Errors
+    /// Those of [`kernel`](Self::kernel).
+    pub fn kernels<const N: usize>(
+        &self,
+        programs: [&'static Program; N],
+    ) -> Result<[Arc<Kernel>; N], VulkanError> {
+        let compiled = programs.par_iter().map(|program| self.kernel(program).map(Arc::new));
+        let compiled: Vec<_> = compiled.collect::<Result<_, _>>()?;
+        Ok(compiled.try_into().expect("there are as many"))
+    }
+
     /// Compiles a program, or takes what the pipeline cache has of it.
     ///
     /// # Errors

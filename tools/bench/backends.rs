@@ -1,30 +1,43 @@
 //! Milliseconds a stage on a Vulkan device, transfers apart, beside the CPU's, and what share of the device's memory
-//! bandwidth each stage uses. As a Markdown table.
+//! bandwidth each stage uses: by clouds, and by the paper's indicator with details. As a Markdown table. Fails where bytes differ.
 //!
 //! `cargo bench --bench backends [-- --device DEVICE] [--cells 256,384,512] [--millions 1,10,100]`
 
 mod scene;
 
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Parser;
 use glam::DVec3;
 use meniscus::backend::Vulkan;
-use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::brick::InvalidParticles;
 use meniscus::frame::{Detail, Frame, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
+use meniscus::spacing::estimate;
 use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::MemoryBudget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
 
-/// Bytes that are copied to measure the device's bandwidth.
-const COPIED: u64 = 64 << 20;
+/// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as there is room for.
+const COPIED: [u64; 2] = [1 << 30, 64 << 20];
 /// The device's stages, in order.
-const STAGES: [&str; 7] =
-    ["upload", "indicate", "gather", "blur", "detail", "dual marching cubes", "download"];
+const STAGES: [&str; 9] = [
+    "upload",
+    "indicate",
+    "gather",
+    "blur",
+    "detail",
+    "distances",
+    "drops",
+    "dual marching cubes",
+    "download",
+];
+/// The surfaces that are drawn.
+const KINDS: [IndicatorKind; 2] = [IndicatorKind::Cloud, IndicatorKind::Symmetry];
 
 #[derive(Parser)]
 struct Options {
@@ -41,12 +54,13 @@ struct Options {
     bench: bool,
 }
 
-fn main() -> Result<(), VulkanError> {
+fn main() -> Result<ExitCode, VulkanError> {
     let options = Options::parse();
     let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
     let instance = Instance::connect(false)?;
     let device = Device::open(&instance, &choice, &DeviceOptions::default())?;
-    let bandwidth = bandwidth(&device)?;
+    let [large, small] = COPIED.map(|bytes| bandwidth(&device, bytes));
+    let bandwidth = large.or(small)?;
     let vulkan = Arc::new(Vulkan::new(device.clone())?);
     println!(
         "{}: copies {:.1} GB/s (read + write); CPU: {} threads\n",
@@ -55,15 +69,17 @@ fn main() -> Result<(), VulkanError> {
         rayon::current_num_threads()
     );
     println!(
-        "| cells | M particles | CPU indicate | CPU mesh | {} | device, wall | same bytes |",
+        "| cells | M particles | surface | CPU indicate | CPU mesh | {} | device, wall | same bytes |",
         STAGES.join(" | ")
     );
-    println!("|---|---|---|---|{}---|---|", "---|".repeat(STAGES.len()));
+    println!("|---|---|---|---|---|{}---|---|", "---|".repeat(STAGES.len()));
+    let mut all_same = true;
     for &millions in &options.millions {
         let particles = scene::splash((millions * 1e6) as usize, 1);
         let width = particles.iter().flatten().fold(0.0_f32, |a, &b| a.max(b));
-        for &cells in &options.cells {
-            let mut sampling = sampling(f64::from(width) / f64::from(cells));
+        let spacing = estimate(&particles[..]);
+        for (&cells, kind) in options.cells.iter().flat_map(|cells| KINDS.map(|kind| (cells, kind))) {
+            let mut sampling = sampling(f64::from(width) / f64::from(cells), kind, spacing);
             let (cpu, expected) = run(&particles, &sampling);
             sampling.resources.backend = Arc::clone(&vulkan) as _;
             // The first run compiles kernels and takes memory.
@@ -79,35 +95,41 @@ fn main() -> Result<(), VulkanError> {
             };
             let on_device = ms(&laps, "indicate") + ms(&laps, "mesh");
             println!(
-                "| {cells} | {:.2} | {:.1} | {:.1} | {} | {on_device:.1} of {:.1} | {} |",
+                "| {cells} | {:.2} | {} | {:.1} | {:.1} | {} | {on_device:.1} of {:.1} | {} |",
                 particles.len() as f64 / 1e6,
+                kind.name(),
                 ms(&cpu, "indicate"),
                 ms(&cpu, "mesh"),
                 stages.join(" | "),
                 wall * 1e3,
                 if found == expected { "yes" } else { "NO" },
             );
+            all_same &= found == expected;
         }
     }
-    Ok(())
+    Ok(if all_same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn sampling(cell: f64) -> Sampling {
+fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, cell).expect("a valid grid"),
         domain: None,
-        field: IndicatorKind::Symmetry.into(),
+        field: kind.into(),
         invalid: InvalidParticles::Refuse,
-        side: BrickSide::Eight,
+        side: kind.brick_side(),
         carried: Vec::new(),
-        spacing: None,
+        spacing,
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     }
 }
 
 /// The laps of a frame, and a checksum of its mesh.
 fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
-    let surfacing = Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN };
+    let is_cloud = sampling.field == IndicatorKind::Cloud.into();
+    let surfacing = match is_cloud {
+        true => Surfacing::PLAIN,
+        false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },
+    };
     let mut laps = Laps::default();
     let frame = Frame::sample(particles, sampling, &mut laps).expect("a frame");
     let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
@@ -132,15 +154,15 @@ fn entry(timings: &[Timing], stage: &str, bandwidth: f64) -> String {
     }
 }
 
-/// Bytes a second that the device reads and writes when it copies from itself to itself.
-fn bandwidth(device: &Device) -> Result<f64, VulkanError> {
-    let from = device.buffer(Place::Device, COPIED)?.whole();
-    let to = device.buffer(Place::Device, COPIED)?.whole();
+/// Bytes a second that the device reads and writes when it copies so many from itself to itself.
+fn bandwidth(device: &Device, bytes: u64) -> Result<f64, VulkanError> {
+    let from = device.buffer(Place::Device, bytes)?.whole();
+    let to = device.buffer(Place::Device, bytes)?.whole();
     let mut batch = device.batch(Queue::Compute)?;
     let mut best: f64 = 0.0;
     for _ in 0..5 {
         batch.begin()?;
-        batch.stage("copy", 2 * COPIED);
+        batch.stage("copy", 2 * bytes);
         batch.copy(&from, &to);
         batch.submit(&[])?;
         batch.wait()?;

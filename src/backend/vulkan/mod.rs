@@ -84,28 +84,24 @@ impl Vulkan {
     /// # Errors
     /// [`VulkanError`] where the driver refuses one.
     pub fn new(device: Device) -> Result<Self, VulkanError> {
-        let kernel = |program| device.kernel(program).map(Arc::new);
+        #[rustfmt::skip]
+        let [
+            indicate, clouds, gather, blur, lost, greater,
+            depths, mix, outlying, spread, refine, quotient, join,
+            signs, tiles, bases, emit,
+        ] = device.kernels([
+            &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER,
+            &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &REFINE, &QUOTIENT, &JOIN,
+            &SIGNS, &TILES, &BASES, &EMIT,
+        ])?;
         let kernels = Kernels {
-            indicate: Indicators { indicate: kernel(&INDICATE)?, clouds: kernel(&CLOUDS)? },
-            gather: kernel(&GATHER)?,
-            blur: kernel(&BLUR)?,
-            lost: kernel(&LOST)?,
-            greater: kernel(&GREATER)?,
-            distance: Distance {
-                depths: kernel(&DEPTHS_OF)?,
-                mix: kernel(&MIX)?,
-                outlying: kernel(&OUTLYING)?,
-                spread: kernel(&SPREAD)?,
-                refine: kernel(&REFINE)?,
-                quotient: kernel(&QUOTIENT)?,
-                join: kernel(&JOIN)?,
-            },
-            dual_mc: DualMc {
-                signs: kernel(&SIGNS)?,
-                tiles: kernel(&TILES)?,
-                bases: kernel(&BASES)?,
-                emit: kernel(&EMIT)?,
-            },
+            indicate: Indicators { indicate, clouds },
+            gather,
+            blur,
+            lost,
+            greater,
+            distance: Distance { depths, mix, outlying, spread, refine, quotient, join },
+            dual_mc: DualMc { signs, tiles, bases, emit },
         };
         let shares_host_memory = device.shares_host_memory();
         Ok(Self { device, kernels: Arc::new(kernels), shares_host_memory })

@@ -122,13 +122,8 @@ impl BinKernels {
     /// # Errors
     /// Those of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
-        let kernel = |program| device.kernel(program).map(Arc::new);
-        Ok(Self {
-            place: kernel(&PLACE)?,
-            enter: kernel(&ENTER)?,
-            settle: kernel(&SETTLE)?,
-            sort: kernel(&SORT)?,
-        })
+        let [place, enter, settle, sort] = device.kernels([&PLACE, &ENTER, &SETTLE, &SORT])?;
+        Ok(Self { place, enter, settle, sort })
     }
 }
 
