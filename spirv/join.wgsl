@@ -1,9 +1,7 @@
-//! with gate
+//! with block gate
 // The bulk's surface, and where particles lie outside of it near by as much of the drops as they do so.
 
 struct Push {
-    // Words of the field.
-    words: u32,
     // The sample from which on particles stand out.
     begin: u32,
     // Units until all of it is the drops'.
@@ -16,12 +14,17 @@ struct Push {
 }
 
 var<immediate> push: Push;
-@group(0) @binding(0) var<storage, read> near: array<u32>;
-@group(0) @binding(1) var<storage, read> shares: array<u32>;
+// The parts of blocks where particles stand out, the blocks, and for each part the number of the block that it is of.
+@group(0) @binding(0) var<storage, read> parts: array<Block>;
+@group(0) @binding(1) var<storage, read> blocks: array<Block>;
+@group(0) @binding(2) var<storage, read> homes: array<u32>;
+// Of the parts.
+@group(0) @binding(3) var<storage, read> near: array<u32>;
+@group(0) @binding(4) var<storage, read> shares: array<u32>;
 // How far from the middle of a normal density a share of its greatest is.
-@group(0) @binding(2) var<storage, read> away: array<i32>;
+@group(0) @binding(5) var<storage, read> away: array<i32>;
 // The bulk's surface, to become the field.
-@group(0) @binding(3) var<storage, read_write> field: array<u32>;
+@group(0) @binding(6) var<storage, read_write> field: array<u32>;
 
 fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {
     let weight = passed(outlying, Gate(push.begin, push.range, push.slope));
@@ -38,13 +41,16 @@ fn joined(bulk: u32, outlying: u32, share: u32) -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn join(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let word = id.x + 256u * groups.x * id.y;
-    if word >= push.words {
+fn join(@builtin(global_invocation_id) id: vec3<u32>) {
+    let own = parts[id.y];
+    let at = cell_of(own, id.x);
+    if at.z >= own.size.z {
         return;
     }
+    let home = blocks[homes[id.y]];
+    let word = word_of(home, at + vec3<u32>(own.lo - home.lo));
     let a = field[word];
-    let b = near[word];
-    let c = shares[word];
+    let b = near[own.field + id.x];
+    let c = shares[own.field + id.x];
     field[word] = joined(a & 0xffffu, b & 0xffffu, c & 0xffffu) | joined(a >> 16u, b >> 16u, c >> 16u) << 16u;
 }

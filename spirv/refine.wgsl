@@ -9,16 +9,15 @@ struct Push {
     level: u32,
     // The highest cell within the walls.
     walls_hi: vec3<i32>,
-    // Cells at the block's faces that are not to be computed.
-    margin: u32,
 }
 
 var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
-// As many, of wide cells.
+// Blocks of wide cells, and for each of the others the number of the one that it lies in.
 @group(0) @binding(1) var<storage, read> wide_blocks: array<Block>;
-@group(0) @binding(2) var<storage, read> wide: array<u32>;
-@group(0) @binding(3) var<storage, read_write> field: array<u32>;
+@group(0) @binding(2) var<storage, read> within: array<u32>;
+@group(0) @binding(3) var<storage, read> wide: array<u32>;
+@group(0) @binding(4) var<storage, read_write> field: array<u32>;
 
 fn wide_sample(block: Block, cell: vec3<i32>) -> u32 {
     // Beyond walls nothing is known, and only cells that nobody asked for lie beyond the block.
@@ -70,11 +69,11 @@ fn refined(block: Block, cell: vec3<i32>) -> u32 {
 fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
     let block = blocks[id.y];
     let at = cell_of(block, id.x);
-    if any(at + vec3(1u, 0u, 0u) < vec3(push.margin)) || any(at + push.margin >= block.size) {
+    if at.z >= block.size.z {
         return;
     }
     let cell = block.lo + vec3<i32>(at);
-    let wide_block = wide_blocks[id.y];
+    let wide_block = wide_blocks[within[id.y]];
     let samples = vec2(refined(wide_block, cell), refined(wide_block, cell + vec3(1, 0, 0)));
     field[word_of(block, at)] = samples.x | samples.y << 16u;
 }

@@ -7,7 +7,7 @@ use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
-use crate::stage::distance::vulkan::{DEPTHS_OF, JOIN, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD};
+use crate::stage::distance::vulkan::{DEPTHS_OF, JOIN, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD};
 use crate::stage::distance::{BRICK, MOST_APART, ZERO};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
@@ -17,9 +17,9 @@ use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 24] = [
+pub const PROGRAMS: [&Program; 25] = [
     &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER, &DEPTHS_OF, &MIX,
-    &OUTLYING, &SPREAD, &REFINE, &QUOTIENT, &JOIN, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES,
+    &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES,
     &TRIANGLES,
 ];
 

@@ -6,7 +6,7 @@
 use crate::grid::{BLOCK, CellBox};
 use crate::stage::blur::{FieldCount, Filter, Kernel, Smoothing};
 use crate::stage::detail::Recovery;
-use crate::stage::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width, wide_cells};
+use crate::stage::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width};
 use crate::stage::indicator::IndicatorKind;
 use crate::units::{Isovalue, Sigma};
 
@@ -26,27 +26,6 @@ pub enum Filters {
     Paper(PaperFilters),
     /// Distances from clouds.
     Distances(Box<Distances>),
-}
-
-/// Cells in which a recipe has fields.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Source {
-    /// 2^`level` times as wide as those of the grid.
-    pub level: u32,
-    /// How far beyond those that the field is asked for on.
-    pub halo: i32,
-    /// Whether samples are asked for in them.
-    pub sampled: bool,
-    /// Fields in them that are there at once on a device, the samples among them.
-    pub fields: u64,
-}
-
-impl Source {
-    /// The cells of which samples are taken for a field on `cells`.
-    #[must_use]
-    pub fn cells(self, cells: CellBox) -> CellBox {
-        wide_cells(self.level, cells).grown(self.halo, self.halo)
-    }
 }
 
 /// The paper's filters.
@@ -82,7 +61,8 @@ impl PaperFilters {
     }
 
     /// Fields of a block that are there at once, at the most.
-    fn fields(&self) -> FieldCount {
+    #[must_use]
+    pub fn fields(&self) -> FieldCount {
         let most =
             |of: fn(FieldCount) -> u64| self.stages().map(|stage| of(stage.fields())).max().unwrap_or(0);
         FieldCount { host: most(|fields| fields.host), device: most(|fields| fields.device) }
@@ -96,27 +76,6 @@ impl Filters {
         match self {
             Self::Paper(paper) => paper.reach(),
             Self::Distances(distances) => distances.reach(),
-        }
-    }
-
-    /// The cells in which the recipe has fields, in the order in which it asks for samples in them; the last are those of the grid.
-    #[must_use]
-    pub fn sources(&self) -> Vec<Source> {
-        match self {
-            Self::Paper(paper) => {
-                let fields = paper.fields().device;
-                vec![Source { level: 0, halo: paper.halo(), sampled: true, fields }]
-            }
-            Self::Distances(distances) => {
-                let (level, halo) = (distances.level, distances.wide_halo());
-                // Clouds, two surfaces and what they are apart by, and another with one more on its way.
-                let wide = Source { level, halo, sampled: true, fields: 6 };
-                let (level, halo) = (distances.drops_level, distances.drops_halo());
-                // The bulk, what is near, clouds, and what is around them with one more on its way.
-                let drops = Source { level, halo, sampled: true, fields: 5 };
-                let cells = Source { level: 0, halo: 0, sampled: false, fields: 3 };
-                if level == 0 { vec![wide, drops] } else { vec![wide, Source { fields: 3, ..drops }, cells] }
-            }
         }
     }
 

@@ -10,10 +10,11 @@ use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Pages};
-use crate::grid::CellBox;
+use crate::grid::{BLOCK, CellBox};
 use crate::mesh::BlockMesh;
 use crate::recipe::Recipe;
 use crate::stage::dual_mc::Normals;
@@ -90,4 +91,9 @@ impl Surfaces<'_> {
     fn walls(&self) -> Option<CellBox> {
         self.sampled.facts.walls()
     }
+}
+
+/// Where the eight blocks are of which a region's is one.
+fn parent(region: &CellBox) -> IVec3 {
+    region.lo.div_euclid(IVec3::splat(2 * BLOCK))
 }

@@ -105,7 +105,7 @@ fn main() {
     let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
     let recipe = surfacing.recipe(sampled, &measured.calibration);
     let blocks = sampled.dif.regions(0, 0);
-    let (halo, reach) = (recipe.filters.sources()[0].halo, recipe.filters.reach());
+    let (halo, reach) = (2, recipe.filters.reach());
     let (seconds, samples) = best_seconds(3, || {
         let gathered = blocks.par_iter().map(|cells| sampled.dif.gather(cells.grown(halo, halo)));
         gathered.map(|block| block.samples().len()).sum::<usize>()

@@ -7,17 +7,16 @@ pub use fields::field;
 use std::io;
 use std::ops::Range;
 
-use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Pages};
-use crate::grid::{BLOCK, CellBox};
+use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
 use crate::stage::dual_mc::{block_mesh, dual_cells};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
-use super::{Backend, Stages, Surfaces, Work};
+use super::{Backend, Stages, Surfaces, Work, parent};
 use fields::cut_fields;
 
 /// All threads of the pool that a call is made in.
@@ -90,11 +89,6 @@ impl Stages for Cpu {
     fn on_device(&self) -> Work {
         Work::default()
     }
-}
-
-/// Where the eight blocks are of which a region's is one.
-fn parent(region: &CellBox) -> IVec3 {
-    region.lo.div_euclid(IVec3::splat(2 * BLOCK))
 }
 
 /// The surfaces through some regions, which share what they can where that takes so many bytes at the most.

@@ -46,6 +46,7 @@ impl DeviceFrame {
                 let start = || self.start_bins(lane, bins, batch.clone(), rule, resident.as_ref());
                 (!batch.is_empty()).then(start).transpose()
             },
+            |_, _| Ok(()),
             |lane, batch| {
                 done.extend(read_pages(lane, batch, bins.keys(), shape)?);
                 Ok(())
@@ -149,6 +150,7 @@ impl DeviceFrame {
                 let records = records.whole();
                 self.compute_bins(lane, range, &inputs, &records, rule, resident.as_ref()).map(Some)
             },
+            |_, _| Ok(()),
             |lane, batch| {
                 pages.extend(read_pages(lane, batch, &bins.keys, shape)?);
                 Ok::<_, VulkanError>(())

@@ -3,7 +3,10 @@
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use crate::brick::vulkan::{DeviceBlocks, Window};
+use hashbrown::HashMap;
+
+use crate::backend::Surfaces;
+use crate::brick::vulkan::{DeviceBlocks, DevicePages, Window, gather};
 use crate::grid::CellBox;
 use crate::recipe::{Fields, WideFields, walls_at};
 use crate::stage::blur::Kernel;
@@ -12,45 +15,86 @@ use crate::stage::detail::vulkan::{lost, raise};
 use crate::stage::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
 use crate::stage::distance::{Bulk, Depths, Drops, Gate, Inside};
 use crate::units::Isovalue;
-use crate::vulkan::{Batch, View, VulkanError};
+use crate::vulkan::{Batch, Device, View, VulkanError};
 
 use super::Kernels;
-use super::blocks::Constants;
+
+/// What all batches of blocks need.
+pub(super) struct Constants {
+    pub(super) weights: HashMap<Kernel, View>,
+    pub(super) theta: View,
+    pub(super) decode: u32,
+}
+
+impl Constants {
+    pub(super) fn new(device: &Device, surfaces: &Surfaces<'_>) -> Result<Self, VulkanError> {
+        let theta: Vec<u32> = surfaces
+            .sampled
+            .dif
+            .decode_table()
+            .unwrap_or_default()
+            .iter()
+            .map(|&theta| theta.into())
+            .collect();
+        Ok(Self {
+            weights: surfaces
+                .recipe
+                .filters
+                .kernels()
+                .into_iter()
+                .map(|kernel| Ok((kernel.clone(), device.uploaded(kernel.half())?)))
+                .collect::<Result<_, VulkanError>>()?,
+            theta: device.uploaded(&theta)?,
+            decode: theta.len() as u32,
+        })
+    }
+}
 
 /// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
-pub struct Padded {
-    pub samples: View,
-    pub margin: i32,
+pub(super) struct Padded {
+    pub(super) samples: View,
+    pub(super) margin: i32,
     /// Number of its [`PaddedBlocks`].
-    pub of: usize,
+    pub(super) of: usize,
 }
 
 /// The blocks of a batch in cells of a width, and buffers for their fields.
-pub struct PaddedBlocks {
-    pub blocks: DeviceBlocks,
+pub(super) struct PaddedBlocks {
+    pub(super) blocks: DeviceBlocks,
     /// A cell is 2^`level` of the grid's along an axis.
-    pub level: u32,
-    /// Cells around those that the field is asked for on.
-    pub halo: i32,
+    pub(super) level: u32,
     /// Bits of the bricks that are inside, if there are such.
-    pub marks: View,
+    pub(super) marks: Option<View>,
+    /// Other blocks that these lie in, and for each the number of its own.
+    pub(super) within: Vec<(usize, View)>,
     /// Buffers that are not in use.
-    pub free: Vec<View>,
+    pub(super) free: Vec<View>,
 }
 
 /// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
-pub struct PaddedFields<'a> {
-    pub kernels: &'a Kernels,
-    pub constants: &'a Constants,
-    pub walls: Option<CellBox>,
-    pub commands: &'a mut Batch,
-    /// In the order in which the recipe asks for samples in them; the last are those of the grid.
-    pub grids: Vec<PaddedBlocks>,
-    /// Their samples.
-    pub gathered: VecDeque<Rc<Padded>>,
+pub(super) struct PaddedFields<'a> {
+    pub(super) kernels: &'a Kernels,
+    pub(super) constants: &'a Constants,
+    pub(super) walls: Option<CellBox>,
+    pub(super) commands: &'a mut Batch,
+    pub(super) grids: Vec<PaddedBlocks>,
+    /// Their samples, in the order in which they are asked for.
+    pub(super) gathered: VecDeque<Rc<Padded>>,
+    /// The blocks that fields are refined for, and the parts of them in which particles stand out, if there are such.
+    pub(super) cells: usize,
+    pub(super) parts: Option<usize>,
 }
 
 impl PaddedFields<'_> {
+    /// Cuts the samples of a grid out of pages, to be asked for after those that were before.
+    pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
+        let samples = self.take(of);
+        self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
+        gather(self.commands, &self.kernels.gather, &self.grids[of].blocks, pages, &samples)?;
+        self.gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
+        Ok(())
+    }
+
     fn take(&mut self, of: usize) -> View {
         self.grids[of].free.pop().expect("a recipe needs no more fields than there are")
     }
@@ -69,16 +113,23 @@ impl PaddedFields<'_> {
     fn walls(&self, of: usize) -> Option<CellBox> {
         walls_at(self.grids[of].level, self.walls)
     }
+
+    /// For each block of one grid the number of the one of another that it lies in.
+    fn within(&self, of: usize, other: usize) -> View {
+        let mut known = self.grids[of].within.iter();
+        let (_, numbers) =
+            known.find(|(known, _)| *known == other).expect("a recipe refines what lies around");
+        numbers.clone()
+    }
 }
 
 impl Fields for PaddedFields<'_> {
     type Field = Rc<Padded>;
     type Error = VulkanError;
 
-    fn samples(&mut self, level: u32, halo: i32) -> Result<Rc<Padded>, VulkanError> {
-        let field = self.gathered.pop_front().expect("a recipe asks for no more samples than it says");
-        let PaddedBlocks { level: known, halo: around, .. } = self.grids[field.of];
-        debug_assert_eq!((level, halo), (known, around));
+    fn samples(&mut self, level: u32, _: i32) -> Result<Rc<Padded>, VulkanError> {
+        let field = self.gathered.pop_front().expect("a recipe asks for no more samples than were gathered");
+        debug_assert_eq!(level, self.grids[field.of].level);
         Ok(field)
     }
 
@@ -130,7 +181,7 @@ impl Fields for PaddedFields<'_> {
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
         let blocks = &self.grids[of].blocks;
         let views = [&narrow, &middle, &wide];
-        depths(self.commands, &self.kernels.distance, blocks, by, &self.constants.depths, views)?;
+        depths(self.commands, &self.kernels.distance, blocks, by, &self.kernels.tables.depths, views)?;
         let padded = |samples| Rc::new(Padded { samples, margin, of });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }
@@ -146,6 +197,7 @@ impl Fields for PaddedFields<'_> {
         self.stage("distances", 4, of);
         let views = [&calm.samples, &fine.samples, &apart.samples, &near.samples];
         let PaddedBlocks { blocks, marks, .. } = &self.grids[of];
+        let marks = marks.as_ref().expect("blocks of the bulk have marks");
         mixed(self.commands, &self.kernels.distance, blocks, by, marks, views)?;
         let (samples, margin) = (calm.samples.clone(), apart.margin.max(near.margin));
         self.give(fine);
@@ -179,28 +231,27 @@ impl Fields for PaddedFields<'_> {
         Ok(Rc::new(Padded { samples: to, margin, of }))
     }
 
-    /// Nobody looks before all is done.
+    /// Whoever draws has looked before.
     fn look(&mut self, _: &WideFields<Rc<Padded>>, _: u32, _: &Gate) -> Result<(), VulkanError> {
         Ok(())
     }
 
     fn refined(&mut self, wide: Rc<Padded>, level: u32) -> Result<Rc<Padded>, VulkanError> {
-        let of = self.grids.len() - 1;
-        if wide.of == of {
-            return Ok(wide);
-        }
+        let of = self.cells;
         self.stage("distances", 1, of);
         let to = self.take(of);
         let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
-        let within = (self.walls, self.grids[of].halo);
+        let (within, walls) = (self.within(of, wide.of), self.walls(of));
         let views = [&wide.samples, &to];
-        refine(self.commands, &self.kernels.distance, grids, level, within, views)?;
+        refine(self.commands, &self.kernels.distance, grids, &within, level, walls, views)?;
         self.give(wide);
-        Ok(Rc::new(Padded { samples: to, margin: within.1, of }))
+        Ok(Rc::new(Padded { samples: to, margin: 0, of }))
     }
 
+    /// Particles stand out in parts, if there are such: from here on fields are refined for those.
     fn narrowed(&mut self, _: &Rc<Padded>, _: u32, _: &Gate) -> bool {
-        true
+        self.cells = self.parts.unwrap_or(self.cells);
+        self.parts.is_some()
     }
 
     fn quotient(
@@ -226,11 +277,12 @@ impl Fields for PaddedFields<'_> {
         shares: Rc<Padded>,
         by: (&Drops, &Gate),
     ) -> Result<Rc<Padded>, VulkanError> {
-        let of = bulk.of;
-        self.stage("drops", 3, of);
+        self.stage("drops", 3, near.of);
         let views = [&bulk.samples, &near.samples, &shares.samples];
-        let blocks = &self.grids[of].blocks;
-        join(self.commands, &self.kernels.distance, blocks, by, &self.constants.away, views)?;
+        let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);
+        let homes = self.within(near.of, bulk.of);
+        let away = &self.kernels.tables.away;
+        join(self.commands, &self.kernels.distance, blocks, &homes, by, away, views)?;
         Ok(bulk)
     }
 }

@@ -8,14 +8,20 @@ use hashbrown::HashMap;
 
 use crate::vulkan::{ALIGNMENT, Batch, Buffer, Device, Place, Queue, Ticket, View, VulkanError};
 
+/// Buffers are larger than is asked for by a share of so much, for the next batch may be a little larger.
+pub(super) const HEADROOM: u64 = 4;
+
 /// What a batch works with, used again by the next.
 #[derive(Debug)]
 pub(super) struct Lane {
     pub(super) upload: Batch,
     pub(super) compute: Batch,
     pub(super) download: Batch,
-    pub(super) buffers: HashMap<&'static str, Arc<Buffer>>,
+    buffers: HashMap<Name, Arc<Buffer>>,
 }
+
+/// What a lane calls its buffers: fields are numbered.
+type Name = (&'static str, usize);
 
 impl Lane {
     pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
@@ -35,12 +41,39 @@ impl Lane {
         place: Place,
         bytes: u64,
     ) -> Result<View, VulkanError> {
+        self.numbered((name, 0), device, place, bytes)
+    }
+
+    /// So many fields of some kind, of so many bytes each.
+    pub(super) fn fields(
+        &mut self,
+        device: &Device,
+        name: &'static str,
+        count: usize,
+        bytes: u64,
+    ) -> Result<Vec<View>, VulkanError> {
+        (0..count).map(|number| self.numbered((name, number), device, Place::Device, bytes)).collect()
+    }
+
+    fn numbered(
+        &mut self,
+        name: Name,
+        device: &Device,
+        place: Place,
+        bytes: u64,
+    ) -> Result<View, VulkanError> {
         let bytes = bytes.next_multiple_of(4).max(4);
-        if self.buffers.get(name).is_none_or(|buffer| buffer.bytes() < bytes) {
-            self.buffers.remove(name);
-            self.buffers.insert(name, device.buffer(place, bytes)?);
+        if self.buffers.get(&name).is_none_or(|buffer| buffer.bytes() < bytes) {
+            self.buffers.remove(&name);
+            let with_headroom = (bytes + bytes / HEADROOM).min(device.limits().allocation).max(bytes);
+            self.buffers.insert(name, device.buffer(place, with_headroom)?);
         }
-        Ok(self.buffers[name].part(0, bytes))
+        Ok(self.buffers[&name].part(0, bytes))
+    }
+
+    /// The first `bytes` of a buffer that this lane has.
+    pub(super) fn known(&self, name: &'static str, bytes: u64) -> View {
+        self.buffers[&(name, 0)].part(0, bytes)
     }
 
     /// Sends what was staged.
@@ -76,25 +109,30 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
     view.part(range.start, range.end - range.start)
 }
 
-/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, and `finish` takes the
-/// batches in the order in which they were started.
+/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there is none, `go_on` takes a batch further once its first
+/// part is done, and `finish` takes the batches in the order in which they were started.
 pub(super) fn fly<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,
+    mut go_on: impl FnMut(&mut Lane, &mut T) -> Result<(), E>,
     mut finish: impl FnMut(&mut Lane, T) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut idle: Vec<usize> = (0..lanes.len()).collect();
-    let mut flying = VecDeque::new();
+    let (mut begun, mut gone_on) = (VecDeque::new(), VecDeque::new());
     loop {
         if let Some(&number) = idle.last()
             && let Some(batch) = start(&mut lanes[number])?
         {
             idle.pop();
-            flying.push_back((number, batch));
-            continue;
+            begun.push_back((number, batch));
+        } else if let Some((number, mut batch)) = begun.pop_front() {
+            go_on(&mut lanes[number], &mut batch)?;
+            gone_on.push_back((number, batch));
+        } else if let Some((number, batch)) = gone_on.pop_front() {
+            finish(&mut lanes[number], batch)?;
+            idle.push(number);
+        } else {
+            return Ok(());
         }
-        let Some((number, batch)) = flying.pop_front() else { return Ok(()) };
-        finish(&mut lanes[number], batch)?;
-        idle.push(number);
     }
 }

@@ -8,6 +8,7 @@
 mod bins;
 mod blocks;
 mod fields;
+mod grids;
 mod lane;
 
 use std::io;
@@ -24,13 +25,13 @@ use crate::mesh::BlockMesh;
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::distance::vulkan::{
-    DEPTHS_OF, JOIN, Kernels as Distance, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+    DEPTHS_OF, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD, tables,
 };
-use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
+use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES, lengths};
 use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
 use crate::units::MemoryBudget;
-use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
+use crate::vulkan::{Buffer, Device, Kernel, Place, View, VulkanError};
 
 use super::{Backend, Cpu, Stages, Surfaces, Work};
 use bins::bin_bytes;
@@ -65,6 +66,28 @@ struct Kernels {
     greater: Arc<Kernel>,
     distance: Distance,
     dual_mc: DualMc,
+    tables: Tables,
+}
+
+/// What kernels look up, on the device for good.
+#[derive(Debug)]
+struct Tables {
+    /// Of distances: depths, and how far away shares are.
+    depths: View,
+    away: View,
+    /// Triangles by case.
+    lengths: View,
+}
+
+impl Tables {
+    fn new(device: &Device) -> Result<Self, VulkanError> {
+        let [depths, away] = tables();
+        Ok(Self {
+            depths: device.uploaded(&depths)?,
+            away: device.uploaded(&away)?,
+            lengths: device.uploaded(&lengths())?,
+        })
+    }
 }
 
 /// Bytes that a frame may take.
@@ -87,11 +110,11 @@ impl Vulkan {
         #[rustfmt::skip]
         let [
             indicate, clouds, gather, blur, lost, greater,
-            depths, mix, outlying, spread, refine, quotient, join,
+            depths, mix, outlying, spread, look, refine, quotient, join,
             signs, tiles, bases, emit,
         ] = device.kernels([
             &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &REFINE, &QUOTIENT, &JOIN,
+            &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         let kernels = Kernels {
@@ -100,8 +123,9 @@ impl Vulkan {
             blur,
             lost,
             greater,
-            distance: Distance { depths, mix, outlying, spread, refine, quotient, join },
+            distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join },
             dual_mc: DualMc { signs, tiles, bases, emit },
+            tables: Tables::new(&device)?,
         };
         let shares_host_memory = device.shares_host_memory();
         Ok(Self { device, kernels: Arc::new(kernels), shares_host_memory })

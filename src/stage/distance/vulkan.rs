@@ -2,8 +2,12 @@
 
 use std::sync::Arc;
 
+use bytemuck::{Pod, Zeroable};
+use glam::{IVec3, UVec3};
+
 use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis, wall_bounds};
 use crate::grid::CellBox;
+use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
 use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
@@ -50,7 +54,14 @@ push_block! {
         walls_lo: [i32; 3],
         level: u32,
         walls_hi: [i32; 3],
-        margin: u32,
+    }
+}
+
+push_block! {
+    /// Of [`LOOK`].
+    struct LookPush {
+        threshold: u32,
+        begin: u32,
     }
 }
 
@@ -65,7 +76,6 @@ push_block! {
 push_block! {
     /// Of [`JOIN`].
     struct JoinPush {
-        words: u32,
         begin: u32,
         range: u32,
         slope: u32,
@@ -114,8 +124,17 @@ pub const SPREAD: Program = Program {
 pub const REFINE: Program = Program {
     name: "refine",
     code: include_bytes!("../../../spirv/refine.spv"),
-    buffers: &["blocks", "wide_blocks", "wide", "field"],
+    buffers: &["blocks", "wide_blocks", "within", "wide", "field"],
     push: RefinePush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// What can be seen of the wide cells around each region.
+pub const LOOK: Program = Program {
+    name: "look",
+    code: include_bytes!("../../../spirv/look.spv"),
+    buffers: &["blocks", "looks", "bulk", "outlying", "seen"],
+    push: LookPush::FIELDS,
     group: [256, 1, 1],
 };
 
@@ -132,7 +151,7 @@ pub const QUOTIENT: Program = Program {
 pub const JOIN: Program = Program {
     name: "join",
     code: include_bytes!("../../../spirv/join.spv"),
-    buffers: &["near", "shares", "away", "field"],
+    buffers: &["parts", "blocks", "homes", "near", "shares", "away", "field"],
     push: JoinPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -150,6 +169,8 @@ pub struct Kernels {
     pub spread: Arc<Kernel>,
     /// Wide cells to cells: [`REFINE`].
     pub refine: Arc<Kernel>,
+    /// What they show: [`LOOK`].
+    pub look: Arc<Kernel>,
     /// Shares: [`QUOTIENT`].
     pub quotient: Arc<Kernel>,
     /// Both surfaces: [`JOIN`].
@@ -245,7 +266,70 @@ pub fn spread(
     along_each_axis(batch, &kernels.spread, blocks, window, views, &[], |_| 0)
 }
 
-/// The samples of `wide` blocks at the middles of cells of as many `blocks`, but for a margin.
+/// The wide cells around a region, as `look.wgsl` has them.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Look {
+    lo: [i32; 3],
+    block: u32,
+    size: [u32; 3],
+    spare: u32,
+}
+
+impl Look {
+    /// At some cells of block number `block`.
+    #[must_use]
+    pub fn new(cells: CellBox, block: u32) -> Self {
+        Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
+    }
+
+    /// A box around the cells near which particles stand out, if they do.
+    #[must_use]
+    pub fn outlying(&self, seen: &Seen) -> CellBox {
+        let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
+        CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 }
+    }
+}
+
+/// What can be seen of a [`Look`].
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Seen {
+    /// Whether any cell is inside.
+    pub above: u32,
+    /// Whether any is not.
+    pub below: u32,
+    lo: [u32; 3],
+    hi: [u32; 3],
+}
+
+impl Seen {
+    /// Whether particles stand out near any cell.
+    #[must_use]
+    pub fn stands_out(&self) -> bool {
+        self.lo[0] <= self.hi[0]
+    }
+}
+
+/// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles stand out as a gate says, goes into
+/// `seen`.
+///
+/// # Errors
+/// Those of the device.
+pub fn look(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    count: u32,
+    (iso, gate): (Isovalue, &Gate),
+    [looks, bulk, outlying, seen]: [&View; 4],
+) -> Result<(), VulkanError> {
+    let push = LookPush { threshold: iso.threshold().into(), begin: gate.begin.into() };
+    let views = [&blocks.blocks, looks, bulk, outlying, seen].map(Clone::clone);
+    batch.dispatch(&kernels.look, &views, &push, [1, count, 1])
+}
+
+/// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the one whose number is in `within`.
 ///
 /// # Errors
 /// Those of the device.
@@ -253,13 +337,14 @@ pub fn refine(
     batch: &mut Batch,
     kernels: &Kernels,
     [wide, blocks]: [&DeviceBlocks; 2],
+    within: &View,
     level: u32,
-    (walls, margin): (Option<CellBox>, i32),
+    walls: Option<CellBox>,
     [from, to]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let push = RefinePush { walls_lo, level, walls_hi, margin: margin as u32 };
-    let views = [&blocks.blocks, &wide.blocks, from, to].map(Clone::clone);
+    let push = RefinePush { walls_lo, level, walls_hi };
+    let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
     batch.dispatch(&kernels.refine, &views, &push, blocks.groups())
 }
 
@@ -278,26 +363,27 @@ pub fn quotient(
     batch.dispatch(&kernels.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
 }
 
-/// Makes the field of the bulk's surface, in its place; `table` is of how far away shares are.
+/// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the number of the block that each part is
+/// of, and `table` how far away shares are. What is near and the shares are of the parts.
 ///
 /// # Errors
 /// Those of the device.
 pub fn join(
     batch: &mut Batch,
     kernels: &Kernels,
-    blocks: &DeviceBlocks,
+    [parts, blocks]: [&DeviceBlocks; 2],
+    homes: &View,
     (drops, gate): (&Drops, &Gate),
     table: &View,
     [bulk, near, shares]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = JoinPush {
-        words: blocks.words,
         begin: gate.begin.into(),
         range: gate.range.into(),
         slope: gate.slope,
         radius: drops.radius,
         width: drops.width,
     };
-    let views = [near, shares, table, bulk].map(Clone::clone);
-    batch.dispatch(&kernels.join, &views, &push, blocks.flat_groups())
+    let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, bulk].map(Clone::clone);
+    batch.dispatch(&kernels.join, &views, &push, parts.groups())
 }

@@ -1,0 +1,155 @@
+//! The blocks of a batch in cells of one width, and what the device is sent of them.
+
+use std::ops::Range;
+
+use glam::IVec3;
+use hashbrown::HashMap;
+use rayon::prelude::*;
+
+use crate::brick::DifField;
+use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages};
+use crate::grid::CellBox;
+use crate::stage::distance::Inside;
+use crate::vulkan::View;
+
+use super::fields::Constants;
+use super::lane::{Layout, part};
+use super::{Resident, page_bytes};
+
+/// Samples that blocks are cut out of, and their pages where these are on the device already.
+#[derive(Clone, Copy)]
+pub(super) struct Samples<'a> {
+    pub(super) dif: &'a DifField,
+    pub(super) resident: Option<&'a Resident>,
+}
+
+/// Blocks of one width of cells that lie one after the other in a field.
+#[derive(Default)]
+pub(super) struct Grid {
+    blocks: Vec<DeviceBlock>,
+    /// Words of all of them.
+    pub(super) words: u32,
+    largest: u32,
+    tables: Vec<u32>,
+    /// Bits of the bricks that are inside.
+    marks: Vec<u32>,
+    /// The bins whose pages are to be sent, and their numbers.
+    sent: Vec<IVec3>,
+    numbers: HashMap<IVec3, u32>,
+}
+
+/// Where a grid lies among what is sent.
+pub(super) struct Places {
+    blocks: Range<u64>,
+    tables: Range<u64>,
+    marks: Range<u64>,
+    pages: Range<u64>,
+}
+
+impl Grid {
+    /// How many blocks there are.
+    pub(super) fn len(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// Bytes of one field on all of them.
+    pub(super) fn field_bytes(&self) -> u64 {
+        4 * u64::from(self.words)
+    }
+
+    /// Pages that are to be sent.
+    pub(super) fn sent_pages(&self) -> u64 {
+        self.sent.len() as u64
+    }
+
+    /// Adds a block for the samples of `cells`, of which the tiles of `region` are to be meshed.
+    pub(super) fn push(&mut self, cells: CellBox, region: CellBox) {
+        let mut block = DeviceBlock::new(cells, region);
+        block.field = self.words;
+        self.words += block.words();
+        self.largest = self.largest.max(block.words());
+        self.blocks.push(block);
+    }
+
+    /// The same of a block that samples are cut out for; with the bricks that are inside, if any are told.
+    pub(super) fn push_sampled(
+        &mut self,
+        cells: CellBox,
+        region: CellBox,
+        from: Samples<'_>,
+        inside: Option<&Inside>,
+    ) {
+        self.push(cells, region);
+        let Self { blocks, tables, marks, sent, numbers, .. } = self;
+        let Some(block) = blocks.last_mut() else { return };
+        block.table = tables.len() as u32;
+        if let Some(inside) = inside {
+            block.marks = marks.len() as u32;
+            marks.extend(inside.marks(block.cells()));
+        }
+        tables.extend(block.bins(from.dif.shape().rim).map(|bin| {
+            let number = match from.resident {
+                Some(resident) => resident.numbers.get(&bin).copied(),
+                None if from.dif.has_page(bin) => Some(*numbers.entry(bin).or_insert_with(|| {
+                    sent.push(bin);
+                    sent.len() as u32 - 1
+                })),
+                None => None,
+            };
+            number.map_or(0, |number| number + 1)
+        }));
+    }
+
+    /// Finds room for all that is sent of it: of samples whose pages take so many bytes each.
+    pub(super) fn place(&self, layout: &mut Layout, page_bytes: u64) -> Places {
+        Places {
+            blocks: layout.place(size_of_val(&self.blocks[..]) as u64),
+            tables: layout.place(size_of_val(&self.tables[..]) as u64),
+            marks: layout.place(size_of_val(&self.marks[..]) as u64),
+            pages: layout.place(self.sent_pages() * page_bytes),
+        }
+    }
+
+    /// Writes what is sent.
+    pub(super) fn stage(&self, staged: &View, places: &Places, dif: &DifField) {
+        staged.write(places.blocks.start, &self.blocks);
+        staged.write(places.tables.start, &self.tables);
+        staged.write(places.marks.start, &self.marks);
+        let page_bytes = page_bytes(dif.shape());
+        self.sent.par_iter().enumerate().for_each_init(
+            || vec![0; dif.shape().bin_samples()],
+            |dense, (number, &bin)| {
+                dif.write_stored(bin, dense);
+                staged.write(places.pages.start + number as u64 * page_bytes, dense);
+            },
+        );
+    }
+
+    /// The blocks, as kernels take them.
+    pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
+        DeviceBlocks {
+            blocks: part(inputs, &places.blocks),
+            count: self.blocks.len() as u32,
+            largest: self.largest,
+            words: self.words,
+        }
+    }
+}
+
+impl Places {
+    /// The bits of bricks that are inside.
+    pub(super) fn marks(&self, inputs: &View) -> View {
+        part(inputs, &self.marks)
+    }
+
+    /// What samples are cut out of.
+    pub(super) fn pages(&self, inputs: &View, from: Samples<'_>, constants: &Constants) -> DevicePages {
+        DevicePages {
+            tables: part(inputs, &self.tables),
+            pages: from.resident.map_or_else(|| part(inputs, &self.pages), |resident| resident.pages.whole()),
+            shape: from.dif.shape(),
+            theta: constants.theta.clone(),
+            decode: constants.decode,
+        }
+    }
+}
