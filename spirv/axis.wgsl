@@ -1,5 +1,6 @@
-// One axis of a separable operation: what a file's own `with_taps` makes of the cells within reach. Taps beyond a wall
-// read the outermost cell before it.
+// One axis of a separable operation: what a file's own `with_tap` makes of the cells within reach. Taps beyond a wall read the
+// outermost cell before it. A thread makes a run of RUN = 4 pairs one after the other along the axis, so that a sample that it
+// reads tells of all of them.
 
 struct Push {
     // The lowest cell within the walls, and the highest.
@@ -16,45 +17,83 @@ struct Push {
 var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
+@group(0) @binding(2) var<storage, read_write> filtered: array<u32>;
 
-// Whether either of the pair of cells at `at` is to be computed.
-fn is_wanted(block: Block, at: vec3<u32>) -> bool {
-    let low = vec3(at.x + 1u, at.y, at.z) < push.margin;
-    let high = at + push.margin >= block.size;
-    let cell = block.lo + vec3<i32>(at);
-    // Of a pair, one cell inside the walls is enough.
-    let below = vec3(cell.x + 1, cell.y, cell.z) < push.walls_lo;
-    let above = cell > push.walls_hi;
-    return !(any(low) || any(high) || any(below) || any(above));
+// What was made of eight cells so far, and the weights of the last tap for them. Along x `a` are the first four of the run's cells and
+// `b` the last; along the others the first and the second of each pair.
+struct Run {
+    a: vec4<u32>,
+    b: vec4<u32>,
+    a_weights: vec4<u32>,
+    b_weights: vec4<u32>,
 }
 
-// `all` with the taps of both cells of the pair at `at`, from the farthest below to the farthest above.
-fn with_all_taps(all: vec2<u32>, block: Block, at: vec3<u32>) -> vec2<u32> {
-    var so_far = all;
-    let reach = i32(push.reach);
-    // The walls along this axis, relative to the block.
-    let first = push.walls_lo[push.axis] - block.lo[push.axis];
-    let last = push.walls_hi[push.axis] - block.lo[push.axis];
-    let centre = i32(at[push.axis]);
+// Takes a tap that is `k` cells from the first of the run.
+fn with_next(run: Run, k: i32, samples: vec2<u32>) -> Run {
+    var next = run;
+    let weight = weight_of(k);
+    next.a_weights = vec4(weight, run.a_weights.xyz);
     if push.axis == 0u {
-        let row = word_of(block, vec3(0u, at.y, at.z));
-        let end = i32(block.size.x) - 1;
-        var taps = vec2(0u);
-        for (var k = -reach - 1; k <= reach; k++) {
-            // Where only one of a pair is computed, the other's outermost tap can lie beyond the block.
-            let x = u32(clamp(clamp(centre + k + 1, first, last), 0, end));
-            taps = vec2(taps.y, half_of(samples[row + x / 2u], x));
-            if k >= -reach {
-                so_far = with_taps(so_far, k, taps);
-            }
+        next.b_weights = vec4(run.a_weights.w, run.b_weights.xyz);
+    } else {
+        next.b_weights = next.a_weights;
+    }
+    next.a = with_tap(run.a, next.a_weights, samples.x);
+    next.b = with_tap(run.b, next.b_weights, samples.y);
+    return next;
+}
+
+// Makes run number `number` of a block, if there is such.
+fn filter_run(number_of_block: u32, number: u32) {
+    let block = blocks[number_of_block];
+    // Of a pair, one cell that is wanted is enough.
+    var lo = max(vec3<i32>(push.margin), push.walls_lo - block.lo);
+    var hi = min(vec3<i32>(block.size) - vec3<i32>(push.margin), push.walls_hi + 1 - block.lo);
+    lo.x &= ~1;
+    hi.x = (hi.x + 1) & ~1;
+    var runs = vec3<u32>(max(hi - lo, vec3(0)));
+    runs.x /= 2u;
+    runs[push.axis] = (runs[push.axis] + RUN - 1u) / RUN;
+    if number >= runs.x * runs.y * runs.z {
+        return;
+    }
+    let row = number / runs.x;
+    var at = vec3(number % runs.x, row % runs.y, row / runs.y);
+    at[push.axis] *= RUN;
+    at.x *= 2u;
+    at += vec3<u32>(lo);
+    // The walls along this axis, relative to the block. Cells that nobody wants can have taps beyond it.
+    let end = i32(block.size[push.axis]) - 1;
+    let first = max(push.walls_lo[push.axis] - block.lo[push.axis], 0);
+    let last = min(push.walls_hi[push.axis] - block.lo[push.axis], end);
+    let reach = i32(push.reach);
+    let centre = i32(at[push.axis]);
+    var run = Run(vec4(first_sum()), vec4(first_sum()), vec4(0u), vec4(0u));
+    if push.axis == 0u {
+        let begin = word_of(block, vec3(0u, at.y, at.z));
+        for (var k = -reach; k < reach + 2 * i32(RUN); k++) {
+            let x = u32(clamp(centre + k, first, last));
+            let sample = half_of(samples[begin + x / 2u], x);
+            run = with_next(run, k, vec2(sample));
+        }
+        let a = finished(run.a);
+        let b = finished(run.b);
+        let words = vec4(a.x | a.y << 16u, a.z | a.w << 16u, b.x | b.y << 16u, b.z | b.w << 16u);
+        for (var i = 0u; i < RUN && i32(at.x + 2u * i) < hi.x; i++) {
+            filtered[begin + at.x / 2u + i] = words[i];
         }
     } else {
-        var tap = at;
-        for (var k = -reach; k <= reach; k++) {
-            tap[push.axis] = u32(clamp(centre + k, first, last));
-            let word = samples[word_of(block, tap)];
-            so_far = with_taps(so_far, k, vec2(word & 0xffffu, word >> 16u));
+        var origin = at;
+        origin[push.axis] = 0u;
+        let begin = word_of(block, origin);
+        let step = select(block.size.x / 2u * block.size.y, block.size.x / 2u, push.axis == 1u);
+        for (var k = -reach; k < reach + i32(RUN); k++) {
+            let word = samples[begin + step * u32(clamp(centre + k, first, last))];
+            run = with_next(run, k, vec2(word & 0xffffu, word >> 16u));
+        }
+        let words = finished(run.a) | finished(run.b) << vec4(16u);
+        for (var i = 0u; i < RUN && centre + i32(i) < hi[push.axis]; i++) {
+            filtered[begin + step * (at[push.axis] + i)] = words[i];
         }
     }
-    return so_far;
 }

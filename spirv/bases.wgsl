@@ -1,14 +1,20 @@
 //! with tally scan
 // Where the tiles, vertices and triangles of each block begin among those of the batch: an exclusive prefix sum by one
-// work group. The last entry holds the totals.
+// work group. The last entry holds the totals, which also tell how many work groups write them.
 
 struct Push {
     // Blocks of the batch.
     blocks: u32,
+    // Vertices that there is room for.
+    room: u32,
+    // Work groups of a row at the most.
+    width: u32,
 }
 
 var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read_write> tallies: array<Tally>;
+// Work groups, one a tile, in rows; none where vertices do not fit.
+@group(0) @binding(1) var<storage, read_write> groups: array<u32, 3>;
 
 @compute @workgroup_size(256)
 fn bases(@builtin(local_invocation_id) local: vec3<u32>) {
@@ -28,5 +34,9 @@ fn bases(@builtin(local_invocation_id) local: vec3<u32>) {
     }
     if i == GROUP - 1u {
         tallies[push.blocks] = tally_of(at);
+        let count = select(at.x, 0u, at.y > push.room);
+        groups[0] = min(count, push.width);
+        groups[1] = (count + push.width - 1u) / push.width;
+        groups[2] = 1u;
     }
 }

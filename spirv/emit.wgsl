@@ -5,8 +5,8 @@
 struct Push {
     // The lowest cell within the walls, and the highest.
     walls_lo: vec3<i32>,
-    // Vertices that there is room for.
-    room: u32,
+    // Blocks of the batch.
+    blocks: u32,
     walls_hi: vec3<i32>,
     // Whether to write the field's falling differences too.
     normals: u32,
@@ -38,21 +38,39 @@ fn falling(block: Block, cell: vec3<i32>, axis: u32) -> i32 {
     return i32(sample(block, cell - up)) - i32(sample(block, cell + up));
 }
 
+// The block that holds a tile of the batch: the last that begins no later.
+fn block_of(tile: u32) -> u32 {
+    var low = 0u;
+    var beyond = push.blocks;
+    while beyond - low > 1u {
+        let middle = (low + beyond) / 2u;
+        if tallies[middle].tiles <= tile {
+            low = middle;
+        } else {
+            beyond = middle;
+        }
+    }
+    return low;
+}
+
 @compute @workgroup_size(64)
-fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
-    let number = group.y;
-    let base = tallies[number];
-    let next = tallies[number + 1u];
-    // What does not fit is counted, and not written.
-    if group.x >= next.tiles - base.tiles || next.vertices > push.room {
+fn emit(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+) {
+    let written = group.x + groups.x * group.y;
+    if written >= tallies[push.blocks].tiles {
         return;
     }
+    let number = block_of(written);
+    let base = tallies[number];
     let block = blocks[number];
-    let slot = slots[number * BLOCK_TILES + group.x];
+    let slot = slots[number * BLOCK_TILES + written - base.tiles];
     let tile = vec3<u32>(tile_at(block, slot.index));
     let corners = corners_at(number, block, tile);
     let bit = local.x;
-    let to = (base.tiles + group.x) * TILE_WORDS;
+    let to = written * TILE_WORDS;
     if bit == 0u {
         tiles[to] = slot.index;
         tiles[to + 1u] = slot.vertex;

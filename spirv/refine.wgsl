@@ -19,12 +19,8 @@ var<immediate> push: Push;
 @group(0) @binding(3) var<storage, read> wide: array<u32>;
 @group(0) @binding(4) var<storage, read_write> field: array<u32>;
 
-fn wide_sample(block: Block, cell: vec3<i32>) -> u32 {
-    // Beyond walls nothing is known, and only cells that nobody asked for lie beyond the block.
-    let inside = clamp(cell, push.walls_lo >> vec3(push.level), push.walls_hi >> vec3(push.level));
-    let at = vec3<u32>(clamp(inside - block.lo, vec3(0), vec3<i32>(block.size) - 1));
-    return half_of(wide[word_of(block, at)], at.x);
-}
+// What is known of a pair of cells and those above it: a thread makes RUN pairs, one over the other along z.
+const PLANES: u32 = RUN + 2u;
 
 fn mean(weights: vec3<u32>, taps: vec3<u32>) -> u32 {
     let bits = 2u * push.level + 3u;
@@ -32,6 +28,9 @@ fn mean(weights: vec3<u32>, taps: vec3<u32>) -> u32 {
 }
 
 fn weights_of(cell: i32) -> vec3<u32> {
+    if push.level == 0u {
+        return vec3(0u, 8u, 0u);
+    }
     let edge = 2u << push.level;
     let at = 2u * (u32(cell) & ((1u << push.level) - 1u)) + 1u;
     let below = (edge - at) * (edge - at);
@@ -39,41 +38,74 @@ fn weights_of(cell: i32) -> vec3<u32> {
     return vec3(below, 2u * edge * edge - below - above, above);
 }
 
-fn refined(block: Block, cell: vec3<i32>) -> u32 {
-    let inside = clamp(cell, push.walls_lo, push.walls_hi);
-    let own = inside >> vec3(push.level);
-    if push.level == 0u {
-        return wide_sample(block, own);
-    }
-    let x = weights_of(inside.x);
-    let y = weights_of(inside.y);
-    let z = weights_of(inside.z);
-    var along_z = vec3(0u);
-    for (var k = 0; k < 3; k++) {
-        var along_y = vec3(0u);
-        for (var j = 0; j < 3; j++) {
-            let middle = own + vec3(0, j - 1, k - 1);
-            let taps = vec3(
-                wide_sample(block, middle - vec3(1, 0, 0)),
-                wide_sample(block, middle),
-                wide_sample(block, middle + vec3(1, 0, 0)),
-            );
-            along_y[j] = mean(x, taps);
-        }
-        along_z[k] = mean(y, along_y);
-    }
-    return mean(z, along_z);
+// Where wide cells along an axis lie in a block. Beyond walls nothing is known, and only cells that nobody asked for lie beyond the
+// block.
+fn wide_place(block: Block, axis: u32, cell: i32) -> u32 {
+    let inside = clamp(cell, push.walls_lo[axis] >> push.level, push.walls_hi[axis] >> push.level);
+    return u32(clamp(inside - block.lo[axis], 0, i32(block.size[axis]) - 1));
+}
+
+// Three wide cells along x, from words of their row.
+fn row_of(begin: u32, x: vec3<u32>) -> vec3<u32> {
+    return vec3(
+        half_of(wide[begin + x.x / 2u], x.x),
+        half_of(wide[begin + x.y / 2u], x.y),
+        half_of(wide[begin + x.z / 2u], x.z),
+    );
 }
 
 @compute @workgroup_size(256)
 fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
     let block = blocks[id.y];
-    let at = cell_of(block, id.x);
+    let width = block.size.x / 2u;
+    let row = id.x / width;
+    var at = vec3(2u * (id.x % width), row % block.size.y, RUN * (row / block.size.y));
     if at.z >= block.size.z {
         return;
     }
+    let around = wide_blocks[within[id.y]];
     let cell = block.lo + vec3<i32>(at);
-    let wide_block = wide_blocks[within[id.y]];
-    let samples = vec2(refined(wide_block, cell), refined(wide_block, cell + vec3(1, 0, 0)));
-    field[word_of(block, at)] = samples.x | samples.y << 16u;
+    let x = clamp(vec2(cell.x, cell.x + 1), vec2(push.walls_lo.x), vec2(push.walls_hi.x));
+    let y = clamp(cell.y, push.walls_lo.y, push.walls_hi.y);
+    let x_weights = array(weights_of(x.x), weights_of(x.y));
+    let y_weights = weights_of(y);
+    var columns: array<vec3<u32>, 2>;
+    for (var i = 0; i < 3; i++) {
+        columns[0][i] = wide_place(around, 0u, (x.x >> push.level) + i - 1);
+        columns[1][i] = wide_place(around, 0u, (x.y >> push.level) + i - 1);
+    }
+    let same = all(columns[0] == columns[1]);
+    var rows: vec3<u32>;
+    for (var i = 0; i < 3; i++) {
+        rows[i] = around.size.x / 2u * wide_place(around, 1u, (y >> push.level) + i - 1);
+    }
+    // Both cells of the pair in each plane of wide cells that any of the run is made of.
+    let lowest = (clamp(cell.z, push.walls_lo.z, push.walls_hi.z) >> push.level) - 1;
+    let highest = clamp(cell.z + i32(RUN) - 1, push.walls_lo.z, push.walls_hi.z) >> push.level;
+    var planes: array<vec2<u32>, PLANES>;
+    for (var k = 0u; i32(k) <= highest + 1 - lowest; k++) {
+        let plane = around.size.x / 2u * around.size.y * wide_place(around, 2u, lowest + i32(k));
+        var first = vec3(0u);
+        var second = vec3(0u);
+        for (var j = 0; j < 3; j++) {
+            let begin = around.field + rows[j] + plane;
+            let taps = row_of(begin, columns[0]);
+            first[j] = mean(x_weights[0], taps);
+            if same {
+                second[j] = mean(x_weights[1], taps);
+            } else {
+                second[j] = mean(x_weights[1], row_of(begin, columns[1]));
+            }
+        }
+        planes[k] = vec2(mean(y_weights, first), mean(y_weights, second));
+    }
+    for (var i = 0u; i < RUN && at.z < block.size.z; i++) {
+        let z = clamp(block.lo.z + i32(at.z), push.walls_lo.z, push.walls_hi.z);
+        let k = u32((z >> push.level) - 1 - lowest);
+        let weights = weights_of(z);
+        let a = mean(weights, vec3(planes[k].x, planes[k + 1u].x, planes[k + 2u].x));
+        let b = mean(weights, vec3(planes[k].y, planes[k + 1u].y, planes[k + 2u].y));
+        field[word_of(block, at)] = a | b << 16u;
+        at.z++;
+    }
 }

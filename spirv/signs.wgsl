@@ -25,23 +25,28 @@ fn signs(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let corner = block.tiles_lo + vec3<i32>(tile * TILE);
     let highest = min(block.tiles_lo + vec3<i32>(block.tiles_size), push.walls_hi);
+    // The cells of a row that are known.
+    let along = vec4(0, 1, 2, 3) + corner.x;
+    let known = (along >= vec4(push.walls_lo.x)) & (along <= vec4(highest.x));
     var mask = vec2(0u);
     for (var row = 0u; row < TILE * TILE; row++) {
         let first = corner + vec3<i32>(vec3(0u, row % TILE, row / TILE));
         if any(first.yz < push.walls_lo.yz) || any(first.yz > highest.yz) {
             continue;
         }
-        for (var x = 0u; x < TILE; x++) {
-            let cell = first + vec3(i32(x), 0, 0);
-            if cell.x < push.walls_lo.x || cell.x > highest.x {
-                continue;
-            }
-            let at = vec3<u32>(cell - block.lo);
-            if half_of(field[word_of(block, at)], at.x) > push.threshold {
-                let bit = x + TILE * row;
-                mask[bit / 32u] |= 1u << (bit % 32u);
-            }
+        // Tiles and blocks both begin with whole words.
+        let word = word_of(block, vec3<u32>(first - block.lo));
+        var words = vec2(0u);
+        if any(known.xy) {
+            words.x = field[word];
         }
+        if any(known.zw) {
+            words.y = field[word + 1u];
+        }
+        let samples = vec4(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu, words.y >> 16u);
+        let inside = select(vec4(0u), vec4(1u, 2u, 4u, 8u), known & (samples > vec4(push.threshold)));
+        let bit = TILE * row;
+        mask[bit / 32u] |= (inside.x | inside.y | inside.z | inside.w) << (bit % 32u);
     }
     masks[id.y * SIGN_TILES + id.x] = mask;
 }

@@ -1,19 +1,23 @@
 //! with block axis
 // One axis of a dilation: the greatest of the taps within reach.
 
-@group(0) @binding(2) var<storage, read_write> greatest: array<u32>;
+fn weight_of(k: i32) -> u32 {
+    return u32(k <= i32(push.reach));
+}
 
-fn with_taps(most: vec2<u32>, k: i32, taps: vec2<u32>) -> vec2<u32> {
-    return max(most, taps);
+fn first_sum() -> u32 {
+    return 0u;
+}
+
+fn with_tap(greatest: vec4<u32>, weights: vec4<u32>, sample: u32) -> vec4<u32> {
+    return max(greatest, weights * sample);
+}
+
+fn finished(greatest: vec4<u32>) -> vec4<u32> {
+    return greatest;
 }
 
 @compute @workgroup_size(256)
 fn spread(@builtin(global_invocation_id) id: vec3<u32>) {
-    let block = blocks[id.y];
-    let at = cell_of(block, id.x);
-    if !is_wanted(block, at) {
-        return;
-    }
-    let most = with_all_taps(vec2(0u), block, at);
-    greatest[word_of(block, at)] = most.x | most.y << 16u;
+    filter_run(id.y, id.x);
 }

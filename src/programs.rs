@@ -1,7 +1,7 @@
 //! Every program that runs on a device, and the constants that their sources share with Rust.
 
 use crate::brick::vulkan::{
-    ELSEWHERE, ENTER, GATHER, NO_BIN, PAGE_WORDS, PLACE, PROBES, SETTLE, SETTLED, SORT,
+    ELSEWHERE, ENTER, GATHER, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED, SORT,
 };
 use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
@@ -40,6 +40,7 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("SHARE_BITS", "u32", SHARE_BITS.into()),
         ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
         ("RIM", "u32", RIM.into()),
+        ("RUN", "u32", RUN.into()),
         ("CLOUD_SAMPLES", "u32", CLOUD_SAMPLES.into()),
         ("TILE", "u32", TILE.into()),
         ("BIN", "i32", BIN.into()),

@@ -125,6 +125,24 @@ fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
 }
 
 #[test]
+fn frames_after_the_first_take_no_more_memory_and_give_back_what_they_keep() {
+    let Some((device, _)) = open() else { return };
+    let pipeline = Pipeline::new(&device).unwrap();
+    let before = device.allocated();
+    let particles = splashes(43);
+    let input = [positions(&device, &particles)];
+    let input_bytes = device.allocated() - before;
+    let taken = [0, 1, 2].map(|_| {
+        drop(pipeline.surface(&input, &settings(&sampling(), &surfacing())).unwrap());
+        device.allocated()
+    });
+    assert!(taken[0] > before + input_bytes, "nothing is kept: {taken:?}");
+    assert_eq!(taken, [taken[0]; 3]);
+    pipeline.release();
+    assert_eq!(device.allocated(), before + input_bytes);
+}
+
+#[test]
 fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
     if open().is_none() {
         return;
@@ -155,6 +173,7 @@ fn what_cannot_be_meshed_says_why_and_keeps_no_memory() {
     assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
     let fine = Settings { spacing: Some(11.0), ..dust };
     assert!(matches!(surface(&[[0.0; 3]], &fine), FrameError::TooFine(_)));
+    pipeline.release();
     assert_eq!(device.allocated(), kept);
 }
 
@@ -176,6 +195,7 @@ fn an_allocation_that_fails_anywhere_is_an_error_or_the_right_mesh_and_no_leak()
             Err(FrameError::Vulkan(VulkanError::OutOfMemory { .. })) => failures += 1,
             Err(other) => panic!("number {number}: {other}"),
         }
+        pipeline.release();
         assert_eq!(device.allocated(), kept, "number {number}");
         if !struck {
             break;

@@ -103,12 +103,7 @@ fn blurred_on(
     let weights = device.uploaded(kernel.half()).unwrap();
     let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
     let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
-    let blocks = DeviceBlocks {
-        blocks: device.uploaded(&[block]).unwrap(),
-        count: 1,
-        largest: block.words(),
-        words: block.words(),
-    };
+    let blocks = DeviceBlocks::new(device.uploaded(&[block]).unwrap(), &[block]);
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let views = [&field, &through, &to];
@@ -210,6 +205,23 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
         // A quarter of it is the device's, half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
+    });
+}
+
+#[test]
+fn a_second_frame_makes_no_buffers_of_its_own() {
+    let particles = splashes(23);
+    validated(|device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let mut sampling = sampling();
+        sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+        let made = [0, 1, 2].map(|_| {
+            let before = device.counters().allocations;
+            reconstruct(&particles[..], &sampling, &surfacing());
+            device.counters().allocations - before
+        });
+        assert!(made[0] > 10, "{made:?}");
+        assert_eq!(made[1..], [0, 0]);
     });
 }
 

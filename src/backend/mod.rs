@@ -20,11 +20,17 @@ use crate::recipe::Recipe;
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{PageRule, SampledDif};
 use crate::units::MemoryBudget;
+use crate::vulkan::Device;
 
 /// Something that stages run on.
 pub trait Backend: Debug + Send + Sync {
     /// What it is, for people.
     fn name(&self) -> String;
+
+    /// The device that it computes on, unless that is the processor.
+    fn device(&self) -> Option<&Device> {
+        None
+    }
 
     /// Whether frames can be computed side by side, each by a share of the threads.
     fn divides(&self) -> bool;

@@ -86,6 +86,11 @@ impl Pipeline {
         })
     }
 
+    /// Gives back the memory that is kept for the next frame. What was drawn stays.
+    pub fn release(&self) {
+        self.vulkan.release();
+    }
+
     /// The surface of the particles at `positions`, which may be in several buffers and are not changed.
     ///
     /// Returns when the device is done. Nothing else may write the positions during the call.

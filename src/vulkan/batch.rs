@@ -161,11 +161,48 @@ impl Batch {
         push: &impl Pod,
         groups: [u32; 3],
     ) -> Result<(), VulkanError> {
+        let most = self.device.limits.groups;
+        assert!(groups.iter().all(|&n| n <= most), "{groups:?} groups of {kernel:?}");
+        if !groups.contains(&0) {
+            self.bind(kernel, buffers, push)?;
+            let [x, y, z] = groups;
+            // SAFETY: the commands are being recorded, and a kernel is bound.
+            unsafe { self.device.raw.cmd_dispatch(self.commands, x, y, z) };
+        }
+        Ok(())
+    }
+
+    /// The same with as many work groups along each axis as three words of a buffer say by then: as many as the device allows.
+    ///
+    /// # Errors
+    /// Those of [`dispatch`](Self::dispatch).
+    ///
+    /// # Panics
+    /// If the arguments are not those of the kernel's program, or there are no three words.
+    pub fn dispatch_as(
+        &mut self,
+        kernel: &Arc<Kernel>,
+        buffers: &[View],
+        push: &impl Pod,
+        groups: &View,
+    ) -> Result<(), VulkanError> {
+        assert!(self.owns(groups) && groups.bytes >= 12, "groups of {kernel:?}");
+        self.bind(kernel, buffers, push)?;
+        // SAFETY: the commands are being recorded, and a kernel is bound.
+        unsafe {
+            let raw = &self.device.raw;
+            raw.cmd_dispatch_indirect(self.commands, groups.buffer.raw(), groups.offset);
+        }
+        self.buffers.push(Arc::clone(&groups.buffer));
+        Ok(())
+    }
+
+    /// Lets a kernel see what came before, and binds it and its buffers.
+    fn bind(&mut self, kernel: &Arc<Kernel>, buffers: &[View], push: &impl Pod) -> Result<(), VulkanError> {
         let push = bytemuck::bytes_of(push);
         assert_eq!(buffers.len(), kernel.program.buffers.len(), "buffers of {kernel:?}");
         assert_eq!(push.len(), kernel.program.push_bytes() as usize, "push block of {kernel:?}");
         let limits = self.device.limits;
-        assert!(groups.iter().all(|&n| n <= limits.groups), "{groups:?} groups of {kernel:?}");
         assert!(Arc::ptr_eq(&kernel.device, &self.device), "{kernel:?} is of another device");
         assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {kernel:?} is of another device");
         assert!(
@@ -174,9 +211,6 @@ impl Batch {
         );
         if let Some(view) = buffers.iter().find(|view| view.bytes > limits.storage_range) {
             return Err(VulkanError::OutOfMemory { bytes: view.bytes });
-        }
-        if groups.contains(&0) {
-            return Ok(());
         }
         self.barrier();
         let set = [self.bound(kernel, buffers)?];
@@ -191,7 +225,6 @@ impl Batch {
                 let stages = vk::ShaderStageFlags::COMPUTE;
                 raw.cmd_push_constants(self.commands, kernel.layout, stages, 0, push);
             }
-            raw.cmd_dispatch(self.commands, groups[0], groups[1], groups[2]);
         }
         self.buffers.extend(buffers.iter().map(|view| Arc::clone(&view.buffer)));
         self.kernels.push(Arc::clone(kernel));
@@ -269,12 +302,18 @@ impl Batch {
     /// Lets what follows see what came before.
     fn barrier(&self) {
         let stages = match self.queue {
-            Queue::Compute => vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
+            Queue::Compute => {
+                let indirect = vk::PipelineStageFlags::DRAW_INDIRECT;
+                vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER | indirect
+            }
             Queue::Transfer => vk::PipelineStageFlags::TRANSFER,
         };
         let transfer = vk::AccessFlags::TRANSFER_READ | vk::AccessFlags::TRANSFER_WRITE;
         let access = match self.queue {
-            Queue::Compute => vk::AccessFlags::SHADER_READ | vk::AccessFlags::SHADER_WRITE | transfer,
+            Queue::Compute => {
+                let indirect = vk::AccessFlags::INDIRECT_COMMAND_READ;
+                vk::AccessFlags::SHADER_READ | vk::AccessFlags::SHADER_WRITE | transfer | indirect
+            }
             Queue::Transfer => transfer,
         };
         self.memory_barrier(stages, access, stages, access);
@@ -339,6 +378,7 @@ impl Batch {
             raw.queue_submit(*queue, &[info], vk::Fence::null())
                 .map_err(self.device.noting("vkQueueSubmit"))?;
             state.last.store(value, Ordering::Relaxed);
+            self.device.counters.submissions.fetch_add(1, Ordering::Relaxed);
             let ticket = Ticket { queue: self.queue, value };
             (self.last, self.pending) = (Some(ticket), true);
             Ok(ticket)
@@ -367,6 +407,18 @@ impl Batch {
         self.buffers.clear();
         self.kernels.clear();
         Ok(())
+    }
+
+    /// Copies values to the device, into a new buffer there.
+    ///
+    /// # Errors
+    /// Those of [`Device::buffer`].
+    pub fn store<T: Pod>(&mut self, values: &[T]) -> Result<View, VulkanError> {
+        let device = Device { shared: Arc::clone(&self.device) };
+        let staged = device.uploaded(values)?;
+        let stored = device.buffer(Place::Device, staged.bytes())?.whole();
+        self.copy(&staged, &stored);
+        Ok(stored)
     }
 
     /// The last submission, for batches that go on from it.

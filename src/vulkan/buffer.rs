@@ -54,6 +54,7 @@ impl Device {
         let exhausted = VulkanError::OutOfMemory { bytes };
         let limit = shared.memory.unwrap_or(u64::MAX);
         let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
+        shared.counters.allocations.fetch_add(1, Ordering::Relaxed);
         // From here on what is made is dropped with `buffer` if a later step fails.
         let mut buffer = Buffer {
             device: Arc::clone(shared),
@@ -73,6 +74,7 @@ impl Device {
             vk::BufferUsageFlags::STORAGE_BUFFER
                 | vk::BufferUsageFlags::TRANSFER_SRC
                 | vk::BufferUsageFlags::TRANSFER_DST
+                | vk::BufferUsageFlags::INDIRECT_BUFFER
                 | vk::BufferUsageFlags::VERTEX_BUFFER
                 | vk::BufferUsageFlags::INDEX_BUFFER,
         );
@@ -90,10 +92,11 @@ impl Device {
                 .allocate(&AllocationCreateDesc {
                     name: "buffer",
                     requirements: shared.raw.get_buffer_memory_requirements(buffer.raw),
+                    // What is staged is the host's, in either direction: the allocator's place for uploads is a window into the
+                    // device's memory, which is small, and slow to write.
                     location: match place {
                         Place::Device => MemoryLocation::GpuOnly,
-                        Place::Upload => MemoryLocation::CpuToGpu,
-                        Place::Download => MemoryLocation::GpuToCpu,
+                        Place::Upload | Place::Download => MemoryLocation::GpuToCpu,
                     },
                     linear: true,
                     allocation_scheme: AllocationScheme::GpuAllocatorManaged,
@@ -168,6 +171,7 @@ impl Buffer {
     pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         let to = self.mapped(offset, bytes.len());
+        self.device.counters.sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         // SAFETY: `mapped` checked the range. Two hosts' threads may write at once only to different places.
         unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) };
     }
@@ -178,12 +182,16 @@ impl Buffer {
     /// If the buffer ends before `count` values, or is not visible to the host.
     #[must_use]
     pub fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        let mut values = vec![T::zeroed(); count];
-        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
-        let from = self.mapped(offset, bytes.len());
-        // SAFETY: `mapped` checked the range.
-        unsafe { std::ptr::copy_nonoverlapping(from, bytes.as_mut_ptr(), bytes.len()) };
-        values
+        self.values(offset, count).to_vec()
+    }
+
+    /// What [`read`](Self::read) reads, where it is.
+    pub(crate) fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
+        let from = self.mapped(offset, size_of::<T>() * count);
+        self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
+        assert!(from.cast::<T>().is_aligned(), "{offset} is within a value");
+        // SAFETY: `mapped` checked the range, any bits are a value, and nobody writes a buffer that is read.
+        unsafe { std::slice::from_raw_parts(from.cast(), count) }
     }
 
     fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
@@ -227,6 +235,11 @@ impl View {
     /// [`Buffer::write`] into this part.
     pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         self.buffer.write(self.offset + offset, values);
+    }
+
+    /// [`Buffer::values`] of this part.
+    pub(crate) fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
+        self.buffer.values(self.offset + offset, count)
     }
 
     /// [`Buffer::read`] from this part.

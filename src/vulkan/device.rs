@@ -78,6 +78,27 @@ pub struct Timing {
     pub bytes: u64,
 }
 
+/// What a device was asked to do.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Batches that were submitted.
+    pub submissions: u64,
+    /// Buffers that were made.
+    pub allocations: u64,
+    /// Bytes that the host wrote for it.
+    pub sent: u64,
+    /// Bytes that the host read of it.
+    pub received: u64,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct AtomicCounters {
+    pub(super) submissions: AtomicU64,
+    pub(super) allocations: AtomicU64,
+    pub(super) sent: AtomicU64,
+    pub(super) received: AtomicU64,
+}
+
 /// A device that a caller has opened, and keeps open.
 pub struct Foreign {
     /// The loader's functions for the instance.
@@ -116,6 +137,7 @@ pub(super) struct Shared {
     pub(super) faults: Faults,
     lost: AtomicBool,
     timings: Mutex<Vec<Timing>>,
+    pub(super) counters: AtomicCounters,
 }
 
 pub(super) struct QueueState {
@@ -283,6 +305,7 @@ impl Device {
             faults: Faults::default(),
             lost: AtomicBool::new(false),
             timings: Mutex::default(),
+            counters: AtomicCounters::default(),
         };
         shared.pipeline_cache = shared.load_cache()?;
         for (family, queue) in queues {
@@ -325,6 +348,15 @@ impl Device {
     #[must_use]
     pub fn faults(&self) -> &Faults {
         &self.shared.faults
+    }
+
+    /// What it was asked to do since it was opened.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;
+        let [submissions, allocations, sent, received] =
+            [submissions, allocations, sent, received].map(|count| count.load(Ordering::Relaxed));
+        Counters { submissions, allocations, sent, received }
     }
 
     /// The times of all stages since the last call, in the order in which they first ran.

@@ -11,7 +11,7 @@ mod kernel;
 
 pub use batch::{Batch, Ticket};
 pub use buffer::{Buffer, Place, View};
-pub use device::{Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
+pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
 pub(crate) use kernel::push_block;

@@ -33,10 +33,10 @@ impl DeviceFrame {
         done: &mut Pages,
     ) -> Result<(), Fault> {
         let shape = rule.shape();
-        state.make_resident(&self.device, bins.keys(), shape);
+        self.make_resident(state, bins.keys(), shape);
         let room = state.batch_bytes;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
-        state.make_lanes(&self.device)?;
+        self.make_lanes(state)?;
         let mut next = range.start;
         fly(
             &mut state.lanes,
@@ -121,8 +121,8 @@ impl DeviceFrame {
         rule: &PageRule,
     ) -> Result<Pages, VulkanError> {
         let shape = rule.shape();
-        state.make_resident(&self.device, &bins.keys, shape);
-        state.make_lanes(&self.device)?;
+        self.make_resident(state, &bins.keys, shape);
+        self.make_lanes(state)?;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
             run.clone()
@@ -173,7 +173,7 @@ fn read_pages(
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
     let stride = page_bytes(shape) as usize / size_of::<u16>();
-    let samples: Vec<u16> = batch.read.read(0, batch.bins.len() * stride);
+    let samples: &[u16] = batch.read.values(0, batch.bins.len() * stride);
     let page = |(samples, bin): (&[u16], usize)| {
         let dense = &samples[..shape.bin_samples()];
         PageInfo::from_dense(keys[bin].coord(), dense, shape).expect("a bin holds particles")

@@ -19,7 +19,7 @@ use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, con
 use crate::stage::dual_mc::{Crossings, Normals, dual_cells, normal};
 use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
 
-use super::fields::{Constants, Padded, PaddedBlocks, PaddedFields};
+use super::fields::{FrameConstants, Padded, PaddedBlocks, PaddedFields};
 use super::grids::{Grid, Samples};
 use super::lane::{Lane, Layout, fly, part};
 use super::{BLOCK_BATCH, DeviceFrame, Resident, State, page_bytes};
@@ -90,8 +90,8 @@ impl DeviceFrame {
         regions: &[CellBox],
         take: &mut Take<'_>,
     ) -> Result<(), VulkanError> {
-        state.make_lanes(&self.device)?;
-        let constants = Constants::new(&self.device, surfaces)?;
+        self.make_lanes(state)?;
+        let constants = self.constants(surfaces, &mut state.lanes[0].compute)?;
         let State { lanes, resident, batch_bytes, .. } = state;
         let work =
             Contouring { frame: self, surfaces, constants, resident: resident.as_ref(), bytes: *batch_bytes };
@@ -272,7 +272,7 @@ impl Source {
 struct Contouring<'a> {
     frame: &'a DeviceFrame,
     surfaces: &'a Surfaces<'a>,
-    constants: Constants,
+    constants: FrameConstants,
     resident: Option<&'a Resident>,
     /// What a batch may take.
     bytes: u64,
@@ -569,7 +569,7 @@ impl<'a> Contouring<'a> {
         let falls = if self.has_normals() { room * size_of::<Falls>() as u64 } else { 4 };
         Ok(Outputs {
             signs: lane.buffer(device, "signs", Place::Device, count * 8 * u64::from(SIGN_TILES))?,
-            lengths: self.frame.kernels.tables.lengths.clone(),
+            lengths: self.constants.tables.lengths.clone(),
             slots: lane.buffer(device, "slots", Place::Device, tiles * size_of::<Slot>() as u64)?,
             tallies: lane.buffer(
                 device,
@@ -577,6 +577,7 @@ impl<'a> Contouring<'a> {
                 Place::Device,
                 (count + 1) * size_of::<Tally>() as u64,
             )?,
+            groups: lane.buffer(device, "groups", Place::Device, 12)?,
             tiles: lane.buffer(device, "tiles", Place::Device, tiles * size_of::<Tile>() as u64)?,
             ends: lane.buffer(device, "ends", Place::Device, room * size_of::<[u16; 2]>() as u64)?,
             falls: lane.buffer(device, "falls", Place::Device, falls)?,

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use hashbrown::HashMap;
+use hashbrown::{HashMap, HashSet};
 
 use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlocks, DevicePages, Window, gather};
@@ -12,41 +12,82 @@ use crate::recipe::{Fields, WideFields, walls_at};
 use crate::stage::blur::Kernel;
 use crate::stage::blur::vulkan::blur;
 use crate::stage::detail::vulkan::{lost, raise};
-use crate::stage::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
+use crate::stage::distance::vulkan::{
+    depths, join, mixed, outlying, quotient, refine, spread, tables as tables_of_distances,
+};
 use crate::stage::distance::{Bulk, Depths, Drops, Gate, Inside};
+use crate::stage::dual_mc::vulkan::lengths;
 use crate::units::Isovalue;
-use crate::vulkan::{Batch, Device, View, VulkanError};
+use crate::vulkan::{Batch, View, VulkanError};
 
-use super::Kernels;
+use super::{DeviceFrame, Kernels};
 
-/// What all batches of blocks need.
+/// Weights that are kept, at the most.
+const KEPT_WEIGHTS: usize = 64;
+
+/// What kernels look up, on the device from when it is first asked for.
+#[derive(Debug, Default)]
 pub(super) struct Constants {
-    pub(super) weights: HashMap<Kernel, View>,
+    tables: Option<Tables>,
+    weights: HashMap<Kernel, View>,
+}
+
+/// The same for every frame.
+#[derive(Debug, Clone)]
+pub(super) struct Tables {
+    /// Of distances: depths, and how far away shares are.
+    depths: View,
+    away: View,
+    /// Triangles by case.
+    pub(super) lengths: View,
+}
+
+/// What the batches of a frame look up.
+pub(super) struct FrameConstants {
+    pub(super) tables: Tables,
+    weights: HashMap<Kernel, View>,
     pub(super) theta: View,
     pub(super) decode: u32,
 }
 
-impl Constants {
-    pub(super) fn new(device: &Device, surfaces: &Surfaces<'_>) -> Result<Self, VulkanError> {
-        let theta: Vec<u32> = surfaces
-            .sampled
-            .dif
-            .decode_table()
-            .unwrap_or_default()
-            .iter()
-            .map(|&theta| theta.into())
-            .collect();
-        Ok(Self {
-            weights: surfaces
-                .recipe
-                .filters
-                .kernels()
-                .into_iter()
-                .map(|kernel| Ok((kernel.clone(), device.uploaded(kernel.half())?)))
-                .collect::<Result<_, VulkanError>>()?,
-            theta: device.uploaded(&theta)?,
-            decode: theta.len() as u32,
-        })
+impl DeviceFrame {
+    /// Sends what is not on the device yet of all that surfaces look up, by a batch that is idle.
+    pub(super) fn constants(
+        &self,
+        surfaces: &Surfaces<'_>,
+        batch: &mut Batch,
+    ) -> Result<FrameConstants, VulkanError> {
+        let mut kept = self.kept();
+        let Constants { tables, weights: known } = &mut kept.constants;
+        let theta = surfaces.sampled.dif.decode_table().unwrap_or_default();
+        let theta: Vec<u32> = theta.iter().map(|&theta| theta.into()).collect();
+        let kernels = surfaces.recipe.filters.kernels();
+        let unknown: HashSet<&Kernel> =
+            kernels.iter().copied().filter(|kernel| !known.contains_key(*kernel)).collect();
+        batch.begin()?;
+        let made = match tables {
+            Some(tables) => tables.clone(),
+            None => {
+                let [depths, away] = tables_of_distances().map(|table| batch.store(&table));
+                Tables { depths: depths?, away: away?, lengths: batch.store(&lengths())? }
+            }
+        };
+        let new = unknown.into_iter().map(|kernel| Ok((kernel.clone(), batch.store(kernel.half())?)));
+        let new: Vec<(Kernel, View)> = new.collect::<Result<_, VulkanError>>()?;
+        let decode = theta.len() as u32;
+        let theta = if decode > 0 { batch.store(&theta)? } else { made.lengths.clone() };
+        if tables.is_none() || !new.is_empty() || decode > 0 {
+            batch.submit(&[])?;
+            batch.wait()?;
+        }
+        // What is kept is there.
+        *tables = Some(made.clone());
+        if known.len() > KEPT_WEIGHTS {
+            known.retain(|kernel, _| kernels.contains(&kernel));
+        }
+        known.extend(new);
+        let weights = kernels.into_iter().map(|kernel| (kernel.clone(), known[kernel].clone())).collect();
+        Ok(FrameConstants { tables: made, weights, theta, decode })
     }
 }
 
@@ -74,7 +115,7 @@ pub(super) struct PaddedBlocks {
 /// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
 pub(super) struct PaddedFields<'a> {
     pub(super) kernels: &'a Kernels,
-    pub(super) constants: &'a Constants,
+    pub(super) constants: &'a FrameConstants,
     pub(super) walls: Option<CellBox>,
     pub(super) commands: &'a mut Batch,
     pub(super) grids: Vec<PaddedBlocks>,
@@ -181,7 +222,7 @@ impl Fields for PaddedFields<'_> {
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
         let blocks = &self.grids[of].blocks;
         let views = [&narrow, &middle, &wide];
-        depths(self.commands, &self.kernels.distance, blocks, by, &self.kernels.tables.depths, views)?;
+        depths(self.commands, &self.kernels.distance, blocks, by, &self.constants.tables.depths, views)?;
         let padded = |samples| Rc::new(Padded { samples, margin, of });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }
@@ -281,7 +322,7 @@ impl Fields for PaddedFields<'_> {
         let views = [&bulk.samples, &near.samples, &shares.samples];
         let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);
         let homes = self.within(near.of, bulk.of);
-        let away = &self.kernels.tables.away;
+        let away = &self.constants.tables.away;
         join(self.commands, &self.kernels.distance, blocks, &homes, by, away, views)?;
         Ok(bulk)
     }

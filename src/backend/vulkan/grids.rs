@@ -12,7 +12,7 @@ use crate::grid::CellBox;
 use crate::stage::distance::Inside;
 use crate::vulkan::View;
 
-use super::fields::Constants;
+use super::fields::FrameConstants;
 use super::lane::{Layout, part};
 use super::{Resident, page_bytes};
 
@@ -29,7 +29,6 @@ pub(super) struct Grid {
     blocks: Vec<DeviceBlock>,
     /// Words of all of them.
     pub(super) words: u32,
-    largest: u32,
     tables: Vec<u32>,
     /// Bits of the bricks that are inside.
     marks: Vec<u32>,
@@ -67,7 +66,6 @@ impl Grid {
         let mut block = DeviceBlock::new(cells, region);
         block.field = self.words;
         self.words += block.words();
-        self.largest = self.largest.max(block.words());
         self.blocks.push(block);
     }
 
@@ -127,12 +125,7 @@ impl Grid {
 
     /// The blocks, as kernels take them.
     pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
-        DeviceBlocks {
-            blocks: part(inputs, &places.blocks),
-            count: self.blocks.len() as u32,
-            largest: self.largest,
-            words: self.words,
-        }
+        DeviceBlocks::new(part(inputs, &places.blocks), &self.blocks)
     }
 }
 
@@ -143,7 +136,7 @@ impl Places {
     }
 
     /// What samples are cut out of.
-    pub(super) fn pages(&self, inputs: &View, from: Samples<'_>, constants: &Constants) -> DevicePages {
+    pub(super) fn pages(&self, inputs: &View, from: Samples<'_>, constants: &FrameConstants) -> DevicePages {
         DevicePages {
             tables: part(inputs, &self.tables),
             pages: from.resident.map_or_else(|| part(inputs, &self.pages), |resident| resident.pages.whole()),

@@ -83,6 +83,11 @@ impl Lane {
         self.upload.submit(&[])
     }
 
+    /// Bytes of all its buffers.
+    pub(super) fn bytes(&self) -> u64 {
+        self.buffers.values().map(|buffer| buffer.bytes()).sum()
+    }
+
     /// Starts over: the lane's last batch is done.
     pub(super) fn begin(&mut self) -> Result<(), VulkanError> {
         self.upload.begin()?;

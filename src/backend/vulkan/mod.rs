@@ -13,7 +13,7 @@ mod lane;
 
 use std::io;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::IVec3;
 use hashbrown::HashMap;
@@ -25,23 +25,24 @@ use crate::mesh::BlockMesh;
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::distance::vulkan::{
-    DEPTHS_OF, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD, tables,
+    DEPTHS_OF, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
 };
-use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES, lengths};
+use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
 use crate::units::MemoryBudget;
-use crate::vulkan::{Buffer, Device, Kernel, Place, View, VulkanError};
+use crate::vulkan::{Buffer, Device, Kernel, Place, VulkanError};
 
 use super::{Backend, Cpu, Stages, Surfaces, Work};
 use bins::bin_bytes;
 pub use blocks::DeviceSurfaces;
-use lane::Lane;
+use fields::Constants;
+use lane::{HEADROOM, Lane};
 
 /// Batches in flight.
 const LANES: usize = 2;
 /// Bins and blocks of a batch at the most.
-const BIN_BATCH: usize = 256;
+const BIN_BATCH: usize = 4096;
 const BLOCK_BATCH: usize = 1024;
 /// Bytes of a batch at the most, and at which the processor takes over.
 const LARGEST_BATCH: u64 = 128 << 20;
@@ -54,6 +55,7 @@ const DRIVER: u64 = 96 << 20;
 pub struct Vulkan {
     device: Device,
     kernels: Arc<Kernels>,
+    kept: Arc<Mutex<Kept>>,
     shares_host_memory: bool,
 }
 
@@ -66,28 +68,15 @@ struct Kernels {
     greater: Arc<Kernel>,
     distance: Distance,
     dual_mc: DualMc,
-    tables: Tables,
 }
 
-/// What kernels look up, on the device for good.
-#[derive(Debug)]
-struct Tables {
-    /// Of distances: depths, and how far away shares are.
-    depths: View,
-    away: View,
-    /// Triangles by case.
-    lengths: View,
-}
-
-impl Tables {
-    fn new(device: &Device) -> Result<Self, VulkanError> {
-        let [depths, away] = tables();
-        Ok(Self {
-            depths: device.uploaded(&depths)?,
-            away: device.uploaded(&away)?,
-            lengths: device.uploaded(&lengths())?,
-        })
-    }
+/// What is kept on the device between frames.
+#[derive(Debug, Default)]
+struct Kept {
+    lanes: Vec<Lane>,
+    /// Room for the pages of a frame.
+    pages: Option<Arc<Buffer>>,
+    constants: Constants,
 }
 
 /// Bytes that a frame may take.
@@ -125,10 +114,9 @@ impl Vulkan {
             greater,
             distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join },
             dual_mc: DualMc { signs, tiles, bases, emit },
-            tables: Tables::new(&device)?,
         };
         let shares_host_memory = device.shares_host_memory();
-        Ok(Self { device, kernels: Arc::new(kernels), shares_host_memory })
+        Ok(Self { device, kernels: Arc::new(kernels), kept: Arc::default(), shares_host_memory })
     }
 
     /// The device.
@@ -137,11 +125,16 @@ impl Vulkan {
         &self.device
     }
 
+    /// Gives back the memory that is kept for the next frame.
+    pub fn release(&self) {
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Kept::default();
+    }
+
     fn shares(&self, budget: MemoryBudget) -> Shares {
         let own = self.device.memory().unwrap_or(u64::MAX);
         if self.shares_host_memory {
             let total = own.min(budget.0 / 4);
-            let batch = (total / 2 / LANES as u64).min(LARGEST_BATCH);
+            let batch = (total / 2 / LANES as u64 / (HEADROOM + 1) * HEADROOM).min(LARGEST_BATCH);
             Shares { batch, resident: total / 2, host: total + DRIVER }
         } else {
             let batch = (own / 4 / LANES as u64).min(budget.0 / 8).min(LARGEST_BATCH);
@@ -162,8 +155,9 @@ impl Vulkan {
             warnings: Vec::new(),
             done: Work::default(),
         };
-        let (device, kernels) = (self.device.clone(), Arc::clone(&self.kernels));
-        DeviceFrame { device, kernels, state: Mutex::new(state) }
+        let (device, kernels, kept) =
+            (self.device.clone(), Arc::clone(&self.kernels), Arc::clone(&self.kept));
+        DeviceFrame { device, kernels, kept, state: Mutex::new(state) }
     }
 
     /// A frame whose particles and whose surface stay on the device.
@@ -187,7 +181,7 @@ impl ResidentFrame {
         loop {
             match self.0.indicate_resident(&mut state, bins, rule) {
                 Err(error @ VulkanError::OutOfMemory { .. }) if state.resident.is_some() => {
-                    state.recover(&error);
+                    self.0.recover(&mut state, &error);
                 }
                 done => return done,
             }
@@ -204,7 +198,7 @@ impl ResidentFrame {
         loop {
             match self.0.collect_batches(&mut state, surfaces, &regions) {
                 Err(error @ VulkanError::OutOfMemory { .. }) => {
-                    state.recover(&error);
+                    self.0.recover(&mut state, &error);
                     if state.on_cpu {
                         return Err(error);
                     }
@@ -218,6 +212,10 @@ impl ResidentFrame {
 impl Backend for Vulkan {
     fn name(&self) -> String {
         format!("Vulkan, {}", self.device.name())
+    }
+
+    fn device(&self) -> Option<&Device> {
+        Some(&self.device)
     }
 
     fn divides(&self) -> bool {
@@ -238,7 +236,78 @@ impl Backend for Vulkan {
 struct DeviceFrame {
     device: Device,
     kernels: Arc<Kernels>,
+    kept: Arc<Mutex<Kept>>,
     state: Mutex<State>,
+}
+
+impl DeviceFrame {
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes lanes that were kept, if they are not too large for this frame, or makes them.
+    fn make_lanes(&self, state: &mut State) -> Result<(), VulkanError> {
+        while state.lanes.len() < LANES {
+            let mut kept = self.kept();
+            // In their order: the first to be used has grown.
+            let known = (!kept.lanes.is_empty()).then(|| kept.lanes.remove(0));
+            drop(kept);
+            let fitting = known.filter(|lane| lane.bytes() <= 2 * state.batch_bytes);
+            let lane = fitting.map_or_else(|| Lane::new(&self.device), Ok)?;
+            state.lanes.push(lane);
+        }
+        Ok(())
+    }
+
+    /// Makes room for the pages of all bins, unless they are too many; pages of other bins are forgotten.
+    fn make_resident(&self, state: &mut State, keys: &[MortonKey], shape: PageShape) {
+        let count = keys.len();
+        let bytes = count as u64 * page_bytes(shape);
+        let known = state.resident.as_ref().is_some_and(|resident| {
+            resident.numbers.len() == count && resident.numbers.contains_key(&keys[0].coord())
+        });
+        if known {
+            return;
+        }
+        state.resident = None;
+        let most = state.resident_bytes.min(self.device.limits().storage_range);
+        if bytes <= most {
+            let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
+            let kept = self.kept().pages.take();
+            let fits = |pages: &Arc<Buffer>| (bytes..=most).contains(&pages.bytes());
+            let with_headroom = (bytes + bytes / HEADROOM).min(most);
+            let made = kept.filter(fits).map_or_else(|| self.device.buffer(Place::Device, with_headroom), Ok);
+            match made {
+                Ok(pages) => state.resident = Some(Resident { pages, numbers }),
+                Err(error) => state.warn(format!("{error}; the field is sent anew for every batch")),
+            }
+        }
+        // Only once: runs of bins that follow one another do not fit together.
+        state.resident_bytes = 0;
+    }
+
+    /// After a failure: smaller batches where memory is exhausted, the processor where that does not help.
+    fn recover(&self, state: &mut State, error: &VulkanError) {
+        state.lanes.clear();
+        *self.kept() = Kept::default();
+        state.recover(error);
+    }
+}
+
+impl Drop for DeviceFrame {
+    /// Keeps what the next frame can use.
+    fn drop(&mut self) {
+        let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
+        if state.on_cpu {
+            return;
+        }
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.lanes.append(&mut state.lanes);
+        kept.lanes.truncate(LANES);
+        if let Some(Resident { pages, .. }) = state.resident.take() {
+            kept.pages = Some(pages);
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -282,7 +351,7 @@ impl Stages for DeviceFrame {
             match outcome {
                 Ok(()) => {}
                 Err(Fault::Scratch(error)) => return Err(error),
-                Err(Fault::Device(error)) => state.recover(&error),
+                Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
         if pages.len() < range.len() {
@@ -301,7 +370,7 @@ impl Stages for DeviceFrame {
             let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], &mut meshes);
             state.done.regions += meshes.len() - begin;
             if let Err(error) = outcome {
-                state.recover(&error);
+                self.recover(&mut state, &error);
             }
         }
         let left = &regions[meshes.len()..];
@@ -332,9 +401,7 @@ impl From<VulkanError> for Fault {
 }
 
 impl State {
-    /// After a failure: smaller batches where memory is exhausted, the processor where that does not help.
     fn recover(&mut self, error: &VulkanError) {
-        self.lanes.clear();
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
         if exhausted && self.resident.take().is_some() {
             self.resident_bytes = 0;
@@ -351,35 +418,6 @@ impl State {
 
     fn warn(&mut self, warning: String) {
         self.warnings.push(warning);
-    }
-
-    fn make_lanes(&mut self, device: &Device) -> Result<(), VulkanError> {
-        while self.lanes.len() < LANES {
-            self.lanes.push(Lane::new(device)?);
-        }
-        Ok(())
-    }
-
-    /// Makes room for the pages of all `bins`, unless they are too many; pages of other bins are forgotten.
-    fn make_resident(&mut self, device: &Device, keys: &[MortonKey], shape: PageShape) {
-        let count = keys.len();
-        let bytes = count as u64 * page_bytes(shape);
-        let known = self.resident.as_ref().is_some_and(|resident| {
-            resident.numbers.len() == count && resident.numbers.contains_key(&keys[0].coord())
-        });
-        if known {
-            return;
-        }
-        self.resident = None;
-        if bytes <= self.resident_bytes.min(device.limits().storage_range) {
-            let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
-            match device.buffer(Place::Device, bytes) {
-                Ok(pages) => self.resident = Some(Resident { pages, numbers }),
-                Err(error) => self.warn(format!("{error}; the field is sent anew for every batch")),
-            }
-        }
-        // Only once: runs of bins that follow one another do not fit together.
-        self.resident_bytes = 0;
     }
 }
 

@@ -32,7 +32,8 @@ use crate::identity::refuse_same_file;
 use crate::interrupt;
 use crate::method::MethodName;
 use crate::report::{
-    LeftOut, advice, merged, report_calibration, report_laps, report_lattice, report_simplified, warnings,
+    LeftOut, advice, merged, report_calibration, report_device, report_laps, report_lattice,
+    report_simplified, warnings,
 };
 use crate::run::{Notes, RunOptions, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
@@ -408,6 +409,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
 
     let mut laps = Laps::default();
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
+    let backend = Arc::clone(&resources.backend);
     let made = options.frame(input, (&request, &surfacing), format, resources, &mut laps, &notes)?;
     let Some(frame) = made else { return Ok(Verdict::Good) };
     report_lattice(&frame, &notes);
@@ -447,6 +449,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         laps.total(),
     ));
     report_laps(&laps, &notes);
+    report_device(&*backend, 1, &notes);
     if options.stats.is_some() {
         let iso = measured.and_then(|measured| measured.calibration.iso());
         let mut record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);

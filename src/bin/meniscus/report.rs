@@ -3,6 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use bytesize::ByteSize;
+use meniscus::backend::Backend;
 use meniscus::brick::{Census, FrameFacts};
 use meniscus::calibration::{Calibrated, ON_CORNERS, Plateau};
 use meniscus::error::Error;
@@ -14,6 +16,7 @@ use meniscus::mesh::source::MeshSource;
 use meniscus::simplify::{Reduction, Simplified};
 use meniscus::stage::indicator::IndicatorKind;
 use meniscus::units::{FULL, Isovalue, shown};
+use meniscus::vulkan::{Counters, Timing};
 
 use crate::method::MethodName;
 use crate::reconstruct::{IsoOption, Options};
@@ -199,6 +202,24 @@ pub fn advice(options: &Options, is_cloud: bool, frame: Option<u64>) -> String {
         advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
     }
     advice + "; is their --spacing right?"
+}
+
+/// Says what a device was asked to do for so many frames, and how long it took for each stage.
+pub fn report_device(backend: &dyn Backend, frames: usize, notes: &Notes) {
+    let Some(device) = backend.device() else { return };
+    let Counters { submissions, allocations, sent, received } = device.counters();
+    let each = |count: u64| count as f64 / frames.max(1) as f64;
+    notes.detail(format!(
+        "{}, a frame: {:.1} submissions, {:.1} buffers made, {} sent, {} received",
+        device.name(),
+        each(submissions),
+        each(allocations),
+        ByteSize(each(sent) as u64),
+        ByteSize(each(received) as u64),
+    ));
+    for Timing { stage, seconds, .. } in device.take_timings() {
+        notes.detail(format!("  {stage:<20} {:>9.1} ms", seconds * 1e3 / frames.max(1) as f64));
+    }
 }
 
 /// Says what every stage took.

@@ -59,7 +59,7 @@ pub fn along_each_axis(
         push.shift = shift(axis);
         push.margin[axis] += reach;
         let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
-        batch.dispatch(kernel, &buffers, &push, blocks.groups())?;
+        batch.dispatch(kernel, &buffers, &push, blocks.run_groups())?;
     }
     Ok(())
 }

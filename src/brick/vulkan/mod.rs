@@ -31,6 +31,10 @@ pub fn page_words(shape: PageShape) -> u32 {
 
 /// Threads of a work group.
 const GROUP: u32 = 256;
+/// Work groups of a row that every device allows.
+pub const GROUP_ROW: u32 = 1 << 15;
+/// Words along an axis that a thread of a separable operation makes.
+pub const RUN: u32 = 4;
 
 /// A padded block, as `block.wgsl` has it.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
@@ -89,6 +93,13 @@ impl DeviceBlock {
     pub fn words(&self) -> u32 {
         self.size.iter().product::<u32>() / 2
     }
+
+    /// Runs of words along an axis that it is cut into, along whichever these are most.
+    fn runs(&self) -> u32 {
+        let [x, y, z] = [self.size[0] / 2, self.size[1], self.size[2]];
+        let along = |axis: u32, others: u32| axis.div_ceil(RUN) * others;
+        along(x, y * z).max(along(y, x * z)).max(along(z, x * y))
+    }
 }
 
 /// The blocks of a batch.
@@ -100,11 +111,32 @@ pub struct DeviceBlocks {
     pub count: u32,
     /// Words of the largest.
     pub largest: u32,
+    /// Threads that make all of a block along any axis, at the most.
+    pub runs: u32,
     /// Words of all together.
     pub words: u32,
 }
 
 impl DeviceBlocks {
+    /// Of blocks that lie at `view` on the device.
+    #[must_use]
+    pub fn new(view: View, blocks: &[DeviceBlock]) -> Self {
+        let most = |of: fn(&DeviceBlock) -> u32| blocks.iter().map(of).max().unwrap_or(0);
+        Self {
+            blocks: view,
+            count: blocks.len() as u32,
+            largest: most(DeviceBlock::words),
+            runs: most(DeviceBlock::runs),
+            words: blocks.iter().map(DeviceBlock::words).sum(),
+        }
+    }
+
+    /// Work groups for a thread a run of every block.
+    #[must_use]
+    pub fn run_groups(&self) -> [u32; 3] {
+        [self.runs.div_ceil(GROUP), self.count, 1]
+    }
+
     /// Work groups for a thread a word of every block.
     #[must_use]
     pub fn groups(&self) -> [u32; 3] {
@@ -121,7 +153,7 @@ impl DeviceBlocks {
 /// Work groups for so many threads, in rows that every device allows.
 fn flat_groups(threads: u32) -> [u32; 3] {
     let groups = threads.div_ceil(GROUP);
-    let width = groups.clamp(1, 1 << 15);
+    let width = groups.clamp(1, GROUP_ROW);
     [width, groups.div_ceil(width), 1]
 }
 
@@ -177,7 +209,7 @@ pub fn gather(
     let push = GatherPush { decode, brick_bits: brick.ilog2(), rim, page_words };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
-    batch.dispatch(kernel, &buffers, &push, blocks.groups())
+    batch.dispatch(kernel, &buffers, &push, blocks.run_groups())
 }
 
 /// The cells within walls as kernels take them: the lowest and the highest; without walls, farther than any cell.

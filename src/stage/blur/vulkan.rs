@@ -12,7 +12,7 @@ use super::Kernel;
 pub const BLUR: Program = Program {
     name: "blur",
     code: include_bytes!("../../../spirv/blur.spv"),
-    buffers: &["blocks", "samples", "blurred", "half_kernel"],
+    buffers: &["blocks", "samples", "filtered", "half_kernel"],
     push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };

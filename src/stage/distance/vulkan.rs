@@ -115,7 +115,7 @@ pub const OUTLYING: Program = Program {
 pub const SPREAD: Program = Program {
     name: "spread",
     code: include_bytes!("../../../spirv/spread.spv"),
-    buffers: &["blocks", "samples", "greatest"],
+    buffers: &["blocks", "samples", "filtered"],
     push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -345,7 +345,7 @@ pub fn refine(
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let push = RefinePush { walls_lo, level, walls_hi };
     let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
-    batch.dispatch(&kernels.refine, &views, &push, blocks.groups())
+    batch.dispatch(&kernels.refine, &views, &push, blocks.run_groups())
 }
 
 /// Makes shares of clouds in what is around them.

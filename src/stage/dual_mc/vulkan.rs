@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
-use crate::grid::{BLOCK, BLOCK_TILES, CellBox, TILE};
+use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, wall_bounds};
+use crate::grid::{BLOCK, CellBox, TILE};
 use crate::mesh::Tile;
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
@@ -30,6 +30,8 @@ push_block! {
     /// Of [`BASES`].
     struct BasesPush {
         blocks: u32,
+        room: u32,
+        width: u32,
     }
 }
 
@@ -37,7 +39,7 @@ push_block! {
     /// Of [`EMIT`].
     struct EmitPush {
         walls_lo: [i32; 3],
-        room: u32,
+        blocks: u32,
         walls_hi: [i32; 3],
         normals: u32,
     }
@@ -61,11 +63,11 @@ pub const TILES: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Where each block begins.
+/// Where each block begins, and how many work groups write all of them.
 pub const BASES: Program = Program {
     name: "bases",
     code: include_bytes!("../../../spirv/bases.spv"),
-    buffers: &["tallies"],
+    buffers: &["tallies", "groups"],
     push: BasesPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -138,10 +140,12 @@ pub struct Outputs {
     pub signs: View,
     /// Triangles by case.
     pub lengths: View,
-    /// [`BLOCK_TILES`] of [`Slot`] a block.
+    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) of [`Slot`] a block.
     pub slots: View,
     /// A [`Tally`] for each block, and one for the totals.
     pub tallies: View,
+    /// Work groups that write tiles: 12 bytes.
+    pub groups: View,
     /// A [`Tile`] each, as many as there can be.
     pub tiles: View,
     /// For every vertex the field at the lower and the upper end of its edge.
@@ -178,7 +182,7 @@ pub fn contour(
     outputs: &Outputs,
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
-    let Outputs { signs, lengths, slots, tallies, tiles, ends, falls, room } = outputs;
+    let Outputs { signs, lengths, slots, tallies, groups, tiles, ends, falls, room } = outputs;
     let all = |views: &[&View]| views.iter().copied().cloned().collect::<Vec<_>>();
     batch.dispatch(
         &kernels.signs,
@@ -192,11 +196,12 @@ pub fn contour(
         &(),
         [blocks.count, 1, 1],
     )?;
-    batch.dispatch(&kernels.bases, &all(&[tallies]), &BasesPush { blocks: blocks.count }, [1, 1, 1])?;
-    batch.dispatch(
+    let push = BasesPush { blocks: blocks.count, room: *room, width: GROUP_ROW };
+    batch.dispatch(&kernels.bases, &all(&[tallies, groups]), &push, [1, 1, 1])?;
+    batch.dispatch_as(
         &kernels.emit,
         &all(&[&blocks.blocks, field, signs, slots, tallies, tiles, ends, falls]),
-        &EmitPush { walls_lo, room: *room, walls_hi, normals: normals.into() },
-        [BLOCK_TILES, blocks.count, 1],
+        &EmitPush { walls_lo, blocks: blocks.count, walls_hi, normals: normals.into() },
+        groups,
     )
 }

@@ -19,6 +19,7 @@ use meniscus::sequence::state::{State, Store};
 use crate::Verdict;
 use crate::lanes::{Division, Gate};
 use crate::progress::{Progress, ProgressMode};
+use crate::report::report_device;
 use crate::run::Notes;
 
 use super::one_frame::{Done, Filled};
@@ -188,6 +189,7 @@ impl<'a> Conversion<'a> {
         });
         progress.finish();
         converted?;
+        report_device(&*self.setup.resources.backend, tally.done, &tally.notes);
         tally.finish(&self.setup.frames()?)
     }
 
