@@ -2,6 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
+#[path = "../tools/shaders/compile.rs"]
+#[allow(dead_code, reason = "others compare binaries")]
+mod compile;
 #[path = "../tools/examples/resident.rs"]
 mod example;
 
@@ -122,6 +125,23 @@ fn a_resident_frame_of_many_bins_has_the_mu0_and_the_plateau_of_the_cpu() {
         let surface = pipeline.surface(&input, &settings(&sampling, &surfacing())).unwrap();
         assert!(read(&device, &surface) == rounded(&expected.mesh), "{indicator:?}");
     }
+}
+
+#[test]
+fn shaders_that_check_every_index_give_the_same_mesh() {
+    let options = DeviceOptions { binaries: compile::checked().unwrap(), ..DeviceOptions::default() };
+    let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
+    let particles = splashes(31);
+    for indicator in INDICATORS {
+        let sampling = Sampling { field: indicator.into(), ..sampling() };
+        let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
+        let pipeline = Pipeline::new(&device).unwrap();
+        let input = [positions(&device, &particles)];
+        let surface = pipeline.surface(&input, &settings(&sampling, &surfacing())).unwrap();
+        assert!(read(&device, &surface) == rounded(&expected.mesh), "{indicator:?}");
+    }
+    drop(device);
+    assert_eq!(log.messages(), [""; 0]);
 }
 
 #[test]

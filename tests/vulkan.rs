@@ -2,6 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
+#[path = "../tools/shaders/compile.rs"]
+#[allow(dead_code, reason = "others compare binaries")]
+mod compile;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,6 +24,7 @@ use meniscus::grid::{CellBox, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
 use meniscus::mesh::Mesh;
+use meniscus::programs::PROGRAMS;
 use meniscus::recipe::{PaperFilters, Recipe};
 use meniscus::stage::blur::{self, Kernel};
 use meniscus::stage::indicator::{IndicatorKind, PageRule};
@@ -205,6 +209,18 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
         // A quarter of it is the device's, half of that for batches.
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
+    });
+}
+
+#[test]
+fn shaders_that_check_every_index_give_the_same_bytes() {
+    let particles = splashes(23);
+    let binaries = compile::checked().unwrap();
+    let differ = PROGRAMS.iter().filter(|program| binaries[program.name] != program.code).count();
+    assert!(differ > PROGRAMS.len() / 2, "{differ} programs check anything");
+    validated_with(&DeviceOptions { binaries, ..DeviceOptions::default() }, |device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "with checks");
     });
 }
 

@@ -1,5 +1,6 @@
 //! An open device: its queues, its memory, its pipeline cache.
 
+use std::collections::HashMap;
 use std::fmt;
 use std::fs;
 use std::io::Write;
@@ -31,6 +32,8 @@ pub struct DeviceOptions {
     pub queues: Queues,
     /// Whether its memory is taken to be the host's; by the kind of device where it is `None`.
     pub shares_host_memory: Option<bool>,
+    /// SPIR-V that stands in for that of some programs, by their names: of the same sources, compiled otherwise.
+    pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 
 /// The queues of a device that are used.
@@ -138,6 +141,7 @@ pub(super) struct Shared {
     lost: AtomicBool,
     timings: Mutex<Vec<Timing>>,
     pub(super) counters: AtomicCounters,
+    pub(super) binaries: HashMap<&'static str, Vec<u8>>,
 }
 
 pub(super) struct QueueState {
@@ -306,6 +310,7 @@ impl Device {
             lost: AtomicBool::new(false),
             timings: Mutex::default(),
             counters: AtomicCounters::default(),
+            binaries: options.binaries.clone(),
         };
         shared.pipeline_cache = shared.load_cache()?;
         for (family, queue) in queues {

@@ -109,7 +109,8 @@ impl Device {
         let push = [vk::PushConstantRange::default()
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
             .size(program.push_bytes())];
-        let code = read_spv(&mut std::io::Cursor::new(program.code)).expect("the build holds whole SPIR-V");
+        let binary = self.shared.binaries.get(program.name).map_or(program.code, Vec::as_slice);
+        let code = read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
         // From here on what is made is dropped with `kernel` if a later step fails.
         let mut kernel = Kernel {
             device: Arc::clone(&self.shared),

@@ -1,12 +1,14 @@
 //! From the shaders' sources to their binaries: what the command does, and what tests compare with.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use meniscus::programs::{PROGRAMS, constants};
+use meniscus::vulkan::Program;
 use naga::Module;
 use naga::back::spv;
+use naga::proc::{BoundsCheckPolicies, BoundsCheckPolicy};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use rspirv::binary::Assemble;
 use rspirv::dr::{Instruction, Operand};
@@ -70,6 +72,19 @@ pub fn parsed(name: &str, source: &str) -> Result<Module, Fault> {
 
 /// A whole source as SPIR-V.
 pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
+    compiled_with(name, source, BoundsCheckPolicy::Unchecked)
+}
+
+/// All programs with checks of every index into a buffer or an array: those beyond the end are the last.
+pub fn checked() -> Result<HashMap<&'static str, Vec<u8>>, Fault> {
+    let binary = |program: &&Program| {
+        let checks = BoundsCheckPolicy::Restrict;
+        Ok((program.name, compiled_with(program.name, &source(program.name)?, checks)?))
+    };
+    PROGRAMS.iter().map(binary).collect()
+}
+
+fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<Vec<u8>, Fault> {
     let mut module = parsed(name, source)?;
     naga::compact::compact(&mut module, naga::compact::KeepUnused::No);
     let info = Validator::new(ValidationFlags::all(), Capabilities::IMMEDIATES)
@@ -81,6 +96,7 @@ pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
         zero_initialize_workgroup_memory: spv::ZeroInitializeWorkgroupMemoryMode::None,
         use_storage_input_output_16: false,
         force_loop_bounding: false,
+        bounds_check_policies: BoundsCheckPolicies { index: checks, buffer: checks, ..Default::default() },
         ..spv::Options::default()
     };
     let words = spv::write_vec(&module, &info, &options, None)?;
