@@ -13,7 +13,7 @@ use crate::stage::indicator::vulkan::{BinEntry, indicate};
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
 use super::lane::{Lane, Layout, fly, part};
-use super::{BIN_BATCH, DeviceFrame, Fault, State, page_bytes};
+use super::{BIN_BATCH, DeviceFrame, Fault, PARTICLE_BATCH, State, page_bytes};
 
 /// Bins on their way through a lane.
 struct BinBatch {
@@ -125,9 +125,7 @@ impl DeviceFrame {
         self.make_lanes(state)?;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
-            run.clone()
-                .step_by(BIN_BATCH)
-                .map(move |begin| (begin..run.end.min(begin + BIN_BATCH), run.start, records))
+            bins.parts(run.clone(), BIN_BATCH, PARTICLE_BATCH).map(move |part| (part, run.start, records))
         });
         let mut pages = Pages::with_capacity(bins.keys.len());
         fly(
@@ -190,9 +188,11 @@ pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
 fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;
+    let mut particles = 0;
     while end < range.end && end - range.start < BIN_BATCH {
         bytes += bin_bytes(bins.count(end), shape);
-        if end > range.start && bytes > room {
+        particles += bins.count(end);
+        if end > range.start && (bytes > room || particles > PARTICLE_BATCH) {
             break;
         }
         end += 1;

@@ -43,6 +43,8 @@ use lane::{HEADROOM, Lane};
 const LANES: usize = 2;
 /// Bins and blocks of a batch at the most.
 const BIN_BATCH: usize = 4096;
+/// Particles of a batch of several bins at the most: drivers give up on a device that is at work for some two seconds on end.
+const PARTICLE_BATCH: usize = 4 << 20;
 const BLOCK_BATCH: usize = 1024;
 /// Bytes of a batch at the most, and at which the processor takes over.
 const LARGEST_BATCH: u64 = 128 << 20;

@@ -17,7 +17,7 @@ use crate::identity::refuse_same_file;
 use crate::interrupt;
 use crate::reconstruct::is_frame;
 use crate::report::{LeftOut, report_laps, report_lattice, warnings};
-use crate::run::{RunOptions, unpacking};
+use crate::run::{RunOptions, bytes_of, unpacking};
 use crate::sampling::SamplingOptions;
 
 #[derive(Args)]
@@ -40,7 +40,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     if !is_frame(&options.output) {
         return Err(Error::Request(format!("{}: packed frames are .mnf files", options.output.display())));
     }
-    let resources = options.run.resources(&options.output)?;
+    let resources = options.run.resources(&options.output, || bytes_of([options.input.as_path()]))?;
     refuse_same_file(&options.input, &options.output)?;
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let prepare = || WholeFile::prepare(&options.output, replace);

@@ -35,7 +35,7 @@ use crate::report::{
     LeftOut, advice, merged, report_calibration, report_device, report_laps, report_lattice,
     report_simplified, warnings,
 };
-use crate::run::{Notes, RunOptions, unpacking};
+use crate::run::{Notes, RunOptions, bytes_of, unpacking};
 use crate::sampling::{SamplingOptions, SamplingRequest};
 use crate::sequence::{self, SequenceOptions};
 use crate::up::{Orientation, UpOptions};
@@ -205,8 +205,12 @@ impl Options {
     }
 
     /// What a frame may take of the machine. Kernel methods run on the processor.
-    pub fn resources(&self, output: &Path) -> Result<Resources, Error> {
-        let resources = self.run.resources(output)?;
+    pub fn resources(
+        &self,
+        output: &Path,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Resources, Error> {
+        let resources = self.run.resources(output, input_bytes)?;
         Ok(match self.method {
             MethodName::Dif => resources,
             _ => Resources { backend: Arc::new(Cpu), ..resources },
@@ -391,7 +395,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     if is_frame(input) {
         options.validate_frame_input(input)?;
     }
-    let resources = options.resources(&options.output)?;
+    let resources = options.resources(&options.output, || bytes_of([input]))?;
     options.validate_memory(&reduction, &resources)?;
     refuse_same_file(file_and_step(input).0, &options.output)?;
     if let Some(stats) = &options.stats {

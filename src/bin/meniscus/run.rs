@@ -15,6 +15,10 @@ use meniscus::memory::default_budget;
 use meniscus::units::MemoryBudget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
 
+/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
+/// compile kernels, or find them in its cache: a million particles.
+const SMALL: u64 = 12_000_000;
+
 /// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
 const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 /// More than any machine has cores, and few enough to start.
@@ -61,8 +65,12 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Starts the threads, and says what a frame may take.
-    pub fn resources(&self, output: &Path) -> Result<Resources, Error> {
+    /// Starts the threads, and says what a frame may take, for inputs of as many bytes as is told where it matters, if that is known.
+    pub fn resources(
+        &self,
+        output: &Path,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Resources, Error> {
         if self.threads.is_some_and(|threads| !(1..=MOST_THREADS).contains(&threads)) {
             return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
         }
@@ -77,7 +85,7 @@ impl RunOptions {
         }
         let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty());
         let scratch = self.scratch.as_deref().or(beside).unwrap_or(Path::new("."));
-        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend(budget)? })
+        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend(budget, input_bytes)? })
     }
 
     /// Whether a device was asked for.
@@ -85,11 +93,15 @@ impl RunOptions {
         matches!(self.backend, BackendName::Vulkan)
     }
 
-    fn backend(&self, budget: MemoryBudget) -> Result<Arc<dyn Backend>, Error> {
+    fn backend(
+        &self,
+        budget: MemoryBudget,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Arc<dyn Backend>, Error> {
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
             (BackendName::Cpu, None) => Ok(Arc::new(Cpu)),
-            (BackendName::Auto, None) => Ok(self.fast_device(budget).map_or_else(
+            (BackendName::Auto, None) => Ok(self.fast_device(budget, input_bytes).map_or_else(
                 |why| {
                     self.notes().detail(format!("on the CPU: {why}"));
                     Arc::new(Cpu) as Arc<dyn Backend>
@@ -105,12 +117,19 @@ impl RunOptions {
     }
 
     /// A device that is worth while without being asked for, or why there is none.
-    fn fast_device(&self, budget: MemoryBudget) -> Result<Vulkan, String> {
+    fn fast_device(
+        &self,
+        budget: MemoryBudget,
+        input_bytes: impl FnOnce() -> Option<u64>,
+    ) -> Result<Vulkan, String> {
         if budget < DRIVERS {
             return Err(format!("drivers of GPUs may need {}, and --memory is less", ByteSize(DRIVERS.0)));
         }
         if !may_have_gpu() {
             return Err("there is no GPU".into());
+        }
+        if let Some(bytes) = input_bytes().filter(|&bytes| bytes < SMALL) {
+            return Err(format!("{} of particles are done before a GPU is ready", ByteSize(bytes)));
         }
         let text = |error: VulkanError| error.to_string();
         let instance = Instance::connect(false).map_err(text)?;
@@ -136,6 +155,11 @@ fn opened(instance: &Arc<Instance>, info: &DeviceInfo) -> Result<Vulkan, VulkanE
         DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
     let choice = DeviceChoice::Named(info.index.to_string());
     Vulkan::new(Device::open(instance, &choice, &options)?)
+}
+
+/// Bytes of some files, if all of them are there.
+pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
+    files.into_iter().map(|file| Some(std::fs::metadata(file).ok()?.len())).sum()
 }
 
 /// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.

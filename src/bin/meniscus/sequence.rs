@@ -8,7 +8,7 @@ mod options;
 mod tally;
 mod watch;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write;
 use std::path::Path;
 use std::sync::OnceLock;
@@ -35,7 +35,7 @@ use crate::identity::{Identity, two_purposes};
 use crate::interrupt;
 use crate::lanes::Division;
 use crate::reconstruct::{Options, is_frame};
-use crate::run::Notes;
+use crate::run::{Notes, bytes_of};
 use crate::sampling::SamplingRequest;
 use crate::up::Orientation;
 
@@ -74,7 +74,7 @@ pub fn run(options: &Options, inputs: &Inputs, naming: &Naming) -> Result<Verdic
         // Says which there are.
         inputs.list()?;
     }
-    let resources = options.resources(&naming.folder().join("frame"))?;
+    let resources = options.resources(&naming.folder().join("frame"), || input_bytes(options, &sequences))?;
     let mut verdict = Verdict::Good;
     for inputs in &sequences {
         let setup = Setup {
@@ -101,6 +101,19 @@ pub fn run(options: &Options, inputs: &Inputs, naming: &Naming) -> Result<Verdic
         }
     }
     Ok(verdict)
+}
+
+/// Bytes of all frames that are wanted, unless more are waited for.
+fn input_bytes(options: &Options, sequences: &[Inputs]) -> Option<u64> {
+    if options.sequence.watch.is_some() {
+        return None;
+    }
+    let mut frames = Vec::new();
+    for inputs in sequences {
+        frames.extend(inputs.list().ok()?.into_iter().filter(|frame| options.sequence.wants(frame.number)));
+    }
+    let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
+    bytes_of(files)
 }
 
 /// Whether the outputs of each sequence have names of their own.

@@ -35,6 +35,8 @@ pub const NO_BIN: u32 = u32::MAX;
 /// The place of a slot whose bin is of another run.
 pub const ELSEWHERE: u32 = u32::MAX;
 const RECORD_BYTES: u64 = 8;
+/// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000 times as many as are of use.
+const MOST_IN_BIN: u64 = 1 << 24;
 
 push_block! {
     /// Of [`PLACE`].
@@ -174,6 +176,27 @@ pub struct DeviceBins {
     /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a kernel can see
     /// them all at once.
     pub runs: Vec<BinRun>,
+}
+
+impl DeviceBins {
+    /// Cuts a run of bins into parts of at most so many bins, and of so many particles unless one bin has more.
+    pub fn parts(
+        &self,
+        run: Range<usize>,
+        bins: usize,
+        particles: usize,
+    ) -> impl Iterator<Item = Range<usize>> + '_ {
+        let mut begin = run.start;
+        std::iter::from_fn(move || {
+            let fits = |end: &usize| self.first[*end] - self.first[begin] <= particles;
+            let last = (begin + 1..=run.end.min(begin + bins)).take_while(fits).last();
+            let part = begin..last.unwrap_or(begin + 1);
+            (begin < run.end).then(|| {
+                begin = part.end;
+                part
+            })
+        })
+    }
 }
 
 /// Why particles were not binned on the device.
