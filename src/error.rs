@@ -92,7 +92,8 @@ impl Error {
                     | FrameError::NoSpacing
                     | FrameError::Kernels(_)
                     | FrameError::TooFine(_)
-                    | FrameError::TooManyVertices,
+                    | FrameError::TooManyVertices
+                    | FrameError::NoSpace { .. },
                 ..
             } => Cause::Request,
             Self::Frame { fault: FrameError::NoRoom { .. } | FrameError::Scratch { .. }, .. } => {

@@ -552,7 +552,7 @@ fn stitched(
     let kernels = StitchKernels::new(device).unwrap();
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
-    stitch(device, &mut batch, &kernels, &layout, iso, &buffers).unwrap();
+    stitch(device, (&mut batch, &[]), &kernels, &layout, iso, &buffers).unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     (download(device, &positions, vertices), download(device, &indices, triangles))

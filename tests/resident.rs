@@ -12,7 +12,7 @@ use common::scene::Random;
 use common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::frame::resident::{Pipeline, ResidentSurface, Settings};
+use meniscus::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
 use meniscus::frame::{FrameError, Sampling, Surfacing};
 use meniscus::mesh::Mesh;
 use meniscus::recipe::Detail;
@@ -34,7 +34,7 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     batch.begin().unwrap();
     let [vertices, indices] = [&surface.positions, &surface.indices].map(|buffer| {
         let read = device.buffer(Place::Download, buffer.bytes()).unwrap().whole();
-        batch.copy(&buffer.whole(), &read);
+        batch.copy(buffer, &read);
         read
     });
     batch.submit(&[]).unwrap();
@@ -142,6 +142,64 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     }
     drop(device);
     assert_eq!(log.messages(), [""; 0]);
+}
+
+/// A device with more than the default, if there is such.
+fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
+    match device::open(options) {
+        Err(VulkanError::Unfit { device, lacks }) => device::skip(format!("{device}: {lacks}")),
+        Err(why) => device::skip(why),
+        Ok(opened) => return Some(opened),
+    }
+    None
+}
+
+#[test]
+#[cfg(unix)]
+fn another_device_sees_the_surface_in_exported_memory() {
+    let options = DeviceOptions { exports: true, addresses: true, ..DeviceOptions::default() };
+    let (Some((device, log)), Some((other, other_log))) = (open_with(&options), open_with(&options)) else {
+        return;
+    };
+    assert_eq!(device.uuid(), other.uuid());
+    let particles = splashes(47);
+    let (_, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
+    let pipeline = Pipeline::new(&device).unwrap();
+    let input = [positions(&device, &particles)];
+    let settings = settings(&sampling(), &surfacing());
+    let between = |exchange: &Exchange<'_>| {
+        // SAFETY: there is no semaphore.
+        unsafe { pipeline.surface_between(&input, &settings, exchange) }
+    };
+    let small = [1, 2].map(|_| device.buffer(Place::Device, 4).unwrap().whole());
+    let refused = between(&Exchange { into: Some(small.each_ref()), ..Exchange::default() });
+    let Err(FrameError::NoSpace { vertices, triangles }) = refused else { panic!("{refused:?}") };
+    let rows = [vertices, triangles].map(|rows| 12 * u64::from(rows));
+    let exported = rows.map(|bytes| device.exported_buffer(bytes).unwrap());
+    let into = exported.each_ref().map(|buffer| buffer.whole());
+    let mut surface = between(&Exchange { into: Some(into.each_ref()), ..Exchange::default() }).unwrap();
+    surface.wait().unwrap();
+    let address = surface.positions.address().unwrap();
+    assert!(address != 0 && surface.indices.address().unwrap() != address);
+    let imported = [0, 1].map(|i: usize| {
+        let memory = exported[i].export().unwrap();
+        other.imported_buffer(memory, rows[i]).unwrap().whole()
+    });
+    let mut batch = other.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    let read = imported.each_ref().map(|view| {
+        let read = other.buffer(Place::Download, view.bytes()).unwrap().whole();
+        batch.copy(view, &read);
+        read
+    });
+    batch.submit(&[]).unwrap();
+    batch.wait().unwrap();
+    let found = (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize));
+    assert!(found == rounded(&expected.mesh));
+    drop((surface, into, small, exported, pipeline, input, device));
+    drop((imported, read, batch, other));
+    assert_eq!(log.messages(), [""; 0]);
+    assert_eq!(other_log.messages(), [""; 0]);
 }
 
 #[test]

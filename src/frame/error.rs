@@ -82,6 +82,14 @@ pub enum FrameError {
     /// A mesh on a device has vertices that 32 bits cannot number.
     #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
     TooManyVertices,
+    /// A caller's buffers cannot hold a surface.
+    #[error("the surface has {vertices} vertices and {triangles} triangles, more than its buffers hold")]
+    NoSpace {
+        /// Three f32 each.
+        vertices: u32,
+        /// Three u32 each.
+        triangles: u32,
+    },
     /// A device that keeps the particles and the mesh failed, or has not enough memory.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),

@@ -9,8 +9,6 @@
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::foreign_buffer`]: crate::vulkan::Device::foreign_buffer
 
-use std::sync::Arc;
-
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles, Pages};
@@ -20,7 +18,7 @@ use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{IndicatorRequest, PageRule, SampledDif};
 use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use crate::units::Isovalue;
-use crate::vulkan::{Buffer, Device, Place, Queue, View, VulkanError};
+use crate::vulkan::{Batch, Device, Moment, Place, Queue, View, VulkanError};
 
 use super::{FrameError, Surfacing};
 
@@ -44,15 +42,27 @@ pub struct Settings {
     pub surfacing: Surfacing,
 }
 
-/// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live as long as this.
+/// What a call waits for and tells on the device, and where the surface goes. By default nothing, and buffers of its own.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Exchange<'a> {
+    /// When the positions are there.
+    pub wait: &'a [Moment],
+    /// What is told when the surface is there: the call does not wait for that. After an error nothing is.
+    pub signal: &'a [Moment],
+    /// Buffers for positions and indices, of the device that the pipeline is of.
+    pub into: Option<[&'a View; 2]>,
+}
+
+/// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live as long as this, which when it is
+/// dropped waits until they are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// Three f32 a vertex.
-    pub positions: Arc<Buffer>,
+    pub positions: View,
     /// How many vertices there are.
     pub vertices: u32,
     /// Three u32 a triangle, counter-clockwise seen from outside of the fluid.
-    pub indices: Arc<Buffer>,
+    pub indices: View,
     /// How many triangles there are.
     pub triangles: u32,
     /// Where the surface is in the field: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
@@ -61,6 +71,18 @@ pub struct ResidentSurface {
     pub plateau: Plateau,
     /// What became of the particles.
     pub census: Census,
+    /// The last work on it.
+    work: Batch,
+}
+
+impl ResidentSurface {
+    /// Waits until its buffers are written.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn wait(&mut self) -> Result<(), VulkanError> {
+        self.work.wait()
+    }
 }
 
 /// All kernels from positions to a mesh, compiled once for all frames.
@@ -78,11 +100,16 @@ impl Pipeline {
     /// # Errors
     /// [`VulkanError`] where the driver refuses a kernel.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
+        let mut batch = device.batch(Queue::Compute)?;
+        batch.begin()?;
+        let table = batch.store(&table())?;
+        batch.submit(&[])?;
+        batch.wait()?;
         Ok(Self {
             vulkan: Vulkan::new(device.clone())?,
             bin: BinKernels::new(device)?,
             stitch: StitchKernels::new(device)?,
-            table: device.uploaded(&table())?,
+            table,
         })
     }
 
@@ -102,6 +129,36 @@ impl Pipeline {
         positions: &[DevicePositions],
         settings: &Settings,
     ) -> Result<ResidentSurface, FrameError> {
+        // SAFETY: there is no semaphore.
+        let mut surface = unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
+        surface.wait()?;
+        Ok(surface)
+    }
+
+    /// The same in the course of what else the device does: on the device it waits for the positions, and tells when the surface is
+    /// there. The host waits meanwhile for what it has to know to go on, but not for the end.
+    ///
+    /// # Errors
+    /// [`FrameError`]; [`FrameError::NoSpace`] where the caller's buffers are too small, and says what is needed.
+    ///
+    /// # Panics
+    /// If the caller's buffers are of another device.
+    ///
+    /// # Safety
+    /// The semaphores are the device's, and alive until the device has passed them. What is waited for is submitted already.
+    pub unsafe fn surface_between(
+        &self,
+        positions: &[DevicePositions],
+        settings: &Settings,
+        exchange: &Exchange<'_>,
+    ) -> Result<ResidentSurface, FrameError> {
+        let mut work = self.vulkan.device().batch(Queue::Compute)?;
+        if !exchange.wait.is_empty() {
+            work.begin()?;
+            // All that follows on the queue comes after it.
+            // SAFETY: the caller vouches for the semaphores.
+            unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
+        }
         let &Settings { grid, domain, indicator, invalid, spacing, surfacing } = settings;
         let device = self.vulkan.device();
         let bins = bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)?;
@@ -126,32 +183,43 @@ impl Pipeline {
 
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
         let written = parts.written().to_vec();
-        let rows = |count: u32| device.buffer(Place::Device, ROW * u64::from(count));
-        let (positions, indices) = (rows(layout.vertices())?, rows(layout.triangles())?);
+        let (vertices, triangles) = (layout.vertices(), layout.triangles());
+        let [position_bytes, index_bytes] = [vertices, triangles].map(|rows| ROW * u64::from(rows));
+        let [positions, indices] = match exchange.into {
+            None => [
+                device.buffer(Place::Device, position_bytes)?.whole(),
+                device.buffer(Place::Device, index_bytes)?.whole(),
+            ],
+            Some([positions, indices]) => {
+                if positions.bytes() < position_bytes || indices.bytes() < index_bytes {
+                    return Err(FrameError::NoSpace { vertices, triangles });
+                }
+                [positions.part(0, position_bytes), indices.part(0, index_bytes)]
+            }
+        };
+        work.begin()?;
         let buffers = StitchBuffers {
-            grid: device.uploaded(&[DeviceGrid::new(&grid, domain.as_ref())])?,
-            blocks: device.uploaded(layout.blocks())?,
+            grid: work.store(&[DeviceGrid::new(&grid, domain.as_ref())])?,
+            blocks: work.store(layout.blocks())?,
             tiles: parts.tiles,
             ends: parts.ends,
             table: self.table.clone(),
             begins: device.buffer(Place::Device, 8 * u64::from(layout.tiles()))?.whole(),
-            positions: positions.whole(),
-            indices: indices.whole(),
+            positions: positions.clone(),
+            indices: indices.clone(),
         };
-        let mut batch = device.batch(Queue::Compute)?;
-        batch.begin()?;
-        batch.stage("stitch", positions.bytes() + indices.bytes());
-        stitch(device, &mut batch, &self.stitch, &layout, recipe.iso, &buffers)?;
-        batch.submit(&written)?;
-        batch.wait()?;
+        stitch(device, (&mut work, &written), &self.stitch, &layout, recipe.iso, &buffers)?;
+        // SAFETY: the caller vouches for the semaphores.
+        unsafe { work.submit_between(&[], &[], exchange.signal) }?;
         Ok(ResidentSurface {
             positions,
-            vertices: layout.vertices(),
+            vertices,
             indices,
-            triangles: layout.triangles(),
+            triangles,
             iso: recipe.iso,
             plateau,
             census,
+            work,
         })
     }
 }

@@ -11,7 +11,7 @@ use crate::grid::{BLOCK, MortonKey, TILE};
 use crate::stage::dual_mc::table::{Edge, TABLE};
 use crate::stage::dual_mc::vulkan::{TILE_WORDS, Tally};
 use crate::units::Isovalue;
-use crate::vulkan::{Batch, Device, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, Device, Kernel, Program, Ticket, View, VulkanError, push_block};
 
 /// Tiles along a block's edge.
 pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
@@ -23,6 +23,8 @@ pub const EDGE_BITS: u32 = 5;
 pub const NO_BLOCK: u32 = u32::MAX;
 /// Bytes of a position, and of a triangle.
 const ROW: u64 = 12;
+/// Vertices or triangles of a submission, at the most.
+const ROWS_AT_ONCE: u64 = 4 << 20;
 
 push_block! {
     /// Of [`STARTS`].
@@ -247,7 +249,8 @@ pub struct StitchBuffers {
     pub indices: View,
 }
 
-/// Writes the positions and the triangles of the whole mesh.
+/// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions that are each short enough for any
+/// driver; the last is left for the caller to submit.
 ///
 /// # Errors
 /// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a kernel can see
@@ -257,7 +260,7 @@ pub struct StitchBuffers {
 /// If a buffer is smaller than what it is to hold.
 pub fn stitch(
     device: &Device,
-    batch: &mut Batch,
+    (batch, after): (&mut Batch, &[Ticket]),
     kernels: &StitchKernels,
     layout: &MeshLayout,
     iso: Isovalue,
@@ -269,6 +272,7 @@ pub fn stitch(
         tiles.bytes() >= u64::from(layout.tiles) * u64::from(TILE_WORDS) * 4
             && begins.bytes() >= u64::from(layout.tiles) * 8
     );
+    batch.stage("stitch", tiles.bytes());
     let count = layout.blocks.len() as u32;
     let width = count.clamp(1, 1 << 15);
     batch.dispatch(
@@ -279,7 +283,7 @@ pub fn stitch(
     )?;
     let limits = device.limits();
     // What alignment adds in front of a run must fit as well.
-    let range = limits.storage_range - limits.alignment;
+    let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW);
     for run in layout.runs(|block| block.first_vertex, layout.vertices, range) {
         let (positions, first_word) = run.view(positions, limits.alignment);
         let push = VerticesPush {
@@ -291,6 +295,9 @@ pub fn stitch(
         };
         let views = all(&[grid, blocks, tiles, begins, ends, &positions]);
         batch.dispatch(&kernels.vertices, &views, &push, run.groups())?;
+        batch.submit(after)?;
+        batch.begin()?;
+        batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
     }
     for run in layout.runs(|block| block.first_triangle, layout.triangles, range) {
         let (indices, first_word) = run.view(indices, limits.alignment);
@@ -306,6 +313,11 @@ pub fn stitch(
             &push,
             run.groups(),
         )?;
+        if run.rows.end < layout.triangles {
+            batch.submit(&[])?;
+            batch.begin()?;
+            batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
+        }
     }
     Ok(())
 }

@@ -23,6 +23,15 @@ pub struct Ticket {
     value: u64,
 }
 
+/// A semaphore of the caller's, and the value that it has to have, or gets, if it is a timeline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Moment {
+    /// Made with the same device.
+    pub semaphore: vk::Semaphore,
+    /// Of no matter for a binary one.
+    pub value: u64,
+}
+
 /// Commands to be recorded, submitted and waited for, again and again.
 ///
 /// Every command sees the results of those before it. What the commands use is held until they are done.
@@ -339,6 +348,23 @@ impl Batch {
     /// # Errors
     /// [`VulkanError::Lost`] and others of the driver.
     pub fn submit(&mut self, after: &[Ticket]) -> Result<Ticket, VulkanError> {
+        // SAFETY: there is no semaphore.
+        unsafe { self.submit_between(after, &[], &[]) }
+    }
+
+    /// The same after what `wait` says, which `signal` follows. What is submitted later on the same queue waits for the former, too.
+    ///
+    /// # Errors
+    /// [`VulkanError::Lost`] and others of the driver; nothing is signalled then.
+    ///
+    /// # Safety
+    /// The semaphores are the device's, and alive until the device has passed them. What is waited for is submitted already.
+    pub unsafe fn submit_between(
+        &mut self,
+        after: &[Ticket],
+        wait: &[Moment],
+        signal: &[Moment],
+    ) -> Result<Ticket, VulkanError> {
         self.timestamp();
         if Faults::strikes(&self.device.faults.submission) {
             self.device.lose();
@@ -361,10 +387,14 @@ impl Batch {
                 vk::AccessFlags::HOST_READ,
             );
             raw.end_command_buffer(self.commands).map_err(self.device.noting("vkEndCommandBuffer"))?;
-            let waits: Vec<_> = after.iter().map(|ticket| self.device.queue(ticket.queue).timeline).collect();
-            let wait_values: Vec<_> = after.iter().map(|ticket| ticket.value).collect();
-            let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; after.len()];
-            let (signals, signal_values) = ([state.timeline], [value]);
+            let moment = |ticket: &Ticket| Moment {
+                semaphore: self.device.queue(ticket.queue).timeline,
+                value: ticket.value,
+            };
+            let own = Moment { semaphore: state.timeline, value };
+            let (waits, wait_values) = parts(after.iter().map(moment).chain(wait.iter().copied()));
+            let (signals, signal_values) = parts(std::iter::once(own).chain(signal.iter().copied()));
+            let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; waits.len()];
             let commands = [self.commands];
             let mut timeline = vk::TimelineSemaphoreSubmitInfo::default()
                 .wait_semaphore_values(&wait_values)
@@ -448,6 +478,11 @@ impl Batch {
         }
         Ok(())
     }
+}
+
+/// Semaphores and their values.
+fn parts(moments: impl Iterator<Item = Moment>) -> (Vec<vk::Semaphore>, Vec<u64>) {
+    moments.map(|Moment { semaphore, value }| (semaphore, value)).unzip()
 }
 
 impl Drop for Batch {

@@ -12,6 +12,26 @@ use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use super::device::Shared;
 use super::{Device, Faults, VulkanError};
 
+#[cfg(unix)]
+type Descriptor = std::os::fd::OwnedFd;
+/// Nothing is imported.
+#[cfg(not(unix))]
+type Descriptor = std::convert::Infallible;
+
+#[cfg(unix)]
+fn raw_descriptor(descriptor: &Descriptor) -> i32 {
+    use std::os::fd::AsRawFd;
+    descriptor.as_raw_fd()
+}
+
+#[cfg(not(unix))]
+fn raw_descriptor(descriptor: &Descriptor) -> i32 {
+    match *descriptor {}
+}
+
+/// How memory is exported.
+const HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFlags::OPAQUE_FD;
+
 /// Where a buffer is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
@@ -27,10 +47,20 @@ pub enum Place {
 pub struct Buffer {
     pub(super) device: Arc<Shared>,
     raw: vk::Buffer,
-    /// Unless it is a caller's.
-    owned: bool,
-    allocation: Option<Allocation>,
+    memory: Memory,
     bytes: u64,
+}
+
+/// What a buffer is bound to.
+enum Memory {
+    /// Nothing yet.
+    None,
+    /// A part of what all buffers share.
+    Part(Allocation),
+    /// Memory of its own, which can be exported.
+    Own(vk::DeviceMemory),
+    /// A caller's, as is the buffer.
+    Foreign,
 }
 
 /// A part of a buffer.
@@ -48,68 +78,153 @@ impl Device {
     /// # Errors
     /// [`VulkanError::OutOfMemory`] where the device, its limits or the share that may be used do not allow it.
     pub fn buffer(&self, place: Place, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
+        let location = match place {
+            Place::Device => MemoryLocation::GpuOnly,
+            // What is staged is the host's, in either direction: the allocator's place for uploads is a window into the device's
+            // memory, which is small, and slow to write.
+            Place::Upload | Place::Download => MemoryLocation::GpuToCpu,
+        };
         let shared = &self.shared;
-        shared.check_alive()?;
-        let bytes = bytes.next_multiple_of(4).max(4);
-        let exhausted = VulkanError::OutOfMemory { bytes };
-        let limit = shared.memory.unwrap_or(u64::MAX);
-        let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
-        shared.counters.allocations.fetch_add(1, Ordering::Relaxed);
-        // From here on what is made is dropped with `buffer` if a later step fails.
-        let mut buffer = Buffer {
-            device: Arc::clone(shared),
-            raw: vk::Buffer::null(),
-            owned: true,
-            allocation: None,
-            bytes,
-        };
-        if before.saturating_add(bytes) > limit
-            || bytes > shared.limits.allocation
-            || Faults::strikes(&shared.faults.allocation)
-        {
-            return Err(exhausted);
-        }
-        let families = shared.families();
-        let info = vk::BufferCreateInfo::default().size(bytes).usage(
-            vk::BufferUsageFlags::STORAGE_BUFFER
-                | vk::BufferUsageFlags::TRANSFER_SRC
-                | vk::BufferUsageFlags::TRANSFER_DST
-                | vk::BufferUsageFlags::INDIRECT_BUFFER
-                | vk::BufferUsageFlags::VERTEX_BUFFER
-                | vk::BufferUsageFlags::INDEX_BUFFER,
-        );
-        let info = match families[..] {
-            [_] => info,
-            _ => info.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families),
-        };
-        // SAFETY: the device is alive; the memory is bound before anything uses the buffer.
+        let mut buffer = self.unbound(bytes, vk::ExternalMemoryHandleTypeFlags::empty())?;
+        let exhausted = VulkanError::OutOfMemory { bytes: buffer.bytes };
+        // SAFETY: the buffer is this device's, and new.
+        let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer.raw) };
+        let allocation = shared
+            .allocator
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .allocate(&AllocationCreateDesc {
+                name: "buffer",
+                requirements,
+                location,
+                linear: true,
+                allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+            })
+            .map_err(|_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted })?;
+        // SAFETY: the allocation is kept as long as the buffer.
         unsafe {
-            buffer.raw = shared.raw.create_buffer(&info, None).map_err(shared.noting("vkCreateBuffer"))?;
-            let allocation = shared
-                .allocator
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .allocate(&AllocationCreateDesc {
-                    name: "buffer",
-                    requirements: shared.raw.get_buffer_memory_requirements(buffer.raw),
-                    // What is staged is the host's, in either direction: the allocator's place for uploads is a window into the
-                    // device's memory, which is small, and slow to write.
-                    location: match place {
-                        Place::Device => MemoryLocation::GpuOnly,
-                        Place::Upload | Place::Download => MemoryLocation::GpuToCpu,
-                    },
-                    linear: true,
-                    allocation_scheme: AllocationScheme::GpuAllocatorManaged,
-                })
-                .map_err(|_| if shared.check_alive().is_err() { VulkanError::Lost } else { exhausted })?;
             let (memory, offset) = (allocation.memory(), allocation.offset());
-            buffer.allocation = Some(allocation);
+            buffer.memory = Memory::Part(allocation);
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, offset)
                 .map_err(shared.noting("vkBindBufferMemory"))?;
         }
         Ok(Arc::new(buffer))
+    }
+
+    /// Makes a buffer on the device whose memory [others](Buffer::export) can import.
+    ///
+    /// # Errors
+    /// Those of [`buffer`](Self::buffer).
+    ///
+    /// # Panics
+    /// Unless [exports](super::DeviceOptions::exports) were asked for.
+    pub fn exported_buffer(&self, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
+        self.shared_buffer(bytes, None)
+    }
+
+    /// Makes a buffer of the memory that another device with the same [UUID](Self::uuid), perhaps of another process, has
+    /// [exported](Buffer::export) of one of as many bytes. What one writes the other sees once it waits for it.
+    ///
+    /// # Errors
+    /// Those of [`buffer`](Self::buffer).
+    ///
+    /// # Panics
+    /// Unless [exports](super::DeviceOptions::exports) were asked for.
+    #[cfg(unix)]
+    pub fn imported_buffer(
+        &self,
+        memory: std::os::fd::OwnedFd,
+        bytes: u64,
+    ) -> Result<Arc<Buffer>, VulkanError> {
+        self.shared_buffer(bytes, Some(memory))
+    }
+
+    fn shared_buffer(&self, bytes: u64, import: Option<Descriptor>) -> Result<Arc<Buffer>, VulkanError> {
+        let shared = &self.shared;
+        assert!(shared.exports.is_some(), "exports were asked for");
+        let mut buffer = self.unbound(bytes, HANDLE)?;
+        // SAFETY: the buffer is this device's, and new; what is pointed to outlives each call.
+        unsafe {
+            let requirements = shared.raw.get_buffer_memory_requirements(buffer.raw);
+            let kinds = shared.memory_types.memory_types_as_slice().iter().enumerate();
+            let fitting = kinds.filter(|(i, _)| requirements.memory_type_bits >> i & 1 != 0);
+            let local =
+                |kind: &vk::MemoryType| kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL);
+            // The first of the best: so it is that of whoever exported it.
+            let (kind, _) = fitting
+                .min_by_key(|(_, kind)| !local(kind))
+                .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
+            let mut dedicated = vk::MemoryDedicatedAllocateInfo::default().buffer(buffer.raw);
+            let mut flags =
+                vk::MemoryAllocateFlagsInfo::default().flags(vk::MemoryAllocateFlags::DEVICE_ADDRESS);
+            let mut export = vk::ExportMemoryAllocateInfo::default().handle_types(HANDLE);
+            let mut imported = vk::ImportMemoryFdInfoKHR::default().handle_type(HANDLE);
+            let mut info = vk::MemoryAllocateInfo::default()
+                .allocation_size(requirements.size)
+                .memory_type_index(kind as u32)
+                .push_next(&mut dedicated);
+            match &import {
+                Some(memory) => {
+                    imported = imported.fd(raw_descriptor(memory));
+                    info = info.push_next(&mut imported);
+                }
+                None => info = info.push_next(&mut export),
+            }
+            if shared.addresses {
+                info = info.push_next(&mut flags);
+            }
+            let memory =
+                shared.raw.allocate_memory(&info, None).map_err(shared.noting("vkAllocateMemory"))?;
+            // The driver has taken the descriptor.
+            std::mem::forget(import);
+            buffer.memory = Memory::Own(memory);
+            shared
+                .raw
+                .bind_buffer_memory(buffer.raw, memory, 0)
+                .map_err(shared.noting("vkBindBufferMemory"))?;
+        }
+        Ok(Arc::new(buffer))
+    }
+
+    /// A buffer that has no memory yet, if there may be one; with it goes what was made of it.
+    fn unbound(&self, bytes: u64, handles: vk::ExternalMemoryHandleTypeFlags) -> Result<Buffer, VulkanError> {
+        let shared = &self.shared;
+        shared.check_alive()?;
+        let bytes = bytes.next_multiple_of(4).max(4);
+        let limit = shared.memory.unwrap_or(u64::MAX);
+        let before = shared.allocated.fetch_add(bytes, Ordering::Relaxed);
+        shared.counters.allocations.fetch_add(1, Ordering::Relaxed);
+        // From here on what is made is dropped with `buffer` if a later step fails.
+        let mut buffer =
+            Buffer { device: Arc::clone(shared), raw: vk::Buffer::null(), memory: Memory::None, bytes };
+        if before.saturating_add(bytes) > limit
+            || bytes > shared.limits.allocation
+            || Faults::strikes(&shared.faults.allocation)
+        {
+            return Err(VulkanError::OutOfMemory { bytes });
+        }
+        let families = shared.families();
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST
+            | vk::BufferUsageFlags::INDIRECT_BUFFER
+            | vk::BufferUsageFlags::VERTEX_BUFFER
+            | vk::BufferUsageFlags::INDEX_BUFFER
+            | shared.usage;
+        let mut external = vk::ExternalMemoryBufferCreateInfo::default().handle_types(handles);
+        let mut info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        if families.len() > 1 {
+            info = info.sharing_mode(vk::SharingMode::CONCURRENT).queue_family_indices(&families);
+        }
+        if !handles.is_empty() {
+            info = info.push_next(&mut external);
+        }
+        // SAFETY: the device is alive; memory is bound before anything uses the buffer.
+        buffer.raw =
+            unsafe { shared.raw.create_buffer(&info, None) }.map_err(shared.noting("vkCreateBuffer"))?;
+        Ok(buffer)
     }
 
     /// Makes a buffer of some values, which the host can write.
@@ -131,7 +246,7 @@ impl Device {
     /// queue with a dependency on compute shaders and transfers.
     #[must_use]
     pub unsafe fn foreign_buffer(&self, raw: vk::Buffer, bytes: u64) -> Arc<Buffer> {
-        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, owned: false, allocation: None, bytes })
+        Arc::new(Buffer { device: Arc::clone(&self.shared), raw, memory: Memory::Foreign, bytes })
     }
 }
 
@@ -146,6 +261,28 @@ impl Buffer {
     #[must_use]
     pub fn raw(&self) -> vk::Buffer {
         self.raw
+    }
+
+    /// A file descriptor by which another interface or process imports the memory of an
+    /// [exported buffer](Device::exported_buffer), a new one each time: an opaque one, of a dedicated allocation. It is the caller's.
+    ///
+    /// # Errors
+    /// Those of the driver.
+    ///
+    /// # Panics
+    /// If the buffer is another.
+    #[cfg(unix)]
+    pub fn export(&self) -> Result<std::os::fd::OwnedFd, VulkanError> {
+        use std::os::fd::FromRawFd;
+        let (Memory::Own(memory), Some(exports)) = (&self.memory, &self.device.exports) else {
+            panic!("the buffer was made to be exported");
+        };
+        let info = vk::MemoryGetFdInfoKHR::default().memory(*memory).handle_type(HANDLE);
+        // SAFETY: the memory is this device's, which can export it, and the descriptor is new.
+        unsafe {
+            let descriptor = exports.get_memory_fd(&info).map_err(self.device.noting("vkGetMemoryFdKHR"))?;
+            Ok(std::os::fd::OwnedFd::from_raw_fd(descriptor))
+        }
     }
 
     /// All of it.
@@ -196,7 +333,10 @@ impl Buffer {
 
     fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
         assert!(within(offset, len as u64, self.bytes), "{offset} + {len} of {}", self.bytes);
-        let mapped = self.allocation.as_ref().and_then(|allocation| allocation.mapped_ptr());
+        let mapped = match &self.memory {
+            Memory::Part(allocation) => allocation.mapped_ptr(),
+            _ => None,
+        };
         let base = mapped.expect("the buffer is visible to the host").as_ptr().cast::<u8>();
         // SAFETY: the mapping is as long as the buffer.
         unsafe { base.add(offset as usize) }
@@ -208,6 +348,28 @@ impl View {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
+    }
+
+    /// The Vulkan handle of its buffer, valid as long as this.
+    #[must_use]
+    pub fn raw(&self) -> vk::Buffer {
+        self.buffer.raw
+    }
+
+    /// Where it begins in its buffer, in bytes.
+    #[must_use]
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Where the device has it, if buffers [have addresses](super::DeviceOptions::addresses) and this is not a caller's.
+    #[must_use]
+    pub fn address(&self) -> Option<vk::DeviceAddress> {
+        let Buffer { device, raw, memory, .. } = &*self.buffer;
+        let info = vk::BufferDeviceAddressInfo::default().buffer(*raw);
+        let known = device.addresses && !matches!(memory, Memory::Foreign);
+        // SAFETY: the buffer is the device's, and was made to have one.
+        known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
 
     /// `bytes` of it from `offset` on.
@@ -251,15 +413,20 @@ impl View {
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        if !self.owned {
+        if matches!(self.memory, Memory::Foreign) {
             return;
         }
         self.device.allocated.fetch_sub(self.bytes, Ordering::Relaxed);
         // SAFETY: batches in flight hold their buffers, so nothing uses it.
         unsafe { self.device.raw.destroy_buffer(self.raw, None) };
-        if let Some(allocation) = self.allocation.take() {
-            let mut allocator = self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
-            allocator.free(allocation).expect("the allocation is this allocator's");
+        match std::mem::replace(&mut self.memory, Memory::None) {
+            Memory::Part(allocation) => {
+                let mut allocator = self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
+                allocator.free(allocation).expect("the allocation is this allocator's");
+            }
+            // SAFETY: it was bound to this buffer alone.
+            Memory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },
+            Memory::None | Memory::Foreign => {}
         }
     }
 }

@@ -32,6 +32,14 @@ pub struct DeviceOptions {
     pub queues: Queues,
     /// Whether its memory is taken to be the host's; by the kind of device where it is `None`.
     pub shares_host_memory: Option<bool>,
+    /// Whether buffers have [addresses](super::View::address), for which the device has to have `bufferDeviceAddress`: an adopted one
+    /// with that enabled.
+    pub addresses: bool,
+    /// Whether buffers can be made that [other interfaces and processes](Device::exported_buffer) see, for which the device has to have
+    /// `VK_KHR_external_memory_fd`: an adopted one with that enabled.
+    pub exports: bool,
+    /// What else the buffers of an adopted device are used for, such as the building of acceleration structures.
+    pub usage: vk::BufferUsageFlags,
     /// SPIR-V that stands in for that of some programs, by their names: of the same sources, compiled otherwise.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
@@ -141,6 +149,13 @@ pub(super) struct Shared {
     lost: AtomicBool,
     timings: Mutex<Vec<Timing>>,
     pub(super) counters: AtomicCounters,
+    pub(super) addresses: bool,
+    /// Where memory can be exported: how.
+    pub(super) exports: Option<khr::external_memory_fd::Device>,
+    /// The memory that buffers of their own are made in.
+    pub(super) memory_types: vk::PhysicalDeviceMemoryProperties,
+    pub(super) usage: vk::BufferUsageFlags,
+    pub(super) uuid: [u8; 16],
     pub(super) binaries: HashMap<&'static str, Vec<u8>>,
 }
 
@@ -197,13 +212,24 @@ impl Device {
             .iter()
             .map(|&f| vk::DeviceQueueCreateInfo::default().queue_family_index(f).queue_priorities(&[1.0]))
             .collect();
-        let mut features =
-            vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).host_query_reset(true);
+        let mut features = vk::PhysicalDeviceVulkan12Features::default()
+            .timeline_semaphore(true)
+            .host_query_reset(true)
+            .buffer_device_address(options.addresses);
         // SAFETY: the device is one of the instance's.
         let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
+        let known = known.unwrap_or_default();
         // Whoever offers it demands that it is enabled.
-        let subset = names(&known.unwrap_or_default(), khr::portability_subset::NAME);
-        let extensions: Vec<_> = subset.iter().map(|name| name.as_ptr()).collect();
+        let subset = names(&known, khr::portability_subset::NAME);
+        let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
+        let unfit = |lacks| VulkanError::Unfit { device: info.name.clone(), lacks };
+        if options.exports && exports.is_none() {
+            return Err(unfit("its memory cannot be exported"));
+        }
+        if options.addresses && !instance.has_addresses(info.physical) {
+            return Err(unfit("its buffers have no addresses"));
+        }
+        let extensions: Vec<_> = subset.iter().chain(&exports).map(|name| name.as_ptr()).collect();
         let create = vk::DeviceCreateInfo::default()
             .queue_create_infos(&queue_infos)
             .enabled_extension_names(&extensions)
@@ -260,19 +286,24 @@ impl Device {
         queues: Vec<(u32, vk::Queue)>,
         options: &DeviceOptions,
     ) -> Result<Self, VulkanError> {
-        let mut vulkan11 = vk::PhysicalDeviceVulkan11Properties::default();
-        let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut vulkan11);
+        let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
+        let mut id = vk::PhysicalDeviceIDProperties::default();
+        let mut all = vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut id);
         // SAFETY: the device is one of the instance's.
-        let (families, properties) = unsafe {
+        let (families, properties, memory_types) = unsafe {
             instance.get_physical_device_properties2(physical, &mut all);
-            (instance.get_physical_device_queue_family_properties(physical), all.properties)
+            (
+                instance.get_physical_device_queue_family_properties(physical),
+                all.properties,
+                instance.get_physical_device_memory_properties(physical),
+            )
         };
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.clone(),
             device: raw.clone(),
             physical_device: physical,
             debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
-            buffer_device_address: false,
+            buffer_device_address: options.addresses,
             allocation_sizes: AllocationSizes::new(PIECE, PIECE),
         });
         let allocator = match allocator {
@@ -290,6 +321,7 @@ impl Device {
             folder.join(format!("pipelines-{id}"))
         });
         // From here on everything that is made is dropped with `shared` if a later step fails.
+        let exports = options.exports.then(|| khr::external_memory_fd::Device::new(instance, &raw));
         let mut shared = Shared {
             raw,
             instance: owner,
@@ -302,7 +334,7 @@ impl Device {
             pipeline_cache: vk::PipelineCache::null(),
             cache_file,
             queues: Vec::new(),
-            limits: Limits::of(&properties.limits, &vulkan11, options),
+            limits: Limits::of(&properties.limits, maintenance.max_memory_allocation_size, options),
             timestamp_period: f64::from(properties.limits.timestamp_period),
             memory: options.memory,
             allocated: AtomicU64::new(0),
@@ -310,6 +342,15 @@ impl Device {
             lost: AtomicBool::new(false),
             timings: Mutex::default(),
             counters: AtomicCounters::default(),
+            addresses: options.addresses,
+            exports,
+            memory_types,
+            usage: options.usage
+                | match options.addresses {
+                    true => vk::BufferUsageFlags::SHADER_DEVICE_ADDRESS,
+                    false => vk::BufferUsageFlags::empty(),
+                },
+            uuid: id.device_uuid,
             binaries: options.binaries.clone(),
         };
         shared.pipeline_cache = shared.load_cache()?;
@@ -323,6 +364,12 @@ impl Device {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.shared.name
+    }
+
+    /// What every interface of every process on the machine knows it by.
+    #[must_use]
+    pub fn uuid(&self) -> [u8; 16] {
+        self.shared.uuid
     }
 
     /// What shaders and buffers may be like.
@@ -372,15 +419,11 @@ impl Device {
 }
 
 impl Limits {
-    fn of(
-        device: &vk::PhysicalDeviceLimits,
-        vulkan11: &vk::PhysicalDeviceVulkan11Properties<'_>,
-        options: &DeviceOptions,
-    ) -> Self {
+    fn of(device: &vk::PhysicalDeviceLimits, allocation: u64, options: &DeviceOptions) -> Self {
         let storage_range = u64::from(device.max_storage_buffer_range);
         Self {
             storage_range: storage_range.min(options.storage_range.unwrap_or(u64::MAX)) & !3,
-            allocation: vulkan11.max_memory_allocation_size,
+            allocation,
             groups: device.max_compute_work_group_count.into_iter().min().unwrap_or(0),
             alignment: device.min_storage_buffer_offset_alignment.max(4),
         }

@@ -36,7 +36,8 @@ pub enum DeviceChoice {
     /// The first of the best kind.
     #[default]
     Best,
-    /// By its number in [`Instance::devices`], or by a part of its name in any case.
+    /// By its number in [`Instance::devices`], by its [`uuid`](DeviceInfo::uuid) in hexadecimal digits, or by a part of its name in any
+    /// case.
     Named(String),
 }
 
@@ -71,6 +72,8 @@ pub struct DeviceInfo {
     pub index: usize,
     /// As its driver calls it.
     pub name: String,
+    /// What every interface of every process on the machine knows it by.
+    pub uuid: [u8; 16],
     /// What it is.
     pub kind: DeviceKind,
     /// The version of Vulkan that it offers: major, minor, patch.
@@ -95,6 +98,12 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
+    /// Its UUID in hexadecimal digits.
+    #[must_use]
+    pub fn uuid_digits(&self) -> String {
+        self.uuid.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
     /// Whether its driver passes the conformance tests of any version. Those that translate to other interfaces may not.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
@@ -190,7 +199,9 @@ impl Instance {
                 let wanted = wanted.to_lowercase();
                 // Names hold numbers, too.
                 let named = || devices.iter().find(|device| device.name.to_lowercase().contains(&wanted));
-                numbered.or_else(named)
+                let digits = wanted.replace('-', "");
+                let known = devices.iter().find(|device| device.uuid_digits() == digits);
+                known.or(numbered).or_else(named)
             }
         };
         let Some(found) = found else {
@@ -210,7 +221,9 @@ impl Instance {
 
     fn info(&self, index: usize, physical: vk::PhysicalDevice) -> DeviceInfo {
         let mut driver = vk::PhysicalDeviceDriverProperties::default();
-        let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut driver);
+        let mut id = vk::PhysicalDeviceIDProperties::default();
+        let mut properties =
+            vk::PhysicalDeviceProperties2::default().push_next(&mut driver).push_next(&mut id);
         // SAFETY: the device is one of this instance's.
         let (base, families) = unsafe {
             self.raw.get_physical_device_properties2(physical, &mut properties);
@@ -223,6 +236,7 @@ impl Instance {
         DeviceInfo {
             index,
             name: text(base.device_name_as_c_str()),
+            uuid: id.device_uuid,
             kind: match base.device_type {
                 vk::PhysicalDeviceType::DISCRETE_GPU => DeviceKind::Discrete,
                 vk::PhysicalDeviceType::INTEGRATED_GPU => DeviceKind::Integrated,
@@ -249,6 +263,15 @@ impl Instance {
             lacks: lacks(&self.raw, physical, &base),
             physical,
         }
+    }
+
+    /// Whether the buffers of a device have addresses.
+    pub(super) fn has_addresses(&self, physical: vk::PhysicalDevice) -> bool {
+        let mut vulkan12 = vk::PhysicalDeviceVulkan12Features::default();
+        let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut vulkan12);
+        // SAFETY: the device is one of this instance's, and offers Vulkan 1.2.
+        unsafe { self.raw.get_physical_device_features2(physical, &mut features) };
+        vulkan12.buffer_device_address == vk::TRUE
     }
 
     /// A device's heaps, bytes of the largest of its own, and how many of them nobody uses.

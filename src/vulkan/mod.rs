@@ -9,7 +9,7 @@ mod faults;
 mod instance;
 mod kernel;
 
-pub use batch::{Batch, Ticket};
+pub use batch::{Batch, Moment, Ticket};
 pub use buffer::{Buffer, Place, View};
 pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
 pub use faults::Faults;

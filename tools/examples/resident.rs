@@ -1,4 +1,5 @@
-//! A program with a Vulkan device of its own: its buffer of positions in, buffers of vertices and indices out.
+//! A program with a Vulkan device of its own: its buffer of positions in, its buffers of vertices and indices out. The device waits for
+//! the positions, and what is drawn waits on the device for the surface.
 //!
 //! `cargo run --release --example resident -- OUTPUT.ply` meshes a ball of particles on the first device, which may
 //! be a driver that computes on the processor, such as lavapipe.
@@ -8,11 +9,11 @@ use std::error::Error;
 use ash::vk;
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::frame::Surfacing;
-use meniscus::frame::resident::{Pipeline, Settings};
+use meniscus::frame::resident::{Exchange, Pipeline, Settings};
+use meniscus::frame::{FrameError, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::stage::indicator::IndicatorKind;
-use meniscus::vulkan::{Device, DeviceOptions, Foreign, Place, Queue};
+use meniscus::vulkan::{Device, DeviceOptions, Foreign, Moment};
 
 /// The vertices and the triangles of a surface.
 pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);
@@ -36,9 +37,97 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(std::fs::write(path, ply)?)
 }
 
-/// Does on a device of its own what a simulation or a renderer does on its.
+/// A buffer of a program's own, which the host sees, too.
+struct Own {
+    raw: vk::Buffer,
+    memory: vk::DeviceMemory,
+    bytes: u64,
+    /// Where the host sees it.
+    mapped: *mut u8,
+}
+
+/// A program's own device, and its queue.
+struct Program {
+    instance: ash::Instance,
+    physical: vk::PhysicalDevice,
+    device: ash::Device,
+    family: u32,
+    queue: vk::Queue,
+}
+
+impl Program {
+    /// # Safety
+    /// What is returned is used while the device is there, and destroyed before it.
+    unsafe fn buffer(&self, bytes: u64) -> Result<Own, Box<dyn Error>> {
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let wanted = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
+        // SAFETY: all handles are this device's.
+        unsafe {
+            let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+            let raw = self.device.create_buffer(&info, None)?;
+            let needs = self.device.get_buffer_memory_requirements(raw);
+            let known = self.instance.get_physical_device_memory_properties(self.physical);
+            let mut kinds = known.memory_types_as_slice().iter().zip(0..);
+            let fits = |(kind, i): &(&vk::MemoryType, u32)| {
+                needs.memory_type_bits >> i & 1 == 1 && kind.property_flags.contains(wanted)
+            };
+            let (_, kind) = kinds.find(fits).ok_or("no memory that both sides see")?;
+            let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(kind);
+            let memory = self.device.allocate_memory(&info, None)?;
+            self.device.bind_buffer_memory(raw, memory, 0)?;
+            let mapped = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
+            Ok(Own { raw, memory, bytes, mapped: mapped.cast() })
+        }
+    }
+
+    /// # Safety
+    /// Nothing uses it any more.
+    unsafe fn destroy(&self, buffer: &Own) {
+        // SAFETY: all handles are this device's.
+        unsafe {
+            self.device.destroy_buffer(buffer.raw, None);
+            self.device.free_memory(buffer.memory, None);
+        }
+    }
+
+    /// Submits the copy of one buffer to another of the same size, between two values of a timeline.
+    ///
+    /// # Safety
+    /// All of it is alive until the copy is done.
+    unsafe fn copy(
+        &self,
+        pool: vk::CommandPool,
+        [from, to]: [&Own; 2],
+        timeline: vk::Semaphore,
+        [wait, signal]: [u64; 2],
+    ) -> Result<(), vk::Result> {
+        // SAFETY: all handles are this device's.
+        unsafe {
+            let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+            let commands = self.device.allocate_command_buffers(&info)?;
+            self.device.begin_command_buffer(commands[0], &vk::CommandBufferBeginInfo::default())?;
+            let region = [vk::BufferCopy::default().size(from.bytes)];
+            self.device.cmd_copy_buffer(commands[0], from.raw, to.raw, &region);
+            self.device.end_command_buffer(commands[0])?;
+            let (semaphores, waits, signals) = ([timeline], [wait], [signal]);
+            let mut values = vk::TimelineSemaphoreSubmitInfo::default()
+                .wait_semaphore_values(&waits)
+                .signal_semaphore_values(&signals);
+            let info = vk::SubmitInfo::default()
+                .wait_semaphores(&semaphores)
+                .wait_dst_stage_mask(&[vk::PipelineStageFlags::TRANSFER])
+                .command_buffers(&commands)
+                .signal_semaphores(&semaphores)
+                .push_next(&mut values);
+            self.device.queue_submit(self.queue, &[info], vk::Fence::null())
+        }
+    }
+}
+
+/// Does on a device of its own what a simulation and a renderer do on theirs.
 pub fn surface_of(particles: &[[f32; 3]], cell: f64) -> Result<Surface, Box<dyn Error>> {
-    let bytes: &[u8] = bytemuck::cast_slice(particles);
     // SAFETY: every handle is used while those that it was made from are alive, and destroyed once, in order.
     unsafe {
         let entry = ash::Entry::load()?;
@@ -52,88 +141,103 @@ pub fn surface_of(particles: &[[f32; 3]], cell: f64) -> Result<Surface, Box<dyn 
         let queues =
             [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let mut features = vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true);
-        let device = instance.create_device(
-            physical,
-            &vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut features),
-            None,
-        )?;
+        let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).push_next(&mut features);
+        let device = instance.create_device(physical, &info, None)?;
+        let queue = device.get_device_queue(family, 0);
+        let program = Program { instance, physical, device, family, queue };
 
-        // The particles, as a simulation on the device would leave them in a storage buffer.
-        let info = vk::BufferCreateInfo::default()
-            .size(bytes.len() as u64)
-            .usage(vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_SRC);
-        let buffer = device.create_buffer(&info, None)?;
-        let needs = device.get_buffer_memory_requirements(buffer);
-        let wanted = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
-        let kind = instance
-            .get_physical_device_memory_properties(physical)
-            .memory_types_as_slice()
-            .iter()
-            .enumerate()
-            .position(|(i, kind)| {
-                needs.memory_type_bits >> i & 1 == 1 && kind.property_flags.contains(wanted)
-            })
-            .ok_or("no memory that both sides see")? as u32;
-        let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(kind);
-        let memory = device.allocate_memory(&info, None)?;
-        device.bind_buffer_memory(buffer, memory, 0)?;
-        let mapped = device.map_memory(memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
-        mapped.cast::<u8>().copy_from_nonoverlapping(bytes.as_ptr(), bytes.len());
-        device.unmap_memory(memory);
+        let surface = simulate_and_draw(&program, particles, cell);
 
-        let foreign = Foreign {
-            instance: instance.clone(),
-            physical,
-            device: device.clone(),
-            family,
-            queue: device.get_device_queue(family, 0),
-        };
-        let surface = mesh(foreign, buffer, particles.len(), cell);
-
-        device.destroy_buffer(buffer, None);
-        device.free_memory(memory, None);
-        device.destroy_device(None);
-        instance.destroy_instance(None);
+        program.device.device_wait_idle()?;
+        program.device.destroy_device(None);
+        program.instance.destroy_instance(None);
         surface
     }
 }
 
+/// Moments of a frame on the program's timeline.
+const SIMULATED: u64 = 1;
+const MESHED: u64 = 2;
+const READ: u64 = 3;
+
 /// # Safety
-/// As [`Device::adopt`]; the buffer holds so many positions of three f32.
-unsafe fn mesh(
-    foreign: Foreign,
-    buffer: vk::Buffer,
-    count: usize,
+/// Nobody else uses the device.
+unsafe fn simulate_and_draw(
+    program: &Program,
+    particles: &[[f32; 3]],
     cell: f64,
 ) -> Result<Surface, Box<dyn Error>> {
-    // SAFETY: the caller keeps the device and the buffer until this function is done, and nobody else submits.
-    let (device, positions) = unsafe {
-        let device = Device::adopt(foreign, &DeviceOptions::default())?;
-        let positions = device.foreign_buffer(buffer, 12 * count as u64);
-        (device, positions)
-    };
-    let pipeline = Pipeline::new(&device)?;
-    let positions = DevicePositions { view: positions.whole(), count, coordinate: Coordinate::Single };
-    let settings = Settings {
-        grid: Grid::new([0.0; 3].into(), cell)?,
-        domain: None,
-        indicator: IndicatorKind::Symmetry.into(),
-        invalid: InvalidParticles::Refuse,
-        spacing: Some(cell),
-        surfacing: Surfacing::PLAIN,
-    };
-    let surface = pipeline.surface(&[positions], &settings)?;
+    let Program { instance, physical, device, family, queue } = program;
+    let bytes: &[u8] = bytemuck::cast_slice(particles);
+    // SAFETY: all handles are this device's, and destroyed once the device is done with them.
+    unsafe {
+        let info = vk::CommandPoolCreateInfo::default().queue_family_index(*family);
+        let pool = device.create_command_pool(&info, None)?;
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let timeline =
+            device.create_semaphore(&vk::SemaphoreCreateInfo::default().push_next(&mut kind), None)?;
 
-    // A renderer would bind `surface.positions.raw()` and `surface.indices.raw()`; this program wants to see them.
-    let mut batch = device.batch(Queue::Transfer)?;
-    batch.begin()?;
-    let [vertices, indices] = [&surface.positions, &surface.indices].map(|buffer| {
-        let read = device.buffer(Place::Download, buffer.bytes())?.whole();
-        batch.copy(&buffer.whole(), &read);
-        Ok::<_, meniscus::vulkan::VulkanError>(read)
-    });
-    let (vertices, indices) = (vertices?, indices?);
-    batch.submit(&[])?;
-    batch.wait()?;
-    Ok((vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize)))
+        // A simulation leaves its particles in a storage buffer, and nobody waits for it here.
+        let simulated = program.buffer(bytes.len() as u64)?;
+        let positions = program.buffer(bytes.len() as u64)?;
+        simulated.mapped.copy_from_nonoverlapping(bytes.as_ptr(), bytes.len());
+        program.copy(pool, [&simulated, &positions], timeline, [0, SIMULATED])?;
+
+        let (instance, device) = (instance.clone(), device.clone());
+        let foreign = Foreign { instance, physical: *physical, device, family: *family, queue: *queue };
+        let library = Device::adopt(foreign, &DeviceOptions::default())?;
+        let pipeline = Pipeline::new(&library)?;
+        let view = library.foreign_buffer(positions.raw, positions.bytes).whole();
+        let input = [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Single }];
+        let settings = Settings {
+            grid: Grid::new([0.0; 3].into(), cell)?,
+            domain: None,
+            indicator: IndicatorKind::Symmetry.into(),
+            invalid: InvalidParticles::Refuse,
+            spacing: Some(cell),
+            surfacing: Surfacing::PLAIN,
+        };
+        let moment = |value| Moment { semaphore: timeline, value };
+        // A renderer has buffers of its own, and makes larger ones where a surface has grown.
+        let mut rows = [1_u64, 1];
+        let (outputs, [vertices, triangles]) = loop {
+            let own = [program.buffer(12 * rows[0])?, program.buffer(12 * rows[1])?];
+            let into = own.each_ref().map(|own| library.foreign_buffer(own.raw, own.bytes).whole());
+            let exchange = Exchange {
+                wait: &[moment(SIMULATED)],
+                signal: &[moment(MESHED)],
+                into: Some(into.each_ref()),
+            };
+            match pipeline.surface_between(&input, &settings, &exchange) {
+                Err(FrameError::NoSpace { vertices, triangles }) => {
+                    own.iter().for_each(|own| program.destroy(own));
+                    rows = [vertices.into(), triangles.into()];
+                }
+                surface => {
+                    let surface = surface?;
+                    let found = [surface.vertices, surface.triangles];
+                    let read = [program.buffer(own[0].bytes)?, program.buffer(own[1].bytes)?];
+                    // What is drawn waits on the device until the surface is there.
+                    program.copy(pool, [&own[0], &read[0]], timeline, [MESHED, READ])?;
+                    program.copy(pool, [&own[1], &read[1]], timeline, [READ, READ + 1])?;
+                    break ([own, read], found);
+                }
+            }
+        };
+        let device = &program.device;
+        let (timelines, values) = ([timeline], [READ + 1]);
+        let done = vk::SemaphoreWaitInfo::default().semaphores(&timelines).values(&values);
+        device.wait_semaphores(&done, u64::MAX)?;
+        let [_, [read_vertices, read_triangles]] = &outputs;
+        let surface = (
+            std::slice::from_raw_parts(read_vertices.mapped.cast(), vertices as usize).to_vec(),
+            std::slice::from_raw_parts(read_triangles.mapped.cast(), triangles as usize).to_vec(),
+        );
+        drop((pipeline, input, library));
+        let buffers = outputs.iter().flatten().chain([&simulated, &positions]);
+        buffers.for_each(|buffer| program.destroy(buffer));
+        device.destroy_semaphore(timeline, None);
+        device.destroy_command_pool(pool, None);
+        Ok(surface)
+    }
 }

@@ -59,6 +59,7 @@ fn record(device: &DeviceInfo) -> serde_json::Value {
     json!({
         "index": device.index,
         "name": device.name,
+        "uuid": device.uuid_digits(),
         "kind": device.kind.to_string(),
         "vulkan": version(device),
         "driver": device.driver,

@@ -36,7 +36,7 @@ pub const NO_BIN: u32 = u32::MAX;
 pub const ELSEWHERE: u32 = u32::MAX;
 const RECORD_BYTES: u64 = 8;
 /// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000 times as many as are of use.
-const MOST_IN_BIN: u64 = 1 << 24;
+const MOST_IN_BIN: u32 = 1 << 24;
 
 push_block! {
     /// Of [`PLACE`].
@@ -277,7 +277,7 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
 ///
 /// # Errors
 /// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32 particles or
-/// more, a bin has more particles than a kernel can see at once, or the device has no room for 8 bytes a
+/// more, a bin has more than 2^24 of them or than a kernel can see at once, or the device has no room for 8 bytes a
 /// particle.
 ///
 /// # Panics
@@ -314,6 +314,9 @@ pub fn bin(
     bins.sort_unstable();
     if bins.len() > limit {
         return Err(BinError::TooManyBins { limit }.into());
+    }
+    if let Some(&(.., count)) = bins.iter().find(|&&(.., count)| count > MOST_IN_BIN) {
+        return Err(VulkanError::OutOfMemory { bytes: u64::from(count) * RECORD_BYTES }.into());
     }
     let mut first = vec![0];
     first.extend(bins.iter().scan(0, |end, &(_, _, count)| {
