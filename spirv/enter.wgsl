@@ -1,5 +1,5 @@
 //! with table
-// Counts the particles of a chunk by bin: a particle a thread. A bin's first particle takes a slot for it; whether two
+// Counts the particles of a chunk by bin, and notes each one's: a particle a thread. A bin's first particle takes a slot for it; whether two
 // particles share a bin is read from their keys, which were written before.
 
 struct Push {
@@ -21,6 +21,8 @@ var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> keys: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> slots: array<Slot>;
 @group(0) @binding(2) var<storage, read_write> census: array<Census>;
+// The slot of each particle's bin; NO_BIN where it has none.
+@group(0) @binding(3) var<storage, read_write> homes: array<u32>;
 
 fn has_key(owner: u32, at: u32, key: vec2<u32>) -> bool {
     if owner == SETTLED {
@@ -36,6 +38,7 @@ fn enter(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let key = keys[i];
+    homes[i] = NO_BIN;
     if all(key == vec2(NO_BIN)) {
         return;
     }
@@ -48,6 +51,7 @@ fn enter(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         if has_key(owner, at, key) {
             atomicAdd(&slots[at].count, 1u);
+            homes[i] = at;
             return;
         }
         at = (at + 1u) & push.mask;

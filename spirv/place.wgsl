@@ -1,5 +1,5 @@
 //! with wide float64 grid placing
-// The bin of every particle of a chunk, and how many have none: a particle a thread.
+// The bin of every particle of a chunk and where it is there, and how many have none: a particle a thread.
 
 struct Push {
     // Words before the chunk's first coordinate.
@@ -26,10 +26,21 @@ var<immediate> push: Push;
 @group(0) @binding(0) var<storage, read> grid: Grid;
 @group(0) @binding(1) var<storage, read> positions: array<u32>;
 @group(0) @binding(2) var<storage, read_write> keys: array<vec2<u32>>;
-@group(0) @binding(3) var<storage, read_write> census: array<Census>;
+// Packed particles.
+@group(0) @binding(3) var<storage, read_write> packed: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read_write> census: array<Census>;
 
 // By fate; of those binned, the place is that of `invalid`.
 var<workgroup> tally: array<atomic<u32>, 4>;
+
+// Per axis, from x on, the offset in the cell and then the cell in the bin.
+fn record_of(placed: Placed) -> vec2<u32> {
+    let axis = (vec3<u32>(placed.cell & vec3(BIN - 1)) << vec3(FRACTION_BITS)) | placed.offset;
+    return vec2(
+        axis.x | (axis.y << AXIS_BITS),
+        (axis.y >> (32u - AXIS_BITS)) | (axis.z << (2u * AXIS_BITS - 32u)),
+    );
+}
 
 @compute @workgroup_size(256)
 fn place(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) local: u32) {
@@ -41,6 +52,7 @@ fn place(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation
     if i < push.count {
         let placed = place_particle(i);
         keys[i] = select(vec2(NO_BIN), bin_of(placed.cell), placed.fate == BINNED);
+        packed[i] = record_of(placed);
         if placed.fate != BINNED {
             atomicAdd(&tally[placed.fate], 1u);
         }

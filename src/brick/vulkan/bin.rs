@@ -1,8 +1,8 @@
 //! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of bins.
 //!
-//! Positions are read twice, in chunks, and never kept. The first reading places every particle, in the f64
-//! arithmetic of the host done by integers, finds or takes its bin's slot in the table, and counts. The host
-//! sorts the bins. The second reading places every particle again and drops it where its bin's particles go.
+//! Positions are read once, in chunks: every particle is placed, in the f64 arithmetic of the host done by integers, finds or takes
+//! its bin's slot in the table, and is counted there. The host sorts the bins. Then every particle is dropped where its bin's
+//! particles go.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,12 +14,12 @@ use crate::brick::place::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::vulkan::{
-    Batch, Buffer, Device, Kernel, Limits, Place, Program, Queue, View, VulkanError, push_block,
+    ALIGNMENT, Batch, Buffer, Device, Kernel, Limits, Place, Program, Queue, View, VulkanError, push_block,
 };
 
 use super::{DeviceGrid, GROUP, flat_groups};
 
-/// Particles placed at once: their keys are all that is kept of them.
+/// Particles placed at once.
 const CHUNK: usize = 1 << 20;
 /// Chunks in a batch, with at most three dispatches and two stages each.
 const BATCH_CHUNKS: usize = 16;
@@ -66,18 +66,15 @@ push_block! {
 push_block! {
     /// Of [`SORT`].
     struct SortPush {
-        first: u32,
         count: u32,
-        width: u32,
-        mask: u32,
     }
 }
 
-/// The bins of a chunk's particles.
+/// A chunk's particles, packed, and their bins.
 pub const PLACE: Program = Program {
     name: "place",
     code: include_bytes!("../../../spirv/place.spv"),
-    buffers: &["grid", "positions", "keys", "census"],
+    buffers: &["grid", "positions", "keys", "packed", "census"],
     push: PlacePush::FIELDS,
     group: [GROUP, 1, 1],
 };
@@ -86,7 +83,7 @@ pub const PLACE: Program = Program {
 pub const ENTER: Program = Program {
     name: "enter",
     code: include_bytes!("../../../spirv/enter.spv"),
-    buffers: &["keys", "slots", "census"],
+    buffers: &["keys", "slots", "census", "homes"],
     push: EnterPush::FIELDS,
     group: [GROUP, 1, 1],
 };
@@ -104,7 +101,7 @@ pub const SETTLE: Program = Program {
 pub const SORT: Program = Program {
     name: "sort",
     code: include_bytes!("../../../spirv/sort.spv"),
-    buffers: &["grid", "positions", "slots", "places", "records"],
+    buffers: &["packed", "homes", "places", "records"],
     push: SortPush::FIELDS,
     group: [GROUP, 1, 1],
 };
@@ -277,8 +274,8 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
 ///
 /// # Errors
 /// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32 particles or
-/// more, a bin has more than 2^24 of them or than a kernel can see at once, or the device has no room for 8 bytes a
-/// particle.
+/// more, a bin has more than 2^24 of them or than a kernel can see at once, or the device has no room for 20 bytes a
+/// particle, of which 8 stay.
 ///
 /// # Panics
 /// If a view ends before its positions do.
@@ -298,7 +295,7 @@ pub fn bin(
     let device_grid = device.uploaded(&[DeviceGrid::new(grid, domain)])?;
     let chunks = chunks(positions, device.limits());
     let binning = Binning { device, kernels, grid: device_grid, chunks, limit };
-    let Counted { slots, table, census } = binning.count(total)?;
+    let Counted { kept, table, census } = binning.count(total)?;
     let (census, first_invalid) = binning.sum(&census, total);
     if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
         let position = binning.position(positions, index)?;
@@ -324,17 +321,24 @@ pub fn bin(
         Some(*end)
     }));
     let slots_of_bins: Vec<u32> = bins.iter().map(|&(_, slot, _)| slot).collect();
-    let runs = binning.sort(&slots, &slots_of_bins, &first)?;
+    let runs = binning.sort(&kept, table.len(), &slots_of_bins, &first)?;
     Ok(DeviceBins { keys: bins.into_iter().map(|(key, _, _)| key).collect(), first, census, runs })
 }
 
 /// All particles by bin.
 struct Counted {
-    slots: Arc<Buffer>,
-    /// What is in `slots`.
+    /// Of each chunk.
+    kept: Vec<Kept>,
     table: Vec<Slot>,
     /// Of each chunk.
     census: Vec<ChunkCensus>,
+}
+
+/// What is known of a chunk's particles.
+struct Kept {
+    packed: View,
+    /// The slots of their bins.
+    homes: View,
 }
 
 struct Binning<'a> {
@@ -354,6 +358,8 @@ impl Binning<'_> {
         let census_bytes = (self.chunks.len().max(1) * size_of::<ChunkCensus>()) as u64;
         let census = self.device.buffer(Place::Device, census_bytes)?;
         let census_read = self.device.buffer(Place::Download, census_bytes)?;
+        let kept: Vec<Kept> =
+            self.chunks.iter().map(|chunk| self.keep(chunk)).collect::<Result<_, VulkanError>>()?;
         let mut len = (total / SLOT_PARTICLES).max(1 << 10).next_power_of_two() as u64;
         loop {
             let bytes = len * size_of::<Slot>() as u64;
@@ -370,7 +376,8 @@ impl Binning<'_> {
                     batch.submit(&[])?;
                     batch.begin()?;
                 }
-                self.count_chunk(&mut batch, i as u32, chunk, len as u32, [&keys, &slots, &census])?;
+                let buffers = [&keys, &slots, &census];
+                self.count_chunk(&mut batch, i as u32, (chunk, &kept[i]), len as u32, buffers)?;
             }
             batch.copy(&census.whole(), &census_read.whole());
             batch.copy(&slots.whole(), &slots_read.whole());
@@ -379,7 +386,7 @@ impl Binning<'_> {
             let census: Vec<ChunkCensus> = census_read.read(0, self.chunks.len().max(1));
             let table: Vec<Slot> = slots_read.read(0, len as usize);
             if census[0].overflow == 0 {
-                return Ok(Counted { slots, table, census });
+                return Ok(Counted { kept, table, census });
             }
             if table.iter().filter(|slot| slot.count > 0).count() > self.limit {
                 return Err(BinError::TooManyBins { limit: self.limit }.into());
@@ -388,23 +395,33 @@ impl Binning<'_> {
         }
     }
 
+    /// Room for what is kept of a chunk until it is sorted.
+    fn keep(&self, chunk: &Chunk) -> Result<Kept, VulkanError> {
+        let packed = RECORD_BYTES * u64::from(chunk.count);
+        let begin = packed.next_multiple_of(ALIGNMENT);
+        let homes = size_of::<u32>() as u64 * u64::from(chunk.count);
+        let buffer = self.device.buffer(Place::Device, begin + homes)?;
+        Ok(Kept { packed: buffer.part(0, packed), homes: buffer.part(begin, homes) })
+    }
+
     fn count_chunk(
         &self,
         batch: &mut Batch,
         number: u32,
-        chunk: &Chunk,
+        (chunk, kept): (&Chunk, &Kept),
         slots_len: u32,
         buffers: [&Arc<Buffer>; 3],
     ) -> Result<(), VulkanError> {
         let &Chunk { count, first, width, .. } = chunk;
         let [keys, slots, census] = buffers.map(Buffer::whole);
         let kernels = self.kernels;
-        batch.stage("place", chunk.bytes() + 8 * u64::from(count));
-        let buffers = [self.grid.clone(), chunk.positions.clone(), keys.clone(), census.clone()];
+        batch.stage("place", chunk.bytes() + 16 * u64::from(count));
+        let Kept { packed, homes } = kept;
+        let buffers = [&self.grid, &chunk.positions, &keys, packed, &census].map(Clone::clone);
         let push = PlacePush { first, count, width, chunk: number };
         batch.dispatch(&kernels.place, &buffers, &push, chunk.groups())?;
-        batch.stage("count bins", 8 * u64::from(count));
-        let buffers = [keys, slots, census];
+        batch.stage("count bins", 12 * u64::from(count));
+        let buffers = [keys, slots, census, homes.clone()];
         let push = EnterPush { count, mask: slots_len - 1 };
         batch.dispatch(&kernels.enter, &buffers, &push, chunk.groups())?;
         let push = SettlePush { slots: slots_len };
@@ -453,39 +470,37 @@ impl Binning<'_> {
         Ok([values[0], values[1], values[2]])
     }
 
-    /// The second reading, once for each run.
+    /// Drops all particles where they go, run by run.
     fn sort(
         &self,
-        slots: &Arc<Buffer>,
+        kept: &[Kept],
+        slots: usize,
         slots_of_bins: &[u32],
         first: &[usize],
     ) -> Result<Vec<BinRun>, VulkanError> {
         let mut batch = self.device.batch(Queue::Compute)?;
-        let len = (slots.bytes() / size_of::<Slot>() as u64) as u32;
-        let upload = self.device.buffer(Place::Upload, 4 * u64::from(len))?;
-        let places = self.device.buffer(Place::Device, 4 * u64::from(len))?;
+        let upload = self.device.buffer(Place::Upload, 4 * slots as u64)?;
+        let places = self.device.buffer(Place::Device, 4 * slots as u64)?;
         let mut runs = Vec::new();
         let limits = self.device.limits();
         for run in runs_of(first, limits.storage_range.min(limits.allocation) / RECORD_BYTES) {
             let particles = first[run.end] - first[run.start];
             let records = self.device.buffer(Place::Device, particles as u64 * RECORD_BYTES)?;
-            let mut values = vec![ELSEWHERE; len as usize];
+            let mut values = vec![ELSEWHERE; slots];
             for bin in run.clone() {
                 values[slots_of_bins[bin] as usize] = (first[bin] - first[run.start]) as u32;
             }
             upload.write(0, &values);
             batch.begin()?;
             batch.copy(&upload.whole(), &places.whole());
-            for (i, chunk) in self.chunks.iter().enumerate() {
+            for (i, (chunk, Kept { packed, homes })) in self.chunks.iter().zip(kept).enumerate() {
                 if i > 0 && i % BATCH_CHUNKS == 0 {
                     batch.submit(&[])?;
                     batch.begin()?;
                 }
-                let &Chunk { count, first, width, .. } = chunk;
-                let [slots, places, records] = [slots, &places, &records].map(Buffer::whole);
-                let buffers = [self.grid.clone(), chunk.positions.clone(), slots, places, records];
-                let push = SortPush { first, count, width, mask: len - 1 };
-                batch.stage("sort", chunk.bytes() + RECORD_BYTES * u64::from(count));
+                let buffers = [packed, homes, &places.whole(), &records.whole()].map(Clone::clone);
+                let push = SortPush { count: chunk.count };
+                batch.stage("sort", (2 * RECORD_BYTES + 4) * u64::from(chunk.count));
                 batch.dispatch(&self.kernels.sort, &buffers, &push, chunk.groups())?;
             }
             batch.submit(&[])?;
