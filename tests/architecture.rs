@@ -61,7 +61,7 @@ struct Circle {
 }
 
 /// The circles that are still there.
-const CIRCLES: [Circle; 9] = [
+const CIRCLES: [Circle; 8] = [
     Circle {
         files: &[
             "bin/meniscus/devices.rs",
@@ -80,16 +80,6 @@ const CIRCLES: [Circle; 9] = [
         ],
         why: "the options of `reconstruct` are completed all over the program, and commands print through main.rs",
         until: "2027-01-31",
-    },
-    Circle {
-        files: &[
-            "backend/vulkan/bins.rs",
-            "backend/vulkan/blocks.rs",
-            "backend/vulkan/fields.rs",
-            "backend/vulkan/mod.rs",
-        ],
-        why: "the frame and its state are in mod.rs, and its methods in the others",
-        until: "2027-02-28",
     },
     Circle {
         files: &["brick/page.rs", "brick/samples.rs"],

@@ -273,7 +273,7 @@ fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
 }
 
 #[test]
-fn a_device_is_told_by_its_number_or_by_a_number_in_its_name() {
+fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
     let instance = match Instance::connect(false) {
         Ok(instance) => instance,
         Err(why) => return device::skip(why),
@@ -282,6 +282,8 @@ fn a_device_is_told_by_its_number_or_by_a_number_in_its_name() {
     let Some(device) = devices.first() else { return device::skip("there is no device") };
     let chosen = |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
     assert_eq!(chosen("0"), Ok(0));
+    assert_eq!(chosen(&device.uuid_digits()), Ok(0));
+    assert_eq!(chosen(&device.uuid_digits().to_uppercase()), Ok(0));
     let numbers = device.name.split(|c: char| !c.is_ascii_digit());
     let numbers: Vec<&str> =
         numbers.filter(|text| text.parse().is_ok_and(|number: usize| number >= devices.len())).collect();

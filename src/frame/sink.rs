@@ -10,7 +10,7 @@ use crate::estimate::{Estimate, Plan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
 use crate::stage::indicator::{Indicator, PageRule, SampledDif};
 
-/// Samples of the bins whose pages are made at once, at the most.
+/// Samples of the bins whose pages are made at once before they go into a file, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;
 
 /// Where the DIF goes as it is made.
@@ -35,7 +35,10 @@ impl FieldSink {
     /// Takes the pages of all `bins`.
     pub(super) fn take(&mut self, stages: &dyn Stages, bins: &Bins, rule: &PageRule) -> io::Result<()> {
         let end = bins.keys().len();
-        let batch = BATCH_SAMPLES / rule.shape().bin_samples();
+        let batch = match self {
+            Self::Memory(_) => end.max(1),
+            Self::File { .. } => BATCH_SAMPLES / rule.shape().bin_samples(),
+        };
         for first in (0..end).step_by(batch) {
             let pages = stages.indicate(bins, first..(first + batch).min(end), rule)?;
             match self {

@@ -1,5 +1,6 @@
 //! Bins to pages.
 
+use std::io;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -12,8 +13,26 @@ use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{BinEntry, indicate};
 use crate::vulkan::{Buffer, Place, View, VulkanError};
 
+use super::frame::{DeviceFrame, State};
+use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly, part};
-use super::{BIN_BATCH, DeviceFrame, Fault, PARTICLE_BATCH, State, page_bytes};
+
+/// Bins of a batch at the most.
+const BIN_BATCH: usize = 4096;
+/// Particles of a batch of several bins at the most: drivers give up on a device that is at work for some two seconds on end.
+const PARTICLE_BATCH: usize = 4 << 20;
+
+/// What fails on the way from bins to pages.
+pub(super) enum Fault {
+    Device(VulkanError),
+    Scratch(io::Error),
+}
+
+impl From<VulkanError> for Fault {
+    fn from(error: VulkanError) -> Self {
+        Self::Device(error)
+    }
+}
 
 /// Bins on their way through a lane.
 struct BinBatch {
@@ -124,8 +143,9 @@ impl DeviceFrame {
         self.make_resident(state, &bins.keys, shape);
         self.make_lanes(state)?;
         let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
+        let most = BIN_BATCH.min((state.batch_bytes / (2 * page_bytes(shape))) as usize).max(1);
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
-            bins.parts(run.clone(), BIN_BATCH, PARTICLE_BATCH).map(move |part| (part, run.start, records))
+            bins.parts(run.clone(), most, PARTICLE_BATCH).map(move |part| (part, run.start, records))
         });
         let mut pages = Pages::with_capacity(bins.keys.len());
         fly(

@@ -12,9 +12,10 @@ use crate::grid::CellBox;
 use crate::stage::distance::Inside;
 use crate::vulkan::View;
 
-use super::fields::FrameConstants;
+use super::constants::FrameConstants;
+use super::frame::Resident;
+use super::kernels::page_bytes;
 use super::lane::{Layout, part};
-use super::{Resident, page_bytes};
 
 /// Samples that blocks are cut out of, and their pages where these are on the device already.
 #[derive(Clone, Copy)]

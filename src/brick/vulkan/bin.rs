@@ -522,3 +522,20 @@ fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
     }
     runs
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_cut_by_bins_and_by_particles_but_no_bin_is() {
+        let counts = [3, 1, 9, 2, 2, 2, 2, 0, 1];
+        let mut first = vec![0];
+        counts.iter().for_each(|count| first.push(first[first.len() - 1] + count));
+        let bins = DeviceBins { keys: Vec::new(), first, census: Census::default(), runs: Vec::new() };
+        let parts: Vec<_> = bins.parts(1..9, 3, 5).collect();
+        assert_eq!(parts, [1..2, 2..3, 3..5, 5..8, 8..9]);
+        assert_eq!(bins.parts(0..9, 100, 100).map(|part| part.len()).collect::<Vec<_>>(), [9]);
+        assert_eq!(bins.parts(4..4, 3, 5).count(), 0);
+    }
+}

@@ -285,9 +285,9 @@ impl Look {
 
     /// A box around the cells near which particles stand out, if they do.
     #[must_use]
-    pub fn outlying(&self, seen: &Seen) -> CellBox {
+    pub fn outlying(&self, seen: &Seen) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
-        CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 }
+        (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
     }
 }
 
@@ -301,14 +301,6 @@ pub struct Seen {
     pub below: u32,
     lo: [u32; 3],
     hi: [u32; 3],
-}
-
-impl Seen {
-    /// Whether particles stand out near any cell.
-    #[must_use]
-    pub fn stands_out(&self) -> bool {
-        self.lo[0] <= self.hi[0]
-    }
 }
 
 /// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles stand out as a gate says, goes into

@@ -1,0 +1,77 @@
+//! What kernels look up: tables, and the weights of filters.
+
+use hashbrown::{HashMap, HashSet};
+
+use crate::backend::Surfaces;
+use crate::stage::blur::Kernel;
+use crate::stage::distance::vulkan::tables as tables_of_distances;
+use crate::stage::dual_mc::vulkan::lengths;
+use crate::vulkan::{Batch, View, VulkanError};
+
+/// Weights that are kept, at the most.
+const KEPT_WEIGHTS: usize = 64;
+
+/// What kernels look up, on the device from when it is first asked for.
+#[derive(Debug, Default)]
+pub(super) struct Constants {
+    tables: Option<Tables>,
+    weights: HashMap<Kernel, View>,
+}
+
+/// The same for every frame.
+#[derive(Debug, Clone)]
+pub(super) struct Tables {
+    /// Of distances: depths, and how far away shares are.
+    pub(super) depths: View,
+    pub(super) away: View,
+    /// Triangles by case.
+    pub(super) lengths: View,
+}
+
+/// What the batches of a frame look up.
+pub(super) struct FrameConstants {
+    pub(super) tables: Tables,
+    pub(super) weights: HashMap<Kernel, View>,
+    pub(super) theta: View,
+    pub(super) decode: u32,
+}
+
+impl Constants {
+    /// Sends what is not on the device yet of all that surfaces look up, by a batch that is idle.
+    pub(super) fn of(
+        &mut self,
+        surfaces: &Surfaces<'_>,
+        batch: &mut Batch,
+    ) -> Result<FrameConstants, VulkanError> {
+        let Self { tables, weights: known } = self;
+        let theta = surfaces.sampled.dif.decode_table().unwrap_or_default();
+        let theta: Vec<u32> = theta.iter().map(|&theta| theta.into()).collect();
+        let kernels = surfaces.recipe.filters.kernels();
+        let unknown: HashSet<&Kernel> =
+            kernels.iter().copied().filter(|kernel| !known.contains_key(*kernel)).collect();
+        batch.begin()?;
+        let made = match tables {
+            Some(tables) => tables.clone(),
+            None => {
+                let [depths, away] = tables_of_distances().map(|table| batch.store(&table));
+                Tables { depths: depths?, away: away?, lengths: batch.store(&lengths())? }
+            }
+        };
+        let new = unknown.into_iter().map(|kernel| Ok((kernel.clone(), batch.store(kernel.half())?)));
+        let new: Vec<(Kernel, View)> = new.collect::<Result<_, VulkanError>>()?;
+        let decode = theta.len() as u32;
+        let theta = if decode > 0 { batch.store(&theta)? } else { made.lengths.clone() };
+        if tables.is_none() || !new.is_empty() || decode > 0 {
+            batch.submit(&[])?;
+            batch.wait()?;
+        }
+        // What is kept is there.
+        *tables = Some(made.clone());
+        if known.len() > KEPT_WEIGHTS {
+            known.retain(|kernel, _| kernels.contains(&kernel));
+        }
+        known.extend(new);
+        let weights = kernels.into_iter().map(|kernel| (kernel.clone(), known[kernel].clone())).collect();
+        Ok(FrameConstants { tables: made, weights, theta, decode })
+    }
+}

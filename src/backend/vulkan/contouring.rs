@@ -1,0 +1,194 @@
+//! The batches of regions on their way to surfaces: what they take, and what they are made of.
+
+use std::collections::VecDeque;
+
+use glam::IVec3;
+use hashbrown::HashSet;
+
+use crate::backend::Surfaces;
+use crate::brick::vulkan::{DeviceBlock, DeviceBlocks};
+use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
+use crate::mesh::Tile;
+use crate::recipe::{Filters, WideFields};
+use crate::stage::distance::vulkan::Look;
+use crate::stage::distance::wide_cells;
+use crate::stage::dual_mc::Normals;
+use crate::stage::dual_mc::vulkan::{Falls, SIGN_TILES, Slot};
+use crate::vulkan::{Batch, Ticket, View};
+
+use super::constants::FrameConstants;
+use super::fields::{PaddedBlocks, PaddedFields};
+use super::frame::{DeviceFrame, Resident};
+use super::grids::Samples;
+use super::kernels::page_bytes;
+
+/// Blocks of a batch at the most.
+const BLOCK_BATCH: usize = 1024;
+/// Vertices of a block on average that a batch has room for; a batch that has more is emitted again.
+const BLOCK_ROOM: u64 = 6144;
+/// Vertices that a block can have.
+const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
+
+/// Fields of wide cells that are there at once: clouds, two surfaces and what they are apart by, and another with one more on its way.
+pub(super) const WIDE_FIELDS: usize = 6;
+/// Fields of drops: clouds, and what is around them with one more on its way.
+pub(super) const DROPS_FIELDS: usize = 3;
+/// Fields of the parts in which particles stand out: by how much, and shares.
+pub(super) const PART_FIELDS: usize = 2;
+/// Regions on their way through a lane.
+pub(super) struct BlockBatch {
+    pub(super) regions: Vec<CellBox>,
+    /// Vertices that there is room for.
+    pub(super) room: u64,
+    /// What is known of wide cells, where distances are made of them.
+    pub(super) wide: Option<Wide>,
+    /// Of the regions those that are drawn: all that can show a surface, as far as is known.
+    pub(super) drawn: Vec<usize>,
+    /// The parts of some of them in which particles stand out, by their place among those.
+    pub(super) parts: Vec<(usize, CellBox)>,
+}
+
+impl BlockBatch {
+    /// As many of the first regions as a batch may take, at least one: if particles stand out everywhere.
+    pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
+        let limit = work.frame.device.limits().storage_range;
+        let sources = work.sources();
+        let mut known: Vec<(u64, HashSet<IVec3>)> = sources.iter().map(|_| Default::default()).collect();
+        let mut taken = MOST_VERTICES * work.vertex_bytes() * 2;
+        let mut count = 0;
+        for &region in regions.iter().take(BLOCK_BATCH) {
+            let cells = work.surfaces.normals.cells(region);
+            let mut longest = 0;
+            taken += work.region_bytes();
+            for (source, (words, pages)) in sources.iter().zip(&mut known) {
+                let block = DeviceBlock::new(source.cells(cells), region);
+                *words += u64::from(block.words());
+                taken += 4 * source.fields * u64::from(block.words());
+                longest = longest.max(4 * *words);
+                let Some(from) = source.sampled.then(|| work.samples(source.level)) else { continue };
+                let page_bytes = page_bytes(from.dif.shape());
+                let before = pages.len() as u64;
+                for bin in block.bins(from.dif.shape().rim) {
+                    taken += size_of::<u32>() as u64 * 2;
+                    if from.resident.is_none() && from.dif.has_page(bin) {
+                        pages.insert(bin);
+                    }
+                }
+                taken += 2 * (pages.len() as u64 - before) * page_bytes;
+                longest = longest.max(pages.len() as u64 * page_bytes);
+            }
+            if count > 0 && (taken > work.bytes || longest > limit) {
+                break;
+            }
+            count += 1;
+        }
+        Self {
+            regions: regions[..count].to_vec(),
+            room: MOST_VERTICES.max(count as u64 * BLOCK_ROOM),
+            wide: None,
+            drawn: (0..count).collect(),
+            parts: Vec::new(),
+        }
+    }
+
+    /// The regions that are drawn.
+    pub(super) fn drawn(&self) -> impl Iterator<Item = CellBox> + Clone + '_ {
+        self.drawn.iter().map(|&number| self.regions[number])
+    }
+}
+
+/// The field on some blocks, and when what it is made of is there.
+pub(super) struct Fielded {
+    pub(super) blocks: DeviceBlocks,
+    pub(super) field: View,
+    pub(super) uploaded: Ticket,
+}
+
+/// Cells in which a batch has fields.
+pub(super) struct Source {
+    /// 2^`level` times as wide as those of the grid.
+    pub(super) level: u32,
+    /// How far beyond those that the field is asked for on.
+    halo: i32,
+    /// Whether samples are asked for in them.
+    sampled: bool,
+    /// Fields in them that are there at once, the samples among them.
+    pub(super) fields: u64,
+}
+
+impl Source {
+    /// The cells in which there are fields, for a field on `cells`.
+    pub(super) fn cells(&self, cells: CellBox) -> CellBox {
+        wide_cells(self.level, cells).grown(self.halo, self.halo)
+    }
+}
+
+/// The bulk of a batch in wide cells.
+pub(super) struct Wide {
+    pub(super) blocks: DeviceBlocks,
+    /// For each region the number of its block.
+    pub(super) of_regions: Vec<u32>,
+    pub(super) looks: Vec<Look>,
+    pub(super) fields: WideFields<View>,
+}
+
+/// Blocks to surfaces.
+pub(super) struct Contouring<'a> {
+    pub(super) frame: &'a DeviceFrame,
+    pub(super) surfaces: &'a Surfaces<'a>,
+    pub(super) constants: FrameConstants,
+    pub(super) resident: Option<&'a Resident>,
+    /// What a batch may take.
+    pub(super) bytes: u64,
+}
+
+impl<'a> Contouring<'a> {
+    pub(super) fn has_normals(&self) -> bool {
+        self.surfaces.normals == Normals::Gradient
+    }
+
+    /// Bytes of a vertex on the device.
+    pub(super) fn vertex_bytes(&self) -> u64 {
+        size_of::<[u16; 2]>() as u64 + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
+    }
+
+    /// What cells of a level are cut out of.
+    pub(super) fn samples(&self, level: u32) -> Samples<'a> {
+        let resident = self.resident.filter(|_| level == 0);
+        Samples { dif: self.surfaces.sampled.wide(level), resident }
+    }
+
+    /// All cells in which a region has fields.
+    pub(super) fn sources(&self) -> Vec<Source> {
+        match &self.surfaces.recipe.filters {
+            Filters::Paper(paper) => {
+                vec![Source { level: 0, halo: paper.halo(), sampled: true, fields: paper.fields().device }]
+            }
+            Filters::Distances(distances) => {
+                let wide = (distances.level, distances.wide_halo());
+                let drops = (distances.drops_level, distances.drops_halo());
+                vec![
+                    Source { level: wide.0, halo: wide.1, sampled: true, fields: WIDE_FIELDS as u64 },
+                    Source { level: drops.0, halo: drops.1, sampled: true, fields: DROPS_FIELDS as u64 },
+                    Source { level: 0, halo: 0, sampled: false, fields: 1 + PART_FIELDS as u64 },
+                ]
+            }
+        }
+    }
+
+    /// Bytes of a region besides its fields, on the device and staged.
+    pub(super) fn region_bytes(&self) -> u64 {
+        let tiles = u64::from(BLOCK_TILES) * (2 * size_of::<Tile>() + size_of::<Slot>()) as u64;
+        tiles + 8 * u64::from(SIGN_TILES) + 2 * BLOCK_ROOM * self.vertex_bytes()
+    }
+
+    pub(super) fn fields<'b>(
+        &'b self,
+        commands: &'b mut Batch,
+        grids: Vec<PaddedBlocks>,
+    ) -> PaddedFields<'b> {
+        let (kernels, constants, walls) = (&*self.frame.kernels, &self.constants, self.surfaces.walls());
+        let gathered = VecDeque::new();
+        PaddedFields { kernels, constants, walls, commands, grids, gathered, cells: 0, parts: None }
+    }
+}

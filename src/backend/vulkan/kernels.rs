@@ -1,0 +1,56 @@
+//! The kernels from particles to surfaces, and what they take a page to be.
+
+use std::sync::Arc;
+
+use crate::brick::PageShape;
+use crate::brick::vulkan::{GATHER, page_words};
+use crate::stage::blur::vulkan::BLUR;
+use crate::stage::detail::vulkan::{GREATER, LOST};
+use crate::stage::distance::vulkan::{
+    DEPTHS_OF, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+};
+use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
+use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
+use crate::vulkan::{Device, Kernel, VulkanError};
+
+/// All of them.
+#[derive(Debug)]
+pub(super) struct Kernels {
+    pub(super) indicate: Indicators,
+    pub(super) gather: Arc<Kernel>,
+    pub(super) blur: Arc<Kernel>,
+    pub(super) lost: Arc<Kernel>,
+    pub(super) greater: Arc<Kernel>,
+    pub(super) distance: Distance,
+    pub(super) dual_mc: DualMc,
+}
+
+impl Kernels {
+    /// Compiles them for a device.
+    pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
+        #[rustfmt::skip]
+        let [
+            indicate, clouds, gather, blur, lost, greater,
+            depths, mix, outlying, spread, look, refine, quotient, join,
+            signs, tiles, bases, emit,
+        ] = device.kernels([
+            &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER,
+            &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
+            &SIGNS, &TILES, &BASES, &EMIT,
+        ])?;
+        Ok(Self {
+            indicate: Indicators { indicate, clouds },
+            gather,
+            blur,
+            lost,
+            greater,
+            distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join },
+            dual_mc: DualMc { signs, tiles, bases, emit },
+        })
+    }
+}
+
+/// Bytes of a page on the device.
+pub(super) fn page_bytes(shape: PageShape) -> u64 {
+    4 * u64::from(page_words(shape))
+}

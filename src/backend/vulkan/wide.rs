@@ -1,0 +1,196 @@
+//! Distances: the bulk in wide cells first, then what it shows in the cells of the mesh.
+//!
+//! Neighbouring regions share wide cells. What these show is looked at on the device, so that only regions with a surface are drawn,
+//! and drops are only made in the parts where particles stand out.
+
+use std::rc::Rc;
+
+use glam::IVec3;
+
+use crate::backend::parent;
+use crate::grid::CellBox;
+use crate::recipe::{Filters, WideFields, bulk, joined};
+use crate::stage::distance::vulkan::{Look, Seen, look};
+use crate::stage::distance::{Distances, wide_cells};
+use crate::stage::dual_mc::dual_cells;
+use crate::vulkan::{Place, View, VulkanError};
+
+use super::contouring::{BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide};
+use super::fields::{Padded, PaddedBlocks};
+use super::grids::Grid;
+use super::kernels::page_bytes;
+use super::lane::{Lane, Layout, part};
+
+/// The numbers of blocks among those that are drawn of wide cells.
+const WIDE: usize = 0;
+const CELLS: usize = 1;
+const PARTS: usize = 2;
+const DROPS: usize = 3;
+
+/// Nothing of a block is meshed.
+const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
+
+impl Contouring<'_> {
+    /// Tells which regions are drawn, once wide cells are made, and in which parts of them particles stand out.
+    pub(super) fn choose(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
+        let (Some(wide), Filters::Distances(distances)) = (&batch.wide, &self.surfaces.recipe.filters) else {
+            return Ok(());
+        };
+        lane.compute.wait()?;
+        let count = wide.looks.len();
+        let seen: Vec<Seen> = lane.known("seen read", (size_of::<Seen>() * count) as u64).read(0, count);
+        batch.drawn.clear();
+        for (number, ((&region, look), seen)) in batch.regions.iter().zip(&wide.looks).zip(&seen).enumerate()
+        {
+            let part = look.outlying(seen).map(|wide| {
+                // A wide cell tells of those of its neighbours, too.
+                let further = i32::from(distances.level > 0);
+                let CellBox { lo, hi } = wide.grown(further, further);
+                let near = CellBox { lo: lo << distances.level, hi: hi << distances.level };
+                near.intersection(&self.surfaces.normals.cells(region))
+            });
+            let part = part.filter(|part| !part.is_empty());
+            let at_walls = self.surfaces.walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
+            // Cells are weighted means of wide ones. All inside is no surface only away from walls.
+            if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
+                batch.parts.extend(part.map(|part| (batch.drawn.len(), part)));
+                batch.drawn.push(number);
+            }
+        }
+        Ok(())
+    }
+
+    /// Has the bulk made in wide cells, in which neighbouring regions share what they can, and looked at.
+    pub(super) fn make_wide(
+        &self,
+        lane: &mut Lane,
+        regions: &[CellBox],
+        distances: &Distances,
+    ) -> Result<Wide, VulkanError> {
+        let (device, kernels) = (&self.frame.device, &self.frame.kernels.distance);
+        let (from, halo) = (self.samples(distances.level), distances.wide_halo());
+        let wide = |region| distances.wide_cells(self.surfaces.normals.cells(region));
+        let mut grid = Grid::default();
+        let (mut of_regions, mut looks) = (Vec::new(), Vec::new());
+        for near in regions.chunk_by(|a, b| parent(a) == parent(b)) {
+            let all = near.iter().fold(CellBox::EMPTY, |all, &region| all.union(&wide(region)));
+            let volume = |cells: CellBox| cells.grown(halo, halo).volume();
+            let together = volume(all) <= near.iter().map(|&region| volume(wide(region))).sum();
+            for (i, &region) in near.iter().enumerate() {
+                if i == 0 || !together {
+                    let cells = if together { all } else { wide(region) };
+                    grid.push_sampled(cells.grown(halo, halo), NO_TILES, from, Some(&distances.inside));
+                }
+                let block = grid.len() as u32 - 1;
+                of_regions.push(block);
+                looks.push(Look::new(wide(region), block));
+            }
+        }
+        let mut layout = Layout::default();
+        let places = grid.place(&mut layout, page_bytes(from.dif.shape()));
+        let looks_at = layout.place(size_of_val(&looks[..]) as u64);
+        lane.begin()?;
+        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "wide inputs", Place::Device, layout.bytes)?;
+        let free = lane.fields(device, "wide", WIDE_FIELDS, grid.field_bytes())?;
+        let seen_bytes = (size_of::<Seen>() * looks.len()) as u64;
+        let seen = lane.buffer(device, "seen", Place::Device, seen_bytes)?;
+        let read = lane.buffer(device, "seen read", Place::Download, seen_bytes)?;
+        grid.stage(&staged, &places, from.dif);
+        staged.write(looks_at.start, &looks);
+        let uploaded = lane.send(&staged, &inputs)?;
+
+        let blocks = grid.on_device(&inputs, &places);
+        let marks = Some(places.marks(&inputs));
+        let within = Vec::new();
+        let grid = PaddedBlocks { blocks: blocks.clone(), level: distances.level, marks, within, free };
+        let mut fields = self.fields(&mut lane.compute, vec![grid]);
+        fields.gather(0, &places.pages(&inputs, from, &self.constants))?;
+        let made = bulk(distances, &mut fields)?;
+        let fields = WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
+        let views = [&part(&inputs, &looks_at), &fields.bulk, &fields.outlying, &seen];
+        let commands = &mut lane.compute;
+        commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
+        let by = (self.surfaces.recipe.iso, &distances.gate);
+        look(commands, kernels, &blocks, looks.len() as u32, by, views)?;
+        commands.copy(&seen, &read);
+        commands.submit(&[uploaded])?;
+        Ok(Wide { blocks, of_regions, looks, fields })
+    }
+
+    /// The field on the regions that are drawn, of the bulk in wide cells, and of drops in their parts.
+    pub(super) fn join_wide(
+        &self,
+        lane: &mut Lane,
+        batch: &BlockBatch,
+        distances: &Distances,
+        wide: &Wide,
+    ) -> Result<Fielded, VulkanError> {
+        let device = &self.frame.device;
+        let (level, halo) = (distances.drops_level, distances.drops_halo());
+        let from = self.samples(level);
+        let [mut cells, mut parts, mut drops] = <[Grid; 3]>::default();
+        for region in batch.drawn() {
+            cells.push(self.surfaces.normals.cells(region), region.tiled());
+        }
+        for &(_, part) in &batch.parts {
+            parts.push(part, NO_TILES);
+            let around = wide_cells(level, part).grown(halo, halo);
+            drops.push_sampled(around, NO_TILES, from, None);
+        }
+        let of_wide = |number: usize| wide.of_regions[batch.drawn[number]];
+        let numbers: [Vec<u32>; 4] = [
+            (0..batch.drawn.len()).map(of_wide).collect(),
+            batch.parts.iter().map(|&(number, _)| of_wide(number)).collect(),
+            batch.parts.iter().map(|&(number, _)| number as u32).collect(),
+            (0..batch.parts.len() as u32).collect(),
+        ];
+        let mut layout = Layout::default();
+        let places =
+            [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.dif.shape())));
+        let numbers_at = numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
+        let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
+        let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
+        let mut free = Vec::new();
+        for (name, count, grid) in
+            [("cells", 1, &cells), ("parts", PART_FIELDS, &parts), ("drops", DROPS_FIELDS, &drops)]
+        {
+            free.push(lane.fields(device, name, count, grid.field_bytes())?);
+        }
+        for (grid, places) in [&cells, &parts, &drops].into_iter().zip(&places) {
+            grid.stage(&staged, places, from.dif);
+        }
+        for (numbers, at) in numbers.iter().zip(&numbers_at) {
+            staged.write(at.start, numbers);
+        }
+        let uploaded = lane.send(&staged, &inputs)?;
+
+        let [wide_of_cells, wide_of_parts, homes, of_drops] =
+            numbers_at.each_ref().map(|at| part(&inputs, at));
+        let blocks = cells.on_device(&inputs, &places[0]);
+        let within = [
+            Vec::new(),
+            vec![(WIDE, wide_of_cells)],
+            vec![(WIDE, wide_of_parts), (CELLS, homes), (DROPS, of_drops)],
+            Vec::new(),
+        ];
+        let all = [wide.blocks.clone(), blocks.clone()].into_iter().chain(
+            [(&parts, &places[1]), (&drops, &places[2])]
+                .map(|(grid, places)| grid.on_device(&inputs, places)),
+        );
+        let free = std::iter::once(Vec::new()).chain(free);
+        let grids = all.zip(within).zip(free).zip([distances.level, 0, 0, level]);
+        let padded =
+            |(((blocks, within), free), level)| PaddedBlocks { blocks, level, marks: None, within, free };
+        let mut fields = self.fields(&mut lane.compute, grids.map(padded).collect());
+        fields.cells = CELLS;
+        if !batch.parts.is_empty() {
+            fields.parts = Some(PARTS);
+            fields.gather(DROPS, &places[2].pages(&inputs, from, &self.constants))?;
+        }
+        let known = |samples: &View| Rc::new(Padded { samples: samples.clone(), margin: 0, of: WIDE });
+        let made = WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };
+        let field = joined(distances, &mut fields, made)?.samples.clone();
+        Ok(Fielded { blocks, field, uploaded })
+    }
+}
