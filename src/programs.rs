@@ -1,13 +1,16 @@
 //! Every program that runs on a device, and the constants that their sources share with Rust.
 
 use crate::brick::vulkan::{
-    ELSEWHERE, ENTER, GATHER, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED, SORT,
+    ELSEWHERE, ENTER, FULL_CELLS, GATHER, HALVE, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED,
+    SORT,
 };
-use crate::brick::{AXIS_BITS, COORD_BITS, RECORD_BITS};
+use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
-use crate::stage::distance::vulkan::{DEPTHS_OF, JOIN, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD};
+use crate::stage::distance::vulkan::{
+    CUBE_PARTS, CUBE_WORDS, DEPTHS_OF, FULL_BRICKS, JOIN, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+};
 use crate::stage::distance::{BRICK, MOST_APART, ZERO};
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
 use crate::stage::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
@@ -17,9 +20,34 @@ use crate::units::FULL;
 use crate::vulkan::Program;
 
 /// All of them, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 25] = [
-    &PLACE, &ENTER, &SETTLE, &SORT, &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER, &DEPTHS_OF, &MIX,
-    &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN, &SIGNS, &TILES, &BASES, &EMIT, &STARTS, &VERTICES,
+pub const PROGRAMS: [&Program; 28] = [
+    &PLACE,
+    &ENTER,
+    &SETTLE,
+    &SORT,
+    &INDICATE,
+    &CLOUDS,
+    &FULL_CELLS,
+    &HALVE,
+    &FULL_BRICKS,
+    &GATHER,
+    &BLUR,
+    &LOST,
+    &GREATER,
+    &DEPTHS_OF,
+    &MIX,
+    &OUTLYING,
+    &SPREAD,
+    &LOOK,
+    &REFINE,
+    &QUOTIENT,
+    &JOIN,
+    &SIGNS,
+    &TILES,
+    &BASES,
+    &EMIT,
+    &STARTS,
+    &VERTICES,
     &TRIANGLES,
 ];
 
@@ -42,6 +70,9 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("RIM", "u32", RIM.into()),
         ("RUN", "u32", RUN.into()),
         ("CLOUD_SAMPLES", "u32", CLOUD_SAMPLES.into()),
+        ("HALVED_BITS", "u32", HALVED_BITS.into()),
+        ("CUBE_PARTS", "u32", CUBE_PARTS.into()),
+        ("CUBE_WORDS", "u32", CUBE_WORDS.into()),
         ("TILE", "u32", TILE.into()),
         ("BIN", "i32", BIN.into()),
         ("BIN_BITS", "u32", BIN.ilog2().into()),

@@ -16,7 +16,7 @@ use meniscus::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
 use meniscus::frame::{FrameError, Sampling, Surfacing};
 use meniscus::mesh::Mesh;
 use meniscus::recipe::Detail;
-use meniscus::stage::indicator::IndicatorKind;
+use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::units::{Isovalue, Sigma, Smooth};
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
 
@@ -50,7 +50,13 @@ fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
         invalid: InvalidParticles::Refuse,
         spacing: sampling.spacing,
         surfacing: *surfacing,
+        calibration: None,
     }
+}
+
+/// So many cells that clouds have wide ones, and the paper's indicators tell enough.
+fn spacing(indicator: IndicatorKind) -> f64 {
+    if indicator == IndicatorKind::Cloud { 3.0 } else { 0.8 }
 }
 
 fn rounded(mesh: &Mesh) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
@@ -91,17 +97,51 @@ fn a_resident_frame_is_that_of_the_cpu_with_every_indicator_filter_and_wall() {
 #[test]
 fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
     let particles = splashes(31);
-    let (frame, expected) = reconstruct(&particles[..], &sampling(), &surfacing());
-    for queues in [Queues::One, Queues::OneAsTwo] {
+    for (queues, indicator) in [Queues::One, Queues::OneAsTwo]
+        .iter()
+        .flat_map(|&queues| INDICATORS.map(|indicator| (queues, indicator)))
+    {
+        let sampling = Sampling { field: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing());
         let options = DeviceOptions { queues, shares_host_memory: Some(false), ..DeviceOptions::default() };
         let Some((device, log)) = device::open(&options).map_err(device::skip).ok() else { return };
         let input = [positions(&device, &particles)];
         let pipeline = Pipeline::new(&device).unwrap();
-        let surface = pipeline.surface(&input, &settings(&sampling(), &surfacing())).unwrap();
-        assert_eq!(surface.census, frame.facts().census, "{queues:?}");
-        assert!(read(&device, &surface) == rounded(&expected.mesh), "{queues:?}");
+        let surface = pipeline.surface(&input, &settings(&sampling, &surfacing())).unwrap();
+        assert_eq!(surface.census, frame.facts().census, "{queues:?}, {indicator:?}");
+        assert!(read(&device, &surface) == rounded(&expected.mesh), "{queues:?}, {indicator:?}");
         drop((surface, pipeline, input, device));
-        assert_eq!(log.messages(), [""; 0], "{queues:?}");
+        assert_eq!(log.messages(), [""; 0], "{queues:?}, {indicator:?}");
+    }
+}
+
+#[test]
+fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing() {
+    let options = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
+    let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else { return };
+    let particles = splashes(37);
+    let input = [positions(&device, &particles)];
+    let pipeline = Pipeline::new(&device).unwrap();
+    for indicator in INDICATORS {
+        let sampling = Sampling { field: indicator.into(), spacing: Some(spacing(indicator)), ..sampling() };
+        let settings = settings(&sampling, &surfacing());
+        let received = |settings: &Settings| {
+            let before = device.counters().received;
+            let surface = pipeline.surface(&input, settings).unwrap();
+            (device.counters().received - before, surface)
+        };
+        let (to_measure, first) = received(&settings);
+        let known = Settings { calibration: Some(first.calibration), ..settings.clone() };
+        let (to_draw, second) = received(&known);
+        assert!(first.measured.is_some() && second.measured.is_none(), "{indicator:?}");
+        assert!(to_draw < to_measure / 2, "{indicator:?}: {to_draw} bytes of {to_measure}");
+        assert!(read(&device, &first) == read(&device, &second), "{indicator:?}");
+        let other = IndicatorRequest::from(match indicator {
+            IndicatorKind::Cloud => IndicatorKind::Counting,
+            _ => IndicatorKind::Cloud,
+        });
+        let refused = pipeline.surface(&input, &Settings { indicator: other, ..known });
+        assert!(matches!(refused, Err(FrameError::OtherIndicator)), "{indicator:?}: {refused:?}");
     }
 }
 

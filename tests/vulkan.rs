@@ -10,19 +10,20 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use common::device::{self, Watched};
+use common::device::{self, Watched, contoured};
 use common::scene::Random;
 use common::{
-    INDICATORS, Reconstructed, by, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+    INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use glam::IVec3;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
-use meniscus::frame::{Detail, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::{CellBox, Grid};
+use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::{BIN, CellBox, Domain, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
+use meniscus::laps::Laps;
 use meniscus::mesh::Mesh;
 use meniscus::programs::PROGRAMS;
 use meniscus::recipe::{PaperFilters, Recipe};
@@ -212,13 +213,132 @@ fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
     });
 }
 
+/// Two fields, page by page, and what is known of their cells.
+fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
+    assert_eq!(one.infos(), other.infos(), "{what}");
+    for (page, info) in one.infos().iter().enumerate() {
+        assert!(one.stored(page) == other.stored(page), "{what}: {info:?}");
+        let around = CellBox::cube(info.key.coord(), BIN).grown(2, 2);
+        assert!(one.gather(around) == other.gather(around), "{what}: {info:?}");
+    }
+}
+
+#[test]
+fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and_its_inside() {
+    // Particles at rest, deep enough for an inside, spray around them, and some more of them with cells to every octant.
+    let mut random = Random::new(11);
+    let mut particles: Vec<[f64; 3]> = Vec::new();
+    for at in CellBox::cube(IVec3::splat(-1), 24).cubes(1).chain(CellBox::cube(IVec3::ZERO, 6).cubes(1)) {
+        particles.push(at.to_array().map(|at| f64::from(at) + 0.5 * random.unit()));
+    }
+    particles.extend((0..400).map(|_| std::array::from_fn(|_| 90.0 * random.unit() - 50.0)));
+    let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&own, |device| {
+        for (indicator, side) in INDICATORS.iter().flat_map(|&indicator| {
+            [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen].map(|side| (indicator, side))
+        }) {
+            let cells = [(0.3, true), (0.3, false), (0.6, false), (1.1, true)];
+            // The paper's are of cells that hold a particle or more.
+            let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
+            for &(cell_size, walls) in cells {
+                let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
+                let mut known = Sampling { grid, field: indicator.into(), side, ..sampling() };
+                known.spacing = Some(1.0);
+                known.domain =
+                    walls.then(|| Domain::new(&grid, [-30.0, -9.7, -20.0].into(), [21.0; 3].into()).unwrap());
+                let what = format!("{indicator:?}, {side:?}, cells of {cell_size}, walls {walls}");
+                let surfacing = surfacing();
+                let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
+                known.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                let frame = Frame::sample(&particles[..], &known, &mut Laps::default()).unwrap();
+                let [made, expected] = [&frame, &expected].map(dif);
+                assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
+                let calibration = surfacing.calibrate(expected).unwrap().calibration;
+                if made.is_clouds() {
+                    for level in 1..=made.wide_cells().level {
+                        assert!(
+                            made.wide(level).elsewhere().is_some(),
+                            "{what}: level {level} does not stay"
+                        );
+                        assert_same_fields(
+                            made.wide(level),
+                            expected.wide(level),
+                            &format!("{what}: {level}"),
+                        );
+                    }
+                }
+                let [recipe, known] = [made, expected].map(|dif| surfacing.recipe(dif, &calibration));
+                assert!(recipe == known, "{what}: another inside");
+                assert_eq!(surfacing.calibrate(made).unwrap().calibration, calibration, "{what}");
+                assert_same_fields(&made.dif, &expected.dif, &what);
+                assert_eq!(frame.warnings(), [""; 0], "{what}");
+            }
+        }
+    });
+}
+
+#[test]
+fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
+    let particles = splashes(31);
+    let mut sampling = sampling();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    let (expected, _) = reconstruct(&particles[..], &sampling, &surfacing());
+    let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&own, |device| {
+        let mut sampling = sampling.clone();
+        sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
+        let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+        assert!(dif(&frame).dif.elsewhere().is_some());
+        device.faults().submission.store(1, Ordering::Relaxed);
+        assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
+        let [made, expected] = [&frame, &expected].map(dif);
+        assert_same_fields(made.wide(1), expected.wide(1), "after a loss");
+        let warnings = frame.warnings();
+        assert!(
+            !warnings.is_empty() && warnings.iter().all(|warning| warning.ends_with("on the CPU")),
+            "{warnings:?}"
+        );
+    });
+}
+
+#[test]
+fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come_back() {
+    let particles = splashes(29);
+    let mut sampling = sampling();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    let received = |own: bool| {
+        let options = DeviceOptions { shares_host_memory: Some(!own), ..DeviceOptions::default() };
+        validated_with(&options, |device| {
+            let mut sampling = sampling.clone();
+            sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+            let laps = &mut Laps::default();
+            let frame = Frame::sample(&particles[..], &sampling, laps).unwrap();
+            let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
+            drop(frame);
+            let before = device.counters();
+            let frame = Frame::sample(&particles[..], &sampling, laps).unwrap();
+            let surface = frame.calibrate(&surfacing(), Some(&known), laps).unwrap().surface(laps).unwrap();
+            let after = device.counters();
+            (after.received - before.received, after.sent - before.sent, surface.to_mesh().unwrap())
+        })
+    };
+    let (Some((all, all_sent, there)), Some((some, sent, here))) = (received(false), received(true)) else {
+        return;
+    };
+    assert!(there == here);
+    let pages = (sampling.field.indicator().unwrap().kind.shape(sampling.side).bin_samples() * 2) as u64;
+    assert!(some + 8 * pages < all, "{some} bytes of {all}");
+    assert!(sent < all_sent, "{sent} bytes of {all_sent}");
+}
+
 #[test]
 fn shaders_that_check_every_index_give_the_same_bytes() {
     let particles = splashes(23);
     let binaries = compile::checked().unwrap();
     let differ = PROGRAMS.iter().filter(|program| binaries[program.name] != program.code).count();
     assert!(differ > PROGRAMS.len() / 2, "{differ} programs check anything");
-    validated_with(&DeviceOptions { binaries, ..DeviceOptions::default() }, |device| {
+    let options = DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&options, |device| {
         let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
         assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "with checks");
     });
@@ -334,7 +454,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
     let regions = surfaces.regions();
     let budget = MemoryBudget(8 << 30);
-    let expected = Cpu.start(budget).contour(&surfaces, &regions);
+    let expected = contoured(&*Cpu.start(budget), &surfaces, &regions);
     let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
@@ -342,7 +462,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
         // With a large share they are emitted at once, with a small one in halves.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.start(budget);
-            assert!(frame.contour(&surfaces, &regions) == expected);
+            assert!(contoured(&*frame, &surfaces, &regions) == expected);
         }
     });
 }
@@ -354,91 +474,131 @@ struct Outcome {
     on_device: Work,
 }
 
-fn frame_on(backend: impl Backend + 'static) -> Outcome {
-    let mut sampling = sampling();
-    sampling.resources.budget = MemoryBudget(64 << 20);
-    sampling.resources.backend = Arc::new(backend);
-    let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
-    Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
+/// What is drawn where calls fail.
+#[derive(Debug, Clone, Copy)]
+enum Scene {
+    /// An indicator of the paper, on a device whose memory is the host's.
+    Shared,
+    /// Clouds, on a device that has memory of its own.
+    Own,
 }
 
-/// All of the work of [`frame_on`], if there is a device to do it.
-fn whole_work() -> Option<Work> {
-    validated(|device| frame_on(Watched(Vulkan::new(device.clone()).unwrap())).on_device)
-}
+const SCENES: [Scene; 2] = [Scene::Shared, Scene::Own];
 
-/// Lets the first, the second, ... call of a kind fail until none is left to fail: each time the mesh is right and
-/// nothing leaks. Returns what came of each.
-fn fail_each(fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
-    let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
-    let mut failed = Vec::new();
-    loop {
-        let number = failed.len() as u64 + 1;
-        let run = |device: &Device| {
-            fault(device.faults()).store(number, Ordering::Relaxed);
-            let outcome = frame_on(Vulkan::new(device.clone()).unwrap());
-            (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
-        };
-        let Some((outcome, struck)) = validated(run) else { return failed };
-        assert!(outcome.mesh == expected.mesh, "call {number} failed");
-        if !struck {
-            assert_eq!(outcome.warnings, [""; 0], "no call is left to fail");
-            return failed;
+impl Scene {
+    fn sampling(self) -> Sampling {
+        match self {
+            Self::Shared => sampling(),
+            Self::Own => Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() },
         }
-        failed.push(outcome);
+    }
+
+    fn options(self) -> DeviceOptions {
+        let shares_host_memory = Some(matches!(self, Self::Shared));
+        DeviceOptions { shares_host_memory, ..DeviceOptions::default() }
+    }
+
+    /// The right mesh.
+    fn mesh(self) -> Mesh {
+        reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
+    }
+
+    fn frame_on(self, backend: impl Backend + 'static) -> Outcome {
+        let mut sampling = self.sampling();
+        sampling.resources.budget = MemoryBudget(64 << 20);
+        sampling.resources.backend = Arc::new(backend);
+        let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
+        Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
+    }
+
+    /// All of its work, if there is a device to do it.
+    fn whole_work(self) -> Option<Work> {
+        let run = |device: &Device| self.frame_on(Watched(Vulkan::new(device.clone()).unwrap())).on_device;
+        validated_with(&self.options(), run)
+    }
+
+    /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time the mesh is right and
+    /// nothing leaks. Returns what came of each.
+    fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
+        let expected = self.mesh();
+        let mut failed = Vec::new();
+        loop {
+            let number = failed.len() as u64 + 1;
+            let run = |device: &Device| {
+                fault(device.faults()).store(number, Ordering::Relaxed);
+                let outcome = self.frame_on(Vulkan::new(device.clone()).unwrap());
+                (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
+            };
+            let Some((outcome, struck)) = validated_with(&self.options(), run) else { return failed };
+            assert!(outcome.mesh == expected, "{self:?}: call {number} failed");
+            if !struck {
+                assert_eq!(outcome.warnings, [""; 0], "{self:?}: no call is left to fail");
+                return failed;
+            }
+            failed.push(outcome);
+        }
     }
 }
 
 #[test]
 fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_leak() {
-    let Some(whole) = whole_work() else { return };
-    let failed = fail_each(|faults| &faults.allocation);
-    assert!(failed.len() > 10, "{} calls", failed.len());
-    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
-        assert_eq!(warnings.len(), 1, "call {call}: {warnings:?}");
-        assert_eq!(on_device, whole, "call {call}: the device goes on with less memory");
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.allocation);
+        assert!(failed.len() > 10, "{scene:?}: {} calls", failed.len());
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+            assert_eq!(warnings.len(), 1, "{scene:?}, call {call}: {warnings:?}");
+            assert_eq!(on_device, whole, "{scene:?}, call {call}: the device goes on with less memory");
+        }
     }
 }
 
 #[test]
 fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak() {
-    let Some(whole) = whole_work() else { return };
-    let failed = fail_each(|faults| &faults.submission);
-    assert!(failed.len() > 5, "{} calls", failed.len());
-    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
-        assert!(
-            warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
-            "call {call}: {warnings:?}"
-        );
-        assert_ne!(on_device, whole, "call {call}: a lost device did all of the work");
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.submission);
+        assert!(failed.len() > 5, "{scene:?}: {} calls", failed.len());
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+            assert!(
+                warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
+                "{scene:?}, call {call}: {warnings:?}"
+            );
+            assert_ne!(on_device, whole, "{scene:?}, call {call}: a lost device did all of the work");
+        }
     }
 }
 
 #[test]
 fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
-    let Some(whole) = whole_work() else { return };
-    let failed = fail_each(|faults| &faults.completion);
-    for (call, Outcome { warnings, on_device, .. }) in (1..).zip(&failed) {
-        assert_eq!(warnings.is_empty(), *on_device == whole, "call {call}: {warnings:?}");
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.completion);
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(&failed) {
+            assert_eq!(warnings.is_empty(), *on_device == whole, "{scene:?}, call {call}: {warnings:?}");
+        }
+        // What is sent is followed by what is computed, and that by what is read: the last of them tells.
+        let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
+        assert!(told > failed.len() / 3, "{scene:?}: {told} of {}", failed.len());
     }
-    // What is sent is followed by what is computed, and that by what is read: the last of them tells.
-    let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
-    assert!(told > failed.len() / 3, "{told} of {}", failed.len());
 }
 
 #[test]
 fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
-    let Some(whole) = whole_work() else { return };
-    let (_, expected) = reconstruct(&splashes(29)[..], &sampling(), &surfacing());
-    for memory in [4096, 100_000, 1 << 20, 3 << 20] {
-        let options = DeviceOptions { memory: Some(memory), ..DeviceOptions::default() };
-        let (device, log) = device::open(&options).unwrap();
-        let Outcome { mesh, on_device, warnings } = frame_on(Vulkan::new(device).unwrap());
-        assert!(mesh == expected.mesh, "{memory} bytes");
-        let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
-        assert_eq!(handed_over, on_device != whole, "{memory} bytes: {warnings:?}");
-        assert!(handed_over || memory > 2 << 20, "{memory} bytes: {warnings:?}");
-        assert_clean(&log);
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let expected = scene.mesh();
+        for memory in [4096, 100_000, 1 << 20, 3 << 20] {
+            let options = DeviceOptions { memory: Some(memory), ..scene.options() };
+            let (device, log) = device::open(&options).unwrap();
+            let Outcome { mesh, on_device, warnings } = scene.frame_on(Vulkan::new(device).unwrap());
+            let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
+            assert!(mesh == expected, "{what}");
+            let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
+            assert_eq!(handed_over, on_device != whole, "{what}");
+            assert!(handed_over || memory > 2 << 20, "{what}");
+            assert_clean(&log);
+        }
     }
 }
 
@@ -449,7 +609,7 @@ fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
         DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
     let run = || {
         let (device, log) = device::open(&options).map_err(device::skip).ok()?;
-        let Outcome { mesh, .. } = frame_on(Watched(Vulkan::new(device).unwrap()));
+        let Outcome { mesh, .. } = Scene::Shared.frame_on(Watched(Vulkan::new(device).unwrap()));
         assert_clean(&log);
         Some(mesh)
     };

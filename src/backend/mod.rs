@@ -9,14 +9,15 @@ pub use vulkan::{DeviceSurfaces, ResidentFrame, Vulkan};
 use std::fmt::Debug;
 use std::io;
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::brick::{Bins, Pages};
+use crate::brick::{Bins, DifField, Pages};
 use crate::grid::{BLOCK, CellBox};
 use crate::mesh::BlockMesh;
-use crate::recipe::Recipe;
+use crate::recipe::{Filters, Recipe};
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{PageRule, SampledDif};
 use crate::units::MemoryBudget;
@@ -44,14 +45,27 @@ pub trait Backend: Debug + Send + Sync {
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
+    /// The field of all bins, whose particles are in memory. It may stay where it was made: what the host wants of it comes when it
+    /// does.
+    ///
+    /// # Errors
+    /// Those of [`indicate`](Self::indicate).
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
+        Ok(DifField::in_memory(rule.shape(), self.indicate(bins, 0..bins.keys().len(), rule)?))
+    }
+
     /// The pages of a range of bins.
     ///
     /// # Errors
     /// Where particles are in a scratch file that cannot be read.
     fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages>;
 
-    /// The surfaces through some regions of blocks, each `None` where there is none.
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>>;
+    /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes them in order, so many at once as
+    /// are made together, while others are on their way.
+    ///
+    /// # Errors
+    /// Those of `take`.
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()>;
 
     /// What went wrong so far and was made good.
     fn warnings(&self) -> Vec<String>;
@@ -59,6 +73,12 @@ pub trait Stages: Debug + Send + Sync {
     /// How much of the work so far a device did: all of it, unless the processor had to stand in for one, or there is none.
     fn on_device(&self) -> Work;
 }
+
+/// Takes the surfaces of regions that follow one another.
+pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
+
+/// Regions whose surfaces are handed on together, at the most.
+pub const REGIONS_TOGETHER: usize = 1024;
 
 /// An amount of work.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -92,6 +112,13 @@ impl Surfaces<'_> {
         let regions = dif.regions(reach + 1, reach);
         let regions = regions.into_par_iter().map(|cells| self.recipe.filters.not_inside(cut(cells)));
         regions.filter(|cells| !cells.is_empty()).collect()
+    }
+
+    /// Has all fields made that samples are cut out of.
+    fn prepare(&self) {
+        if let Filters::Distances(distances) = &self.recipe.filters {
+            let _made = self.sampled.wide(distances.level.max(distances.drops_level));
+        }
     }
 
     fn walls(&self) -> Option<CellBox> {

@@ -14,12 +14,13 @@ use rayon::prelude::*;
 use crate::grid::{BIN, CellBox, MortonKey};
 use crate::units::FULL;
 
-use super::{BrickSide, DifField, PageInfo, PageShape, PageSource};
+use super::elsewhere::FACTOR_BITS;
+use super::{BrickSide, DifField, Factor, PageInfo, PageShape, PageSource};
 
 /// Bits that the weights of the cells around the middle of a wide one sum to.
 const WEIGHT_BITS: u32 = 9;
-/// Bits of the factor that sums are taken by.
-const FACTOR_BITS: u32 = 16;
+/// Bits by which their product is more than a sample: a wide cell holds what eight cells do.
+pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
 /// The box of wide cells around a box of cells, or in which these leave something.
 #[must_use]
@@ -48,25 +49,32 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
     }
 }
 
+/// The finer cells of which those of a bin of wide cells are made: none where no wide cell is within the walls of the finer ones.
+#[must_use]
+pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
+    let wide = CellBox::cube(bin, BIN);
+    let wide = walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
+    if wide.is_empty() { CellBox::EMPTY } else { CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 } }
+}
+
 /// Makes the pages of wide cells.
 #[derive(Debug)]
 struct Halving {
     fine: Arc<DifField>,
     walls: Option<CellBox>,
-    factor: u64,
+    factor: Factor,
     bins: Vec<IVec3>,
 }
 
 impl Halving {
     /// The samples of a bin, x fastest.
     fn dense(&self, bin: IVec3) -> Vec<u16> {
-        let wide = CellBox::cube(bin, BIN);
-        let wide = self.walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
+        let fine = halved_from(bin, self.walls);
         let mut dense = vec![0; BIN.pow(3) as usize];
-        if wide.is_empty() {
+        if fine.is_empty() {
             return dense;
         }
-        let fine = CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 };
+        let wide = CellBox { lo: (fine.lo + 1) / 2, hi: (fine.hi - 1) / 2 };
         let fine = self.fine.gather_within(fine, self.walls);
         let mut sums: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
         let mut size = fine.cells().size().as_usizevec3();
@@ -82,7 +90,7 @@ impl Halving {
             sums = to;
         }
         let corner = bin * BIN;
-        let factor = self.factor;
+        let factor = u64::from(self.factor.steps());
         for (sums, [y, z]) in sums
             .chunks_exact(size.x)
             .zip((wide.lo.z..wide.hi.z).flat_map(|z| (wide.lo.y..wide.hi.y).map(move |y| [y, z])))
@@ -90,8 +98,7 @@ impl Halving {
             let at = IVec3::new(wide.lo.x, y, z) - corner;
             let first = (at.x + BIN * (at.y + BIN * at.z)) as usize;
             for (to, &sum) in dense[first..].iter_mut().zip(sums) {
-                let bits = WEIGHT_BITS + FACTOR_BITS - 3;
-                let scaled = (u64::from(sum) * factor + (1 << (bits - 1))) >> bits;
+                let scaled = (u64::from(sum) * factor + (1 << (HALVED_BITS - 1))) >> HALVED_BITS;
                 *to = scaled.min(FULL.into()) as u16;
             }
         }
@@ -120,8 +127,14 @@ impl DifField {
             .collect::<HashSet<_>>()
             .into_iter()
             .collect();
+        bins.retain(|&bin| !halved_from(bin, walls).is_empty());
         bins.sort_unstable_by_key(|&bin| MortonKey::of(bin));
-        let factor = (factor * f64::from(1 << FACTOR_BITS)) as u64;
+        let factor = Factor::new(factor);
+        if let Some((infos, pages)) = self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor)) {
+            let bins = infos.iter().map(|info| info.key.coord()).collect();
+            let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
+            return Self::elsewhere_paged(HALVED, infos, pages, Box::new(halving));
+        }
         let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
         match self.cache_bytes() {

@@ -10,7 +10,7 @@ use crate::grid::{BIN, CellBox, MortonKey, block_parts};
 use crate::units::FULL;
 
 use super::store::Store;
-use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
+use super::{Block, BrickSide, Elsewhere, PageInfo, PageSamples, PageShape, PageSource, Pages};
 
 /// The discrete indicator function of a frame. Where no brick is, it is exactly 0.
 ///
@@ -55,6 +55,19 @@ impl DifField {
         Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
     }
 
+    /// Of pages in the order of their keys whose samples are elsewhere, and come when they are wanted; where that fails they are
+    /// made by `otherwise`.
+    #[must_use]
+    pub fn elsewhere_paged(
+        shape: PageShape,
+        infos: Vec<PageInfo>,
+        pages: Box<dyn Elsewhere>,
+        otherwise: Box<dyn PageSource>,
+    ) -> Self {
+        debug_assert_eq!(infos.len(), pages.count(), "pages are those of the infos");
+        Self::new(shape, infos, Store::elsewhere(pages, otherwise))
+    }
+
     fn new(shape: PageShape, infos: Vec<PageInfo>, store: Store) -> Self {
         debug_assert!(infos.is_sorted_by(|a, b| a.key < b.key), "pages are in order");
         let rank = (0..).zip(&infos).map(|(rank, info)| (info.key.coord(), rank)).collect();
@@ -72,6 +85,15 @@ impl DifField {
     #[must_use]
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         self.store.cache_bytes()
+    }
+
+    /// Its samples, where they are not in the host's memory.
+    #[must_use]
+    pub fn elsewhere(&self) -> Option<&dyn Elsewhere> {
+        match &self.store {
+            Store::Elsewhere { pages, .. } => Some(&**pages),
+            Store::Memory(_) | Store::Paged { .. } => None,
+        }
     }
 
     /// How far from a page's full cells the DIF can be more than 0, in cells.

@@ -125,6 +125,14 @@ impl PageShape {
 }
 
 impl PageInfo {
+    /// Of a bin of which so many cells are full: at least one in each of the layers across x, y and z whose bit is set.
+    pub(super) fn of_layers(key: MortonKey, bricks: u64, layers: [u16; 3], full_count: u32) -> Self {
+        let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
+        let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
+        let corner = key.coord() * BIN;
+        Self { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
+    }
+
     /// Keeps the bricks of `dense` that have a full cell of their own. Without rims `dense` is a whole bin, x fastest; with
     /// rims it is as [`from_bricks`](Self::from_bricks) takes it.
     #[must_use]
@@ -305,10 +313,7 @@ impl FullCells {
     /// A page of which these cells are full.
     fn page(&self, key: MortonKey, bricks: u64) -> PageInfo {
         let (layers, full_count) = summary(&self.rows);
-        let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
-        let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
-        let corner = key.coord() * BIN;
-        PageInfo { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
+        PageInfo::of_layers(key, bricks, layers, full_count)
     }
 }
 

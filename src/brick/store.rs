@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::fmt::Debug;
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use quick_cache::sync::Cache;
 use quick_cache::{OptionsBuilder, Weighter};
 
-use super::{PageSamples, PageShape};
+use super::{Elsewhere, PageSamples, PageShape};
 
 /// Bytes of a cached page besides its samples: its entry in the cache, and the heads of its allocations.
 const CACHED_PAGE: u64 = 136;
@@ -18,6 +18,9 @@ pub trait PageSource: Send + Sync + Debug {
     /// The samples of page number `page`, as they were stored, anew each time.
     fn samples(&self, page: usize) -> Vec<u16>;
 }
+
+/// Pages that come at once, of those that are elsewhere: neighbours are wanted together.
+const TOGETHER: usize = 64;
 
 /// A page that is in memory: in the field's own, or in its cache.
 pub(super) enum Cached<'a> {
@@ -41,7 +44,16 @@ impl Deref for Cached<'_> {
 #[derive(Debug)]
 pub(super) enum Store {
     Memory(Vec<PageSamples>),
-    Paged { source: Box<dyn PageSource>, cache: Cache<u32, Arc<PageSamples>, Bytes> },
+    Paged {
+        source: Box<dyn PageSource>,
+        cache: Cache<u32, Arc<PageSamples>, Bytes>,
+    },
+    /// Those that were wanted on the host are in its memory, too, [`TOGETHER`] at a time.
+    Elsewhere {
+        pages: Box<dyn Elsewhere>,
+        otherwise: Box<dyn PageSource>,
+        here: Vec<OnceLock<Vec<PageSamples>>>,
+    },
 }
 
 impl Store {
@@ -57,10 +69,16 @@ impl Store {
         Self::Paged { source, cache }
     }
 
-    /// Bytes of pages that may be in memory; `None` where all are.
+    /// Pages that are elsewhere; where that fails they are made by `otherwise`.
+    pub(super) fn elsewhere(pages: Box<dyn Elsewhere>, otherwise: Box<dyn PageSource>) -> Self {
+        let here = std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
+        Self::Elsewhere { pages, otherwise, here }
+    }
+
+    /// Bytes of pages that may be in memory; `None` where all may be.
     pub(super) fn cache_bytes(&self) -> Option<u64> {
         match self {
-            Self::Memory(_) => None,
+            Self::Memory(_) | Self::Elsewhere { .. } => None,
             Self::Paged { cache, .. } => Some(cache.capacity()),
         }
     }
@@ -78,6 +96,7 @@ impl Store {
                 let Ok(samples) = cache.get_or_insert_with(&page, read);
                 Cached::Shared(samples)
             }
+            Self::Elsewhere { .. } => Cached::Own(self.fetched(page as usize, shape)),
         }
     }
 
@@ -86,7 +105,25 @@ impl Store {
         match self {
             Self::Memory(pages) => pages[page].dense(shape),
             Self::Paged { source, .. } => source.samples(page).into(),
+            Self::Elsewhere { .. } => self.fetched(page, shape).dense(shape),
         }
+    }
+
+    /// A page that is elsewhere, fetched with its neighbours if it was not before.
+    ///
+    /// # Panics
+    /// If all are in memory, or in a cache.
+    fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
+        let Self::Elsewhere { pages, otherwise, here } = self else { unreachable!("pages are elsewhere") };
+        let (group, first) = (&here[page / TOGETHER], page / TOGETHER * TOGETHER);
+        let fetched = group.get().unwrap_or_else(|| {
+            let range = first..pages.count().min(first + TOGETHER);
+            let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
+            let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
+            // Two threads may fetch the same: one that held the other up while it waits for others might wait for itself.
+            group.get_or_init(|| samples)
+        });
+        &fetched[page - first]
     }
 }
 

@@ -1,5 +1,7 @@
 //! A frame's particles on the host, on their way to pages.
 
+use std::sync::Arc;
+
 use crate::backend::Stages;
 use crate::brick::{BinPlan, BinnedParticles, Bins};
 use crate::calibration::Binned;
@@ -40,7 +42,7 @@ pub(super) struct HostBins<'a> {
 }
 
 impl Binned for HostBins<'_> {
-    type Made = (FieldSink, Occupied, Option<Bins>);
+    type Made = (FieldSink, Occupied, Option<Arc<Bins>>);
     type Error = FrameError;
 
     fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), FrameError> {
@@ -49,10 +51,16 @@ impl Binned for HostBins<'_> {
             occupied.add(bins)?;
             sink.take(stages, bins, rule)
         };
-        let kept = if keep {
-            binned.visit_and_keep(&resources.scratch, take).map(Some)
-        } else {
-            binned.visit(take).map(|()| None)
+        let kept = match binned {
+            BinnedParticles::InMemory(bins) => {
+                let bins = Arc::new(bins);
+                let taken = occupied.add(&bins).and_then(|()| sink.take_whole(stages, &bins, rule));
+                taken.map(|()| keep.then_some(bins))
+            }
+            spilled if keep => {
+                spilled.visit_and_keep(&resources.scratch, take).map(|bins| Some(Arc::new(bins)))
+            }
+            spilled => spilled.visit(take).map(|()| None),
         };
         let kept = kept.map_err(resources.scratch_error())?;
         Ok((sink.full_cells(), (sink, occupied, kept)))

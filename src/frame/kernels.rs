@@ -4,6 +4,7 @@ use std::io;
 
 use rayon::prelude::*;
 
+use crate::backend::REGIONS_TOGETHER;
 use crate::brick::{Bins, FrameFacts};
 use crate::estimate::Plan;
 use crate::grid::{CellBox, Grid};
@@ -54,13 +55,15 @@ impl SampledKernels {
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
             // One pass over the blocks: sums of kernels and of attributes leave each other what they do not use of a core.
-            contour: Box::new(move |regions, finish| {
+            contour: Box::new(move |regions, finish, push| {
                 let block = |&region: &CellBox| {
                     let mut block = self.field.mesh(region, normals, walls)?;
                     block.as_mut().map_or(Ok(()), finish).map(|()| block)
                 };
-                let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
-                Ok(blocks.into_iter().flatten().collect())
+                regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+                    let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;
+                    push(blocks.into_iter().flatten().collect())
+                })
             }),
         }
     }

@@ -25,6 +25,8 @@ pub use surface::CalibratedFrame;
 pub use crate::recipe::Detail;
 pub use crate::stage::dual_mc::Normals;
 
+use std::sync::Arc;
+
 use crate::backend::{Stages, Work};
 use crate::brick::{Bins, FrameFacts};
 use crate::calibration::{Calibration, indicate};
@@ -52,7 +54,7 @@ pub struct Frame {
     /// Nothing of a frame that was sampled before.
     occupied: Occupied,
     /// Kept only where attributes are carried.
-    carried: Option<(Bins, Vec<AttributeInfo>)>,
+    carried: Option<(Arc<Bins>, Vec<AttributeInfo>)>,
     /// Bytes of the surface that may be in memory.
     surface_share: u64,
     resources: Resources,
@@ -124,7 +126,7 @@ impl Frame {
                 laps.lap("bin");
                 let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
                 laps.lap("kernels");
-                (Field::Kernels(sampled), occupied, keep.then_some(bins))
+                (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
             }
         };
         drop(in_scratch);

@@ -2,17 +2,17 @@
 //! in, buffers of vertices and indices out.
 //!
 //! The device can be a caller's own ([`Device::adopt`]), and so can the buffer ([`Device::foreign_buffer`]): those two
-//! calls state what the caller must hold to, everything here is safe. The host sees the DIF, to calibrate it
-//! and to find the blocks that the surface can pass through, and neither the particles nor the mesh. The mesh is that
-//! of the other backends, with positions rounded to f32.
+//! calls state what the caller must hold to, everything here is safe. The host sees where the DIF is not 0, to find the blocks that
+//! the surface can pass through, and of the frame that it calibrates on a part of it; neither the particles nor the mesh. The mesh is
+//! that of the other backends, with positions rounded to f32.
 //!
 //! [`Device::adopt`]: crate::vulkan::Device::adopt
 //! [`Device::foreign_buffer`]: crate::vulkan::Device::foreign_buffer
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
-use crate::brick::{Census, DifField, FrameFacts, InvalidParticles, Pages};
-use crate::calibration::{Binned, Calibrated, Plateau, indicate};
+use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
+use crate::calibration::{Binned, Calibrated, Calibration, indicate};
 use crate::grid::{Domain, Grid};
 use crate::stage::dual_mc::Normals;
 use crate::stage::indicator::{IndicatorRequest, PageRule, SampledDif};
@@ -40,6 +40,8 @@ pub struct Settings {
     pub spacing: Option<f64>,
     /// How the surface is drawn; normals are not made.
     pub surfacing: Surfacing,
+    /// What was measured on another frame of the simulation; on this one where it is `None`, which takes longer.
+    pub calibration: Option<Calibration>,
 }
 
 /// What a call waits for and tells on the device, and where the surface goes. By default nothing, and buffers of its own.
@@ -67,8 +69,10 @@ pub struct ResidentSurface {
     pub triangles: u32,
     /// Where the surface is in the field: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
     pub iso: Isovalue,
-    /// The field's interior, measured whether or not the isovalue was given.
-    pub plateau: Plateau,
+    /// What it was drawn by, for the other frames of a simulation.
+    pub calibration: Calibration,
+    /// What was measured for that, unless it was given.
+    pub measured: Option<Calibrated>,
     /// What became of the particles.
     pub census: Census,
     /// The last work on it.
@@ -159,7 +163,7 @@ impl Pipeline {
             // SAFETY: the caller vouches for the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
-        let &Settings { grid, domain, indicator, invalid, spacing, surfacing } = settings;
+        let &Settings { grid, domain, indicator, invalid, spacing, surfacing, calibration } = settings;
         let device = self.vulkan.device();
         let bins = bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)?;
         let census = bins.census;
@@ -170,13 +174,25 @@ impl Pipeline {
         let facts = FrameFacts { grid, domain, census, spacing };
         let side = indicator.kind.brick_side();
         let binned = ResidentBins { frame: &frame, bins };
-        let (indicator, pages) = indicate(binned, &facts, indicator, side)?;
-        let stored = DifField::in_memory(indicator.kind().shape(side), pages);
+        let (indicator, stored) = indicate(binned, &facts, indicator, side)?;
         let sampled = SampledDif::new(facts, indicator, stored);
-        let Calibrated { calibration, plateau, .. } = surfacing.calibrate(&sampled)?;
+        let (calibration, measured) = match calibration {
+            Some(known) => (known, None),
+            None => {
+                // What did not come makes no measurement.
+                let measured = surfacing.calibrate(&sampled);
+                frame.check()?;
+                let measured = measured?;
+                (measured.calibration, Some(measured))
+            }
+        };
+        if matches!(calibration, Calibration::Clouds { .. }) != sampled.is_clouds() {
+            return Err(FrameError::OtherIndicator);
+        }
         let recipe = surfacing.recipe(&sampled, &calibration);
         let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None };
         let parts = frame.contour(&surfaces)?;
+        frame.check()?;
         if parts.blocks.is_empty() {
             return Err(FrameError::no_surface(&recipe));
         }
@@ -217,25 +233,26 @@ impl Pipeline {
             indices,
             triangles,
             iso: recipe.iso,
-            plateau,
+            calibration,
+            measured,
             census,
             work,
         })
     }
 }
 
-/// Particles in order of their bins on a device, whose pages stay there and are on the host as well.
+/// Particles in order of their bins on a device.
 struct ResidentBins<'a> {
     frame: &'a ResidentFrame,
     bins: DeviceBins,
 }
 
 impl Binned for ResidentBins<'_> {
-    type Made = Pages;
+    type Made = DifField;
     type Error = FrameError;
 
-    fn make_pages(self, rule: &PageRule) -> Result<(u64, Pages), FrameError> {
-        let pages = self.frame.indicate(&self.bins, rule)?;
-        Ok((pages.iter().map(|(info, _)| u64::from(info.full_count)).sum(), pages))
+    fn make_pages(self, rule: &PageRule) -> Result<(u64, DifField), FrameError> {
+        let field = self.frame.indicate(&self.bins, rule)?;
+        Ok((field.full_cells(), field))
     }
 }

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::backend::Stages;
 use crate::brick::{Bins, DifField, FrameFacts, PageShape, Pages};
@@ -16,7 +17,14 @@ const BATCH_SAMPLES: usize = 1 << 22;
 /// Where the DIF goes as it is made.
 pub(super) enum FieldSink {
     Memory(Pages),
-    File { file: File, writer: FrameWriter<File>, full_cells: u64, cache_bytes: u64 },
+    /// All of it, made at once.
+    Whole(DifField),
+    File {
+        file: File,
+        writer: FrameWriter<File>,
+        full_cells: u64,
+        cache_bytes: u64,
+    },
 }
 
 impl FieldSink {
@@ -32,17 +40,34 @@ impl FieldSink {
         }
     }
 
-    /// Takes the pages of all `bins`.
+    /// Takes the field of a frame's bins at once, which are in memory.
+    pub(super) fn take_whole(
+        &mut self,
+        stages: &dyn Stages,
+        bins: &Arc<Bins>,
+        rule: &PageRule,
+    ) -> io::Result<()> {
+        match self {
+            Self::File { .. } => self.take(stages, bins, rule),
+            Self::Memory(_) | Self::Whole(_) => {
+                *self = Self::Whole(stages.field(bins, rule)?);
+                Ok(())
+            }
+        }
+    }
+
+    /// Takes the pages of `bins`, of a frame's after those before.
     pub(super) fn take(&mut self, stages: &dyn Stages, bins: &Bins, rule: &PageRule) -> io::Result<()> {
         let end = bins.keys().len();
         let batch = match self {
-            Self::Memory(_) => end.max(1),
+            Self::Memory(_) | Self::Whole(_) => end.max(1),
             Self::File { .. } => BATCH_SAMPLES / rule.shape().bin_samples(),
         };
         for first in (0..end).step_by(batch) {
             let pages = stages.indicate(bins, first..(first + batch).min(end), rule)?;
             match self {
                 Self::Memory(kept) => kept.extend(pages),
+                Self::Whole(_) => unreachable!("no bins come after all"),
                 Self::File { writer, full_cells, .. } => {
                     *full_cells += full_count(&pages);
                     writer.push(&pages, |samples| samples.dense(rule.shape()))?;
@@ -56,6 +81,7 @@ impl FieldSink {
     pub(super) fn full_cells(&self) -> u64 {
         match self {
             Self::Memory(pages) => full_count(pages),
+            Self::Whole(field) => field.full_cells(),
             Self::File { full_cells, .. } => *full_cells,
         }
     }
@@ -68,6 +94,7 @@ impl FieldSink {
         shape: PageShape,
     ) -> io::Result<SampledDif> {
         match self {
+            Self::Whole(field) => Ok(SampledDif::new(facts, indicator, field)),
             Self::Memory(pages) => Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages))),
             Self::File { file, writer, cache_bytes, .. } => {
                 writer.finish(&facts, indicator)?;

@@ -1,6 +1,7 @@
 //! From a frame that is calibrated to its surface, block by block, whatever makes its field.
 
 use std::io;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
@@ -22,13 +23,12 @@ use crate::stitch::Stitched;
 
 use super::{FrameError, Resources};
 
-/// Blocks that are meshed at once, at the most.
-const BATCH: usize = 1024;
-
 /// Adds to a mesh what does not come from its field.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
-/// Meshes some regions of a field where it has a surface, and finishes every mesh.
-type Contour<'a> = dyn Fn(&[CellBox], &Finish<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a;
+/// Takes finished meshes, in order.
+pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
+/// Meshes some regions of a field where it has a surface, finishes every mesh, and hands them on.
+type Contour<'a> = dyn Fn(&[CellBox], &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
 /// A field of which a surface is known, whatever makes it.
 pub(super) struct Drawn<'a> {
@@ -56,10 +56,13 @@ impl<'a> Drawn<'a> {
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
-            contour: Box::new(move |regions, finish| {
-                let blocks = stages.contour(&Surfaces { sampled, recipe: &recipe, normals }, regions);
-                let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
-                blocks.par_iter_mut().try_for_each(finish).map(|()| blocks)
+            contour: Box::new(move |regions, finish, push| {
+                let surfaces = Surfaces { sampled, recipe: &recipe, normals };
+                stages.contour(&surfaces, regions, &mut |blocks| {
+                    let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
+                    blocks.par_iter_mut().try_for_each(finish)?;
+                    push(blocks)
+                })
             }),
         }
     }
@@ -68,7 +71,7 @@ impl<'a> Drawn<'a> {
 /// A frame of which all is known that its surface needs.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
-    pub(super) carried: Option<&'a (Bins, Vec<AttributeInfo>)>,
+    pub(super) carried: Option<&'a (Arc<Bins>, Vec<AttributeInfo>)>,
     pub(super) resources: &'a Resources,
     /// Bytes of the surface that may be in memory.
     pub(super) surface_share: u64,
@@ -111,10 +114,11 @@ impl CalibratedFrame<'_> {
         let mut regions = &self.drawn.regions[..];
         while !regions.is_empty() {
             let left = share.saturating_sub(spool.bytes_in_memory());
-            let fitting = usize::try_from(left / block).unwrap_or(BATCH);
-            let (batch, later) = regions.split_at(fitting.min(BATCH).max(least).min(regions.len()));
-            let blocks = (self.drawn.contour)(batch, &|block| self.carry(block))?;
-            blocks.into_iter().try_for_each(|block| spool.push(block))?;
+            let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
+            let (batch, later) = regions.split_at(fitting.max(least).min(regions.len()));
+            (self.drawn.contour)(batch, &|block| self.carry(block), &mut |blocks| {
+                blocks.into_iter().try_for_each(|block| spool.push(block))
+            })?;
             if spool.bytes_in_memory() > share {
                 spool.move_to_file(&self.resources.scratch)?;
             }

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use meniscus::backend::{Backend, Stages, Surfaces, Vulkan, Work};
-use meniscus::brick::{Bins, Pages};
+use meniscus::backend::{Backend, Stages, Surfaces, Take, Vulkan, Work};
+use meniscus::brick::{Bins, DifField, Pages};
 use meniscus::grid::CellBox;
 use meniscus::mesh::BlockMesh;
 use meniscus::stage::indicator::PageRule;
@@ -61,10 +61,16 @@ impl Stages for WatchedStages {
         Ok(pages)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        let meshes = self.stages.contour(surfaces, regions);
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
+        let field = self.stages.field(bins, rule)?;
+        self.assert_done(Work { pages: bins.keys().len(), regions: 0 });
+        Ok(field)
+    }
+
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+        self.stages.contour(surfaces, regions, take)?;
         self.assert_done(Work { pages: 0, regions: regions.len() });
-        meshes
+        Ok(())
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -74,6 +80,22 @@ impl Stages for WatchedStages {
     fn on_device(&self) -> Work {
         self.stages.on_device()
     }
+}
+
+/// All surfaces through some regions.
+pub fn contoured(
+    stages: &dyn Stages,
+    surfaces: &Surfaces<'_>,
+    regions: &[CellBox],
+) -> Vec<Option<BlockMesh>> {
+    let mut all = Vec::new();
+    stages
+        .contour(surfaces, regions, &mut |meshes| {
+            all.extend(meshes);
+            Ok(())
+        })
+        .unwrap();
+    all
 }
 
 /// A device of its own: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the

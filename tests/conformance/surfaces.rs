@@ -11,10 +11,10 @@ use meniscus::estimate::Plan;
 use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
 use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
 use meniscus::mesh::check::check;
 use meniscus::mesh::measure::measure;
 use meniscus::mesh::spool::Spool;
+use meniscus::mesh::{BlockMesh, Mesh};
 use meniscus::particles::{AttributeInfo, Particles};
 use meniscus::recipe::PaperFilters;
 use meniscus::recipe::Recipe;
@@ -94,10 +94,11 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     let recipe = Recipe::of_paper(filters, iso);
     let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
     let stages = place.sampling().resources.backend.start(MemoryBudget(8 << 30));
-    let meshes = stages.contour(&surfaces, &surfaces.regions());
-    assert_eq!(stages.warnings(), [""; 0]);
     let mut spool = Spool::in_memory(false, Vec::new());
-    meshes.into_iter().flatten().for_each(|mesh| spool.push(mesh).unwrap());
+    let mut push =
+        |meshes: Vec<Option<BlockMesh>>| meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh));
+    stages.contour(&surfaces, &surfaces.regions(), &mut push).unwrap();
+    assert_eq!(stages.warnings(), [""; 0]);
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     Stitched::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()
 }

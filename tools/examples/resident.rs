@@ -196,6 +196,7 @@ unsafe fn simulate_and_draw(
             invalid: InvalidParticles::Refuse,
             spacing: Some(cell),
             surfacing: Surfacing::PLAIN,
+            calibration: None,
         };
         let moment = |value| Moment { semaphore: timeline, value };
         // A renderer has buffers of its own, and makes larger ones where a surface has grown.

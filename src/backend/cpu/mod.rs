@@ -16,7 +16,7 @@ use crate::stage::dual_mc::{block_mesh, dual_cells};
 use crate::stage::indicator::{PageRule, indicate};
 use crate::units::MemoryBudget;
 
-use super::{Backend, Stages, Surfaces, Work, parent};
+use super::{Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
 
 /// All threads of the pool that a call is made in.
@@ -57,11 +57,14 @@ impl Stages for Frame {
         Cpu.indicate(bins, range, rule)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        // Neighbours follow one another along the Morton curve.
-        let near = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
-        let groups: Vec<_> = regions.chunk_by(near).collect();
-        groups.into_par_iter().flat_map_iter(|group| meshes(surfaces, group, self.together)).collect()
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+            // Neighbours follow one another along the Morton curve.
+            let near = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
+            let groups: Vec<_> = regions.chunk_by(near).collect();
+            let of_group = |group| meshes(surfaces, group, self.together);
+            take(groups.into_par_iter().flat_map_iter(of_group).collect())
+        })
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -78,8 +81,11 @@ impl Stages for Cpu {
         indicate(bins, range, rule)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        regions.par_iter().flat_map_iter(|region| meshes(surfaces, std::slice::from_ref(region), 0)).collect()
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+            let of_one = |region| meshes(surfaces, std::slice::from_ref(region), 0);
+            take(regions.par_iter().flat_map_iter(of_one).collect())
+        })
     }
 
     fn warnings(&self) -> Vec<String> {

@@ -6,26 +6,28 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::brick::vulkan::DeviceBins;
+use crate::brick::vulkan::{DeviceBins, FullCells, full_cells};
 use crate::brick::{Bins, PageInfo, PageShape, Pages};
 use crate::grid::MortonKey;
 use crate::stage::indicator::PageRule;
 use crate::stage::indicator::vulkan::{BinEntry, indicate};
-use crate::vulkan::{Buffer, Place, View, VulkanError};
+use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};
 use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly, part};
+use super::resident::Resident;
 
 /// Bins of a batch at the most.
 const BIN_BATCH: usize = 4096;
 /// Particles of a batch of several bins at the most: drivers give up on a device that is at work for some two seconds on end.
 const PARTICLE_BATCH: usize = 4 << 20;
 
-/// What fails on the way from bins to pages.
+/// What fails on the way.
 pub(super) enum Fault {
     Device(VulkanError),
-    Scratch(io::Error),
+    /// A scratch file that particles come from, or surfaces go to.
+    Host(io::Error),
 }
 
 impl From<VulkanError> for Fault {
@@ -41,6 +43,23 @@ struct BinBatch {
     read: View,
 }
 
+/// What is read of pages that were made.
+#[derive(Clone, Copy, PartialEq)]
+enum Read {
+    /// They themselves.
+    Pages,
+    /// Which cells are full: they stay on the device.
+    FullCells,
+}
+
+/// What has to be known of the batches of some bins.
+struct Making<'a> {
+    rule: &'a PageRule,
+    /// Where the pages of all bins stay.
+    resident: Option<Arc<Resident>>,
+    read: Read,
+}
+
 impl DeviceFrame {
     /// Adds the pages of a range of bins to `done`, as far as nothing fails.
     pub(super) fn indicate_batches(
@@ -53,23 +72,63 @@ impl DeviceFrame {
     ) -> Result<(), Fault> {
         let shape = rule.shape();
         self.make_resident(state, bins.keys(), shape);
+        let making = Making { rule, resident: self.resident(0), read: Read::Pages };
+        self.make_bins(state, bins, range, &making, |lane, batch| {
+            done.extend(read_pages(lane, batch, bins.keys(), shape)?);
+            Ok(())
+        })
+    }
+
+    /// Makes the pages of all bins, which stay on the device, and tells of each what the host has to know; `None` where the host reads
+    /// them there as well, they do not fit, or a bin is too large for a batch.
+    pub(super) fn indicate_there(
+        &self,
+        state: &mut State,
+        bins: &Bins,
+        rule: &PageRule,
+    ) -> Result<Option<Vec<PageInfo>>, Fault> {
+        let (keys, shape) = (bins.keys(), rule.shape());
+        let room = state.batch_bytes.min(self.device.limits().storage_range);
+        if state.on_cpu
+            || self.device.shares_host_memory()
+            || (0..keys.len()).any(|bin| bin_bytes(bins.count(bin), shape) > room)
+        {
+            return Ok(None);
+        }
+        self.make_resident(state, keys, shape);
+        let Some(resident) = self.resident(0) else { return Ok(None) };
+        let making = Making { rule, resident: Some(resident), read: Read::FullCells };
+        let mut infos = Vec::with_capacity(keys.len());
+        self.make_bins(state, bins, 0..keys.len(), &making, |lane, batch| {
+            infos.extend(read_infos(lane, &batch, keys)?);
+            Ok(())
+        })?;
+        state.done.pages += infos.len();
+        Ok(Some(infos))
+    }
+
+    /// Has the pages of a range of bins made, and `finish` take them batch by batch.
+    fn make_bins(
+        &self,
+        state: &mut State,
+        bins: &Bins,
+        range: Range<usize>,
+        making: &Making<'_>,
+        finish: impl FnMut(&mut Lane, BinBatch) -> Result<(), Fault>,
+    ) -> Result<(), Fault> {
         let room = state.batch_bytes;
-        let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
         self.make_lanes(state)?;
         let mut next = range.start;
         fly(
             &mut state.lanes,
             |lane| {
-                let batch = bin_batch(bins, next..range.end, shape, room);
+                let batch = bin_batch(bins, next..range.end, making.rule.shape(), room);
                 next = batch.end;
-                let start = || self.start_bins(lane, bins, batch.clone(), rule, resident.as_ref());
+                let start = || self.start_bins(lane, bins, batch.clone(), making);
                 (!batch.is_empty()).then(start).transpose()
             },
             |_, _| Ok(()),
-            |lane, batch| {
-                done.extend(read_pages(lane, batch, bins.keys(), shape)?);
-                Ok(())
-            },
+            finish,
         )
     }
 
@@ -78,8 +137,7 @@ impl DeviceFrame {
         lane: &mut Lane,
         bins: &Bins,
         range: Range<usize>,
-        rule: &PageRule,
-        resident: Option<&Arc<Buffer>>,
+        making: &Making<'_>,
     ) -> Result<BinBatch, Fault> {
         let mut entries = Vec::with_capacity(range.len());
         let mut first = 0;
@@ -97,14 +155,14 @@ impl DeviceFrame {
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
         staged.write(entries_at.start, &entries);
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
-            let contents = bins.contents(bin).map_err(Fault::Scratch)?;
+            let contents = bins.contents(bin).map_err(Fault::Host)?;
             staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed());
             Ok::<_, Fault>(())
         })?;
 
         lane.send(&staged, &inputs)?;
         let [entries, records] = [part(&inputs, &entries_at), part(&inputs, &records_at)];
-        Ok(self.compute_bins(lane, range, &entries, &records, rule, resident)?)
+        Ok(self.compute_bins(lane, range, &entries, &records, making)?)
     }
 
     /// Has the pages of some bins computed and read.
@@ -114,40 +172,63 @@ impl DeviceFrame {
         bins: Range<usize>,
         entries: &View,
         records: &View,
-        rule: &PageRule,
-        resident: Option<&Arc<Buffer>>,
+        making: &Making<'_>,
     ) -> Result<BinBatch, VulkanError> {
-        let device = &self.device;
-        let page_bytes = page_bytes(rule.shape());
+        let Making { rule, resident, read } = making;
+        let (device, kernels, shape) = (&self.device, &self.kernels, rule.shape());
+        let page_bytes = page_bytes(shape);
         let bytes = bins.len() as u64 * page_bytes;
-        let read = lane.buffer(device, "pages read", Place::Download, bytes)?;
         let pages = match resident {
-            Some(resident) => resident.part(bins.start as u64 * page_bytes, bytes),
+            Some(resident) => resident.pages.part(bins.start as u64 * page_bytes, bytes),
             None => lane.buffer(device, "pages", Place::Device, bytes)?,
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
         let (views, count) = ([entries, records, &pages], bins.len() as u32);
-        indicate(&mut lane.compute, &self.kernels.indicate, count, rule, views)?;
+        indicate(&mut lane.compute, &kernels.indicate, count, rule, views)?;
+        let read = match read {
+            Read::Pages => lane.buffer(device, "pages read", Place::Download, bytes)?,
+            Read::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
+        };
         lane.compute.submit(lane.upload.last())?;
         Ok(BinBatch { bins, pages, read })
     }
 
-    /// The pages of particles that are binned on the device already.
+    /// Has the full cells of pages found and read.
+    pub(super) fn tell_full_cells(
+        &self,
+        lane: &mut Lane,
+        pages: &View,
+        count: usize,
+        shape: PageShape,
+    ) -> Result<View, VulkanError> {
+        let bytes = (count * size_of::<FullCells>()) as u64;
+        let found = lane.buffer(&self.device, "full cells", Place::Device, bytes)?;
+        let read = lane.buffer(&self.device, "full cells read", Place::Download, bytes)?;
+        lane.compute.stage("full cells", pages.bytes());
+        full_cells(&mut lane.compute, &self.kernels.full_cells, count as u32, shape, [pages, &found])?;
+        lane.compute.copy(&found, &read);
+        Ok(read)
+    }
+
+    /// The pages of particles that are binned on the device already, or what there is to know of them where they stay there.
     pub(super) fn indicate_resident(
         &self,
         state: &mut State,
         bins: &DeviceBins,
         rule: &PageRule,
-    ) -> Result<Pages, VulkanError> {
+    ) -> Result<Made, VulkanError> {
         let shape = rule.shape();
         self.make_resident(state, &bins.keys, shape);
         self.make_lanes(state)?;
-        let resident = state.resident.as_ref().map(|resident| Arc::clone(&resident.pages));
+        let resident = self.resident(0);
+        let stays = resident.is_some() && !self.device.shares_host_memory();
+        let read = if stays { Read::FullCells } else { Read::Pages };
+        let making = Making { rule, resident, read };
         let most = BIN_BATCH.min((state.batch_bytes / (2 * page_bytes(shape))) as usize).max(1);
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
             bins.parts(run.clone(), most, PARTICLE_BATCH).map(move |part| (part, run.start, records))
         });
-        let mut pages = Pages::with_capacity(bins.keys.len());
+        let (mut pages, mut infos) = (Pages::new(), Vec::new());
         fly(
             &mut state.lanes,
             |lane| {
@@ -166,16 +247,35 @@ impl DeviceFrame {
                 staged.write(0, &entries);
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
-                self.compute_bins(lane, range, &inputs, &records, rule, resident.as_ref()).map(Some)
+                self.compute_bins(lane, range, &inputs, &records, &making).map(Some)
             },
             |_, _| Ok(()),
             |lane, batch| {
-                pages.extend(read_pages(lane, batch, &bins.keys, shape)?);
+                match read {
+                    Read::Pages => pages.extend(read_pages(lane, batch, &bins.keys, shape)?),
+                    Read::FullCells => infos.extend(read_infos(lane, &batch, &bins.keys)?),
+                }
                 Ok::<_, VulkanError>(())
             },
         )?;
-        Ok(pages)
+        Ok(if read == Read::Pages { Made::Here(pages) } else { Made::There(infos) })
     }
+}
+
+/// Where pages are.
+pub(super) enum Made {
+    /// On the host.
+    Here(Pages),
+    /// On the device.
+    There(Vec<PageInfo>),
+}
+
+/// Waits for what there is to know of the pages of a batch.
+fn read_infos(lane: &mut Lane, batch: &BinBatch, keys: &[MortonKey]) -> Result<Vec<PageInfo>, VulkanError> {
+    lane.compute.wait()?;
+    let found: Vec<FullCells> = batch.read.read(0, batch.bins.len());
+    let keys = &keys[batch.bins.clone()];
+    Ok(found.iter().zip(keys).map(|(found, &key)| found.info(key).expect("a bin holds particles")).collect())
 }
 
 /// Waits for the pages of a batch.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use crate::backend::Surfaces;
+use crate::backend::{Surfaces, Take};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::mesh::{BlockMesh, Tile};
 use crate::recipe::Filters;
@@ -13,6 +13,7 @@ use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, con
 use crate::stage::dual_mc::{Crossings, normal};
 use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
 
+use super::bins::Fault;
 use super::contouring::{BlockBatch, Contouring, Fielded};
 use super::fields::PaddedBlocks;
 use super::frame::{DeviceFrame, State};
@@ -21,17 +22,17 @@ use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly};
 
 impl DeviceFrame {
-    /// Adds the surfaces through some regions to `done`, as far as nothing fails.
+    /// Hands the surfaces through some regions to `take`, as far as nothing fails.
     pub(super) fn contour_batches(
         &self,
         state: &mut State,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
-        done: &mut Vec<Option<BlockMesh>>,
-    ) -> Result<(), VulkanError> {
+        take: &mut Take<'_>,
+    ) -> Result<(), Fault> {
         self.each_batch(state, surfaces, regions, &mut |work, lane, batch, begins| {
-            done.extend(work.read(lane, batch, begins)?);
-            Ok(())
+            let meshes = work.read(lane, batch, begins)?;
+            take(meshes).map_err(Fault::Host)
         })
     }
 
@@ -57,7 +58,7 @@ impl DeviceFrame {
             let sizes = begins.windows(2).map(|begins| begins[1].since(&begins[0]));
             let coords = batch.drawn().map(block_of);
             blocks.extend(coords.zip(sizes).filter(|(_, size)| size.tiles > 0));
-            Ok(())
+            Ok::<_, VulkanError>(())
         })?;
         Ok(DeviceSurfaces {
             blocks,
@@ -68,30 +69,30 @@ impl DeviceFrame {
     }
 
     /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order.
-    fn each_batch(
+    fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut State,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
-        take: &mut Take<'_>,
-    ) -> Result<(), VulkanError> {
+        take: &mut TakeBatch<'_, E>,
+    ) -> Result<(), E> {
         self.make_lanes(state)?;
         let constants = self.kept().constants.of(surfaces, &mut state.lanes[0].compute)?;
-        let State { lanes, resident, batch_bytes, .. } = state;
-        let work =
-            Contouring { frame: self, surfaces, constants, resident: resident.as_ref(), bytes: *batch_bytes };
+        let State { lanes, batch_bytes, .. } = state;
+        let residents = self.residents().clone();
+        let work = Contouring { frame: self, surfaces, constants, residents, bytes: *batch_bytes };
         let mut next = 0;
         fly(
             lanes,
-            |lane| work.start_next(lane, regions, &mut next),
-            |lane, batch| work.go_on(lane, batch),
+            |lane| Ok(work.start_next(lane, regions, &mut next)?),
+            |lane, batch| Ok(work.go_on(lane, batch)?),
             |lane, batch| work.finish(lane, batch, take),
         )
     }
 }
 
 /// What becomes of a batch, given where each of its blocks begins in it, and where the last one ends.
-type Take<'a> = dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), VulkanError> + 'a;
+type TakeBatch<'a, E> = dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
 #[derive(Debug)]
@@ -216,17 +217,17 @@ impl Contouring<'_> {
             grid.push_sampled(source.cells(self.surfaces.normals.cells(region)), region.tiled(), from, None);
         }
         let mut layout = Layout::default();
-        let places = grid.place(&mut layout, page_bytes(from.dif.shape()));
+        let places = grid.place(&mut layout, page_bytes(from.shape()));
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
         let free = lane.fields(device, "cells", source.fields as usize, grid.field_bytes())?;
-        grid.stage(&staged, &places, from.dif);
+        grid.stage(&staged, &places, from);
         let uploaded = lane.send(&staged, &inputs)?;
 
         let blocks = grid.on_device(&inputs, &places);
         let cells = PaddedBlocks { blocks: blocks.clone(), level: 0, marks: None, within: Vec::new(), free };
         let mut fields = self.fields(&mut lane.compute, vec![cells]);
-        fields.gather(0, &places.pages(&inputs, from, &self.constants))?;
+        fields.gather(0, &places.pages(&inputs, from, Some(&self.constants)))?;
         let field = self.surfaces.recipe.apply(&mut fields)?.samples.clone();
         Ok(Fielded { blocks, field, uploaded })
     }
@@ -255,7 +256,12 @@ impl Contouring<'_> {
 
     /// Waits for a batch, and has `take` take it. A batch with more vertices than it had room for is drawn again, in parts if they
     /// are more than its share.
-    fn finish(&self, lane: &mut Lane, mut batch: BlockBatch, take: &mut Take<'_>) -> Result<(), VulkanError> {
+    fn finish<E: From<VulkanError>>(
+        &self,
+        lane: &mut Lane,
+        mut batch: BlockBatch,
+        take: &mut TakeBatch<'_, E>,
+    ) -> Result<(), E> {
         let count = batch.drawn.len();
         if count == 0 {
             return take(self, lane, &batch, &[Tally::default()]);

@@ -1,6 +1,7 @@
 //! The batches of regions on their way to surfaces: what they take, and what they are made of.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use glam::IVec3;
 use hashbrown::HashSet;
@@ -18,9 +19,10 @@ use crate::vulkan::{Batch, Ticket, View};
 
 use super::constants::FrameConstants;
 use super::fields::{PaddedBlocks, PaddedFields};
-use super::frame::{DeviceFrame, Resident};
+use super::frame::DeviceFrame;
 use super::grids::Samples;
 use super::kernels::page_bytes;
+use super::resident::Resident;
 
 /// Blocks of a batch at the most.
 const BLOCK_BATCH: usize = 1024;
@@ -66,11 +68,11 @@ impl BlockBatch {
                 taken += 4 * source.fields * u64::from(block.words());
                 longest = longest.max(4 * *words);
                 let Some(from) = source.sampled.then(|| work.samples(source.level)) else { continue };
-                let page_bytes = page_bytes(from.dif.shape());
+                let page_bytes = page_bytes(from.shape());
                 let before = pages.len() as u64;
-                for bin in block.bins(from.dif.shape().rim) {
+                for bin in block.bins(from.shape().rim) {
                     taken += size_of::<u32>() as u64 * 2;
-                    if from.resident.is_none() && from.dif.has_page(bin) {
+                    if from.sends(bin) {
                         pages.insert(bin);
                     }
                 }
@@ -137,7 +139,8 @@ pub(super) struct Contouring<'a> {
     pub(super) frame: &'a DeviceFrame,
     pub(super) surfaces: &'a Surfaces<'a>,
     pub(super) constants: FrameConstants,
-    pub(super) resident: Option<&'a Resident>,
+    /// Of the fields that samples are cut out of those on the device, by their level.
+    pub(super) residents: Vec<Arc<Resident>>,
     /// What a batch may take.
     pub(super) bytes: u64,
 }
@@ -153,9 +156,10 @@ impl<'a> Contouring<'a> {
     }
 
     /// What cells of a level are cut out of.
-    pub(super) fn samples(&self, level: u32) -> Samples<'a> {
-        let resident = self.resident.filter(|_| level == 0);
-        Samples { dif: self.surfaces.sampled.wide(level), resident }
+    pub(super) fn samples(&self, level: u32) -> Samples<'_> {
+        let dif = self.surfaces.sampled.wide(level);
+        let resident = self.residents.get(level as usize);
+        resident.map_or(Samples::Sent(dif), |resident| Samples::There(resident, dif.shape()))
     }
 
     /// All cells in which a region has fields.

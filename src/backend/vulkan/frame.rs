@@ -1,9 +1,7 @@
 //! One frame on a device: what it holds there, and what becomes of that when something fails.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-
-use glam::IVec3;
-use hashbrown::HashMap;
 
 use crate::backend::Work;
 use crate::brick::PageShape;
@@ -13,6 +11,7 @@ use crate::vulkan::{Buffer, Device, Place, VulkanError};
 use super::constants::Constants;
 use super::kernels::{Kernels, page_bytes};
 use super::lane::{HEADROOM, Lane};
+use super::resident::{Reader, Resident};
 
 /// Batches in flight.
 pub(super) const LANES: usize = 2;
@@ -23,8 +22,8 @@ const SMALLEST_BATCH: u64 = 1 << 20;
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     lanes: Vec<Lane>,
-    /// Room for the pages of a frame.
-    pages: Option<Arc<Buffer>>,
+    /// Room for the pages of a frame, and for those of its wider cells after them.
+    pages: VecDeque<Arc<Buffer>>,
     pub(super) constants: Constants,
 }
 
@@ -35,9 +34,43 @@ pub(super) struct DeviceFrame {
     pub(super) kernels: Arc<Kernels>,
     pub(super) kept: Arc<Mutex<Kept>>,
     pub(super) state: Mutex<State>,
+    /// Fields whose pages are on the device, by how often their cells were made twice as wide.
+    residents: Mutex<Vec<Arc<Resident>>>,
+    pub(super) reader: Reader,
 }
 
 impl DeviceFrame {
+    pub(super) fn new(device: Device, kernels: Arc<Kernels>, kept: Arc<Mutex<Kept>>, state: State) -> Self {
+        let (residents, reader) = (Mutex::default(), Reader::default());
+        Self { device, kernels, kept, state: Mutex::new(state), residents, reader }
+    }
+
+    pub(super) fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// All fields that are on the device.
+    pub(super) fn residents(&self) -> MutexGuard<'_, Vec<Arc<Resident>>> {
+        self.residents.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The field in cells 2^`level` times as wide, if its pages are on the device.
+    pub(super) fn resident(&self, level: usize) -> Option<Arc<Resident>> {
+        self.residents().get(level).cloned()
+    }
+
+    /// Forgets all fields that are on the device, if there are any.
+    pub(super) fn forget_residents(&self) -> bool {
+        !std::mem::take(&mut *self.residents()).is_empty()
+    }
+
+    /// The same of those in wider cells than 2^`level` of the frame's, and adds one to what is left.
+    pub(super) fn add_resident(&self, level: usize, resident: Resident) {
+        let mut residents = self.residents();
+        residents.truncate(level);
+        residents.push(Arc::new(resident));
+    }
+
     pub(super) fn kept(&self) -> MutexGuard<'_, Kept> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,36 +91,46 @@ impl DeviceFrame {
 
     /// Makes room for the pages of all bins, unless they are too many; pages of other bins are forgotten.
     pub(super) fn make_resident(&self, state: &mut State, keys: &[MortonKey], shape: PageShape) {
-        let count = keys.len();
-        let bytes = count as u64 * page_bytes(shape);
-        let known = state.resident.as_ref().is_some_and(|resident| {
-            resident.numbers.len() == count && resident.numbers.contains_key(&keys[0].coord())
+        let known = self.resident(0).is_some_and(|resident| {
+            resident.numbers.len() == keys.len() && resident.numbers.contains_key(&keys[0].coord())
         });
         if known {
             return;
         }
-        state.resident = None;
-        let most = state.resident_bytes.min(self.device.limits().storage_range);
-        if bytes <= most {
+        self.forget_residents();
+        // Only once: runs of bins that follow one another do not fit together.
+        let most = std::mem::take(&mut state.resident_bytes);
+        if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
-            let kept = self.kept().pages.take();
-            let fits = |pages: &Arc<Buffer>| (bytes..=most).contains(&pages.bytes());
-            let with_headroom = (bytes + bytes / HEADROOM).min(most);
-            let made = kept.filter(fits).map_or_else(|| self.device.buffer(Place::Device, with_headroom), Ok);
-            match made {
-                Ok(pages) => state.resident = Some(Resident { pages, numbers }),
-                Err(error) => state.warn(format!("{error}; the field is sent anew for every batch")),
+            state.wide_bytes = most - pages.bytes().min(most);
+            self.add_resident(0, Resident { pages, numbers });
+        }
+    }
+
+    /// Room for the pages of the next field, unless that is more than `most` bytes.
+    pub(super) fn room(&self, state: &mut State, bytes: u64, most: u64) -> Option<Arc<Buffer>> {
+        let most = most.min(self.device.limits().storage_range);
+        if bytes > most {
+            return None;
+        }
+        let known = self.kept().pages.pop_front();
+        let fitting = known.filter(|pages| (bytes..=most).contains(&pages.bytes()));
+        let with_headroom = (bytes + bytes / HEADROOM).min(most);
+        match fitting.map_or_else(|| self.device.buffer(Place::Device, with_headroom), Ok) {
+            Ok(pages) => Some(pages),
+            Err(error) => {
+                state.warn(format!("{error}; the field is sent anew for every batch"));
+                None
             }
         }
-        // Only once: runs of bins that follow one another do not fit together.
-        state.resident_bytes = 0;
     }
 
     /// After a failure: smaller batches where memory is exhausted, the processor where that does not help.
     pub(super) fn recover(&self, state: &mut State, error: &VulkanError) {
         state.lanes.clear();
         *self.kept() = Kept::default();
-        state.recover(error);
+        let forgotten = self.forget_residents();
+        state.recover(error, forgotten);
     }
 }
 
@@ -101,8 +144,9 @@ impl Drop for DeviceFrame {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         kept.lanes.append(&mut state.lanes);
         kept.lanes.truncate(LANES);
-        if let Some(Resident { pages, .. }) = state.resident.take() {
-            kept.pages = Some(pages);
+        let residents = self.residents.get_mut().unwrap_or_else(PoisonError::into_inner);
+        if !residents.is_empty() {
+            kept.pages = residents.iter().map(|resident| Arc::clone(&resident.pages)).collect();
         }
     }
 }
@@ -111,8 +155,9 @@ impl Drop for DeviceFrame {
 pub(super) struct State {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
+    /// What the pages of a frame may take on the device, and what those of wider cells may take of it.
     pub(super) resident_bytes: u64,
-    pub(super) resident: Option<Resident>,
+    pub(super) wide_bytes: u64,
     /// Once the device is lost or too small.
     pub(super) on_cpu: bool,
     pub(super) warnings: Vec<String>,
@@ -120,30 +165,22 @@ pub(super) struct State {
     pub(super) done: Work,
 }
 
-/// The pages of the frame's bins in one buffer.
-#[derive(Debug)]
-pub(super) struct Resident {
-    pub(super) pages: Arc<Buffer>,
-    pub(super) numbers: HashMap<IVec3, u32>,
-}
-
 impl State {
-    fn recover(&mut self, error: &VulkanError) {
+    fn recover(&mut self, error: &VulkanError, forgotten: bool) {
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
-        if exhausted && self.resident.take().is_some() {
-            self.resident_bytes = 0;
+        (self.resident_bytes, self.wide_bytes) = (0, 0);
+        if exhausted && forgotten {
             self.warn(format!("{error}; the field is sent anew for every batch"));
         } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
             self.batch_bytes /= 2;
             self.warn(format!("{error}; going on in batches of {}", bytesize::ByteSize(self.batch_bytes)));
         } else {
-            self.resident = None;
             self.on_cpu = true;
             self.warn(format!("{error}; going on on the CPU"));
         }
     }
 
-    fn warn(&mut self, warning: String) {
+    pub(super) fn warn(&mut self, warning: String) {
         self.warnings.push(warning);
     }
 }

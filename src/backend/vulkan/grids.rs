@@ -6,22 +6,45 @@ use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::brick::DifField;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages};
+use crate::brick::{DifField, PageShape};
 use crate::grid::CellBox;
 use crate::stage::distance::Inside;
 use crate::vulkan::View;
 
 use super::constants::FrameConstants;
-use super::frame::Resident;
 use super::kernels::page_bytes;
 use super::lane::{Layout, part};
+use super::resident::Resident;
 
-/// Samples that blocks are cut out of, and their pages where these are on the device already.
+/// Nothing of a block is meshed.
+pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
+
+/// Samples that blocks are cut out of.
 #[derive(Clone, Copy)]
-pub(super) struct Samples<'a> {
-    pub(super) dif: &'a DifField,
-    pub(super) resident: Option<&'a Resident>,
+pub(super) enum Samples<'a> {
+    /// Of pages that are on the device.
+    There(&'a Resident, PageShape),
+    /// Of those that are sent.
+    Sent(&'a DifField),
+}
+
+impl Samples<'_> {
+    /// How they lie in pages.
+    pub(super) fn shape(&self) -> PageShape {
+        match *self {
+            Self::There(_, shape) => shape,
+            Self::Sent(dif) => dif.shape(),
+        }
+    }
+
+    /// Whether the page of a bin has to be sent.
+    pub(super) fn sends(&self, bin: IVec3) -> bool {
+        match self {
+            Self::There(..) => false,
+            Self::Sent(dif) => dif.has_page(bin),
+        }
+    }
 }
 
 /// Blocks of one width of cells that lie one after the other in a field.
@@ -86,14 +109,15 @@ impl Grid {
             block.marks = marks.len() as u32;
             marks.extend(inside.marks(block.cells()));
         }
-        tables.extend(block.bins(from.dif.shape().rim).map(|bin| {
-            let number = match from.resident {
-                Some(resident) => resident.numbers.get(&bin).copied(),
-                None if from.dif.has_page(bin) => Some(*numbers.entry(bin).or_insert_with(|| {
-                    sent.push(bin);
-                    sent.len() as u32 - 1
-                })),
-                None => None,
+        tables.extend(block.bins(from.shape().rim).map(|bin| {
+            let number = match from {
+                Samples::There(resident, _) => resident.numbers.get(&bin).copied(),
+                Samples::Sent(_) => from.sends(bin).then(|| {
+                    *numbers.entry(bin).or_insert_with(|| {
+                        sent.push(bin);
+                        sent.len() as u32 - 1
+                    })
+                }),
             };
             number.map_or(0, |number| number + 1)
         }));
@@ -110,10 +134,11 @@ impl Grid {
     }
 
     /// Writes what is sent.
-    pub(super) fn stage(&self, staged: &View, places: &Places, dif: &DifField) {
+    pub(super) fn stage(&self, staged: &View, places: &Places, from: Samples<'_>) {
         staged.write(places.blocks.start, &self.blocks);
         staged.write(places.tables.start, &self.tables);
         staged.write(places.marks.start, &self.marks);
+        let Samples::Sent(dif) = from else { return };
         let page_bytes = page_bytes(dif.shape());
         self.sent.par_iter().enumerate().for_each_init(
             || vec![0; dif.shape().bin_samples()],
@@ -136,14 +161,22 @@ impl Places {
         part(inputs, &self.marks)
     }
 
-    /// What samples are cut out of.
-    pub(super) fn pages(&self, inputs: &View, from: Samples<'_>, constants: &FrameConstants) -> DevicePages {
+    /// What samples are cut out of; without constants they are what is stored.
+    pub(super) fn pages(
+        &self,
+        inputs: &View,
+        from: Samples<'_>,
+        constants: Option<&FrameConstants>,
+    ) -> DevicePages {
         DevicePages {
             tables: part(inputs, &self.tables),
-            pages: from.resident.map_or_else(|| part(inputs, &self.pages), |resident| resident.pages.whole()),
-            shape: from.dif.shape(),
-            theta: constants.theta.clone(),
-            decode: constants.decode,
+            pages: match from {
+                Samples::There(resident, _) => resident.pages.whole(),
+                Samples::Sent(_) => part(inputs, &self.pages),
+            },
+            shape: from.shape(),
+            theta: constants.map_or_else(|| inputs.clone(), |constants| constants.theta.clone()),
+            decode: constants.map_or(0, |constants| constants.decode),
         }
     }
 }

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use crate::brick::PageShape;
-use crate::brick::vulkan::{GATHER, page_words};
+use crate::brick::vulkan::{FULL_CELLS, GATHER, HALVE, page_words};
 use crate::stage::blur::vulkan::BLUR;
 use crate::stage::detail::vulkan::{GREATER, LOST};
 use crate::stage::distance::vulkan::{
-    DEPTHS_OF, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+    DEPTHS_OF, FULL_BRICKS, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
 };
 use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
@@ -17,6 +17,8 @@ use crate::vulkan::{Device, Kernel, VulkanError};
 #[derive(Debug)]
 pub(super) struct Kernels {
     pub(super) indicate: Indicators,
+    pub(super) full_cells: Arc<Kernel>,
+    pub(super) halve: Arc<Kernel>,
     pub(super) gather: Arc<Kernel>,
     pub(super) blur: Arc<Kernel>,
     pub(super) lost: Arc<Kernel>,
@@ -30,21 +32,23 @@ impl Kernels {
     pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
         #[rustfmt::skip]
         let [
-            indicate, clouds, gather, blur, lost, greater,
+            indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
             depths, mix, outlying, spread, look, refine, quotient, join,
             signs, tiles, bases, emit,
         ] = device.kernels([
-            &INDICATE, &CLOUDS, &GATHER, &BLUR, &LOST, &GREATER,
+            &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
             &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {
             indicate: Indicators { indicate, clouds },
+            full_cells,
+            halve,
             gather,
             blur,
             lost,
             greater,
-            distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join },
+            distance: Distance { depths, mix, outlying, spread, look, refine, quotient, join, full_bricks },
             dual_mc: DualMc { signs, tiles, bases, emit },
         })
     }

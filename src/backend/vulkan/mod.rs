@@ -9,11 +9,13 @@ mod bins;
 mod blocks;
 mod constants;
 mod contouring;
+mod elsewhere;
 mod fields;
 mod frame;
 mod grids;
 mod kernels;
 mod lane;
+mod resident;
 mod wide;
 
 use std::io;
@@ -21,18 +23,18 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::brick::vulkan::DeviceBins;
-use crate::brick::{Bins, Pages};
+use crate::brick::{Bins, DifField, Pages};
 use crate::grid::CellBox;
 use crate::mesh::BlockMesh;
 use crate::stage::indicator::PageRule;
 use crate::units::MemoryBudget;
 use crate::vulkan::{Device, VulkanError};
 
-use super::{Backend, Cpu, Stages, Surfaces, Work};
-use bins::{Fault, bin_bytes};
+use super::{Backend, Cpu, Stages, Surfaces, Take, Work};
+use bins::{Fault, Made, bin_bytes};
 pub use blocks::DeviceSurfaces;
 use frame::{DeviceFrame, Kept, LANES, State};
-use kernels::Kernels;
+use kernels::{Kernels, page_bytes};
 use lane::HEADROOM;
 
 /// Bytes of a batch at the most.
@@ -46,7 +48,6 @@ pub struct Vulkan {
     device: Device,
     kernels: Arc<Kernels>,
     kept: Arc<Mutex<Kept>>,
-    shares_host_memory: bool,
 }
 
 /// Bytes that a frame may take.
@@ -67,8 +68,7 @@ impl Vulkan {
     /// [`VulkanError`] where the driver refuses one.
     pub fn new(device: Device) -> Result<Self, VulkanError> {
         let kernels = Arc::new(Kernels::new(&device)?);
-        let shares_host_memory = device.shares_host_memory();
-        Ok(Self { device, kernels, kept: Arc::default(), shares_host_memory })
+        Ok(Self { device, kernels, kept: Arc::default() })
     }
 
     /// The device.
@@ -84,7 +84,7 @@ impl Vulkan {
 
     fn shares(&self, budget: MemoryBudget) -> Shares {
         let own = self.device.memory().unwrap_or(u64::MAX);
-        if self.shares_host_memory {
+        if self.device.shares_host_memory() {
             let total = own.min(budget.0 / 4);
             let batch = (total / 2 / LANES as u64 / (HEADROOM + 1) * HEADROOM).min(LARGEST_BATCH);
             Shares { batch, resident: total / 2, host: total + DRIVER }
@@ -96,20 +96,20 @@ impl Vulkan {
 }
 
 impl Vulkan {
-    fn start_frame(&self, budget: MemoryBudget) -> DeviceFrame {
+    fn start_frame(&self, budget: MemoryBudget) -> Arc<DeviceFrame> {
         let shares = self.shares(budget);
         let state = State {
             lanes: Vec::new(),
             batch_bytes: shares.batch,
             resident_bytes: shares.resident,
-            resident: None,
+            wide_bytes: 0,
             on_cpu: false,
             warnings: Vec::new(),
             done: Work::default(),
         };
         let (device, kernels, kept) =
             (self.device.clone(), Arc::clone(&self.kernels), Arc::clone(&self.kept));
-        DeviceFrame { device, kernels, kept, state: Mutex::new(state) }
+        Arc::new(DeviceFrame::new(device, kernels, kept, state))
     }
 
     /// A frame whose particles and whose surface stay on the device.
@@ -119,18 +119,19 @@ impl Vulkan {
     }
 }
 
-/// A frame whose particles and whose surface stay on the device; the DIF is on the host as well.
+/// A frame whose particles and whose surface stay on the device, and the DIF as well where it fits.
 #[derive(Debug)]
-pub struct ResidentFrame(DeviceFrame);
+pub struct ResidentFrame(Arc<DeviceFrame>);
 
 impl ResidentFrame {
-    /// The pages of all bins; in smaller batches where memory is exhausted.
+    /// The field of all bins; in smaller batches where memory is exhausted. What the host wants of one that stays on the device can
+    /// fail later: see [`check`](Self::check).
     ///
     /// # Errors
     /// Those of the device.
-    pub fn indicate(&self, bins: &DeviceBins, rule: &PageRule) -> Result<Pages, VulkanError> {
-        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
-        loop {
+    pub fn indicate(&self, bins: &DeviceBins, rule: &PageRule) -> Result<DifField, VulkanError> {
+        let mut state = self.0.state();
+        let made = loop {
             match self.0.indicate_resident(&mut state, bins, rule) {
                 Err(error @ VulkanError::OutOfMemory { .. }) => {
                     self.0.recover(&mut state, &error);
@@ -138,9 +139,21 @@ impl ResidentFrame {
                         return Err(error);
                     }
                 }
-                done => return done,
+                done => break done?,
             }
-        }
+        };
+        Ok(match made {
+            Made::Here(pages) => DifField::in_memory(rule.shape(), pages),
+            Made::There(infos) => elsewhere::of_resident(&self.0, infos, rule.shape()),
+        })
+    }
+
+    /// Whether all that the host wanted of the field came.
+    ///
+    /// # Errors
+    /// Those of the device, if it did not.
+    pub fn check(&self) -> Result<(), VulkanError> {
+        self.0.reader.failed().map_or(Ok(()), Err)
     }
 
     /// The surfaces of all blocks; in smaller batches where memory is exhausted.
@@ -148,8 +161,9 @@ impl ResidentFrame {
     /// # Errors
     /// Those of the device.
     pub fn contour(&self, surfaces: &Surfaces<'_>) -> Result<DeviceSurfaces, VulkanError> {
-        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         let regions = surfaces.regions();
+        surfaces.prepare();
+        let mut state = self.0.state();
         loop {
             match self.0.collect_batches(&mut state, surfaces, &regions) {
                 Err(error @ VulkanError::OutOfMemory { .. }) => {
@@ -186,9 +200,26 @@ impl Backend for Vulkan {
     }
 }
 
-impl Stages for DeviceFrame {
+impl Stages for Arc<DeviceFrame> {
+    /// Stays on the device where it fits, unless the host reads it there as well, or its pages take less than the particles, which are
+    /// kept to make them again.
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
+        let (count, shape) = (bins.keys().len(), rule.shape());
+        let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
+        if count as u64 * page_bytes(shape) >= (particles * size_of::<u64>()) as u64 {
+            let mut state = self.state();
+            match self.indicate_there(&mut state, bins, rule) {
+                Ok(Some(infos)) => return Ok(elsewhere::of_bins(self, infos, bins, rule)),
+                Ok(None) => {}
+                Err(Fault::Host(error)) => return Err(error),
+                Err(Fault::Device(error)) => self.recover(&mut state, &error),
+            }
+        }
+        Ok(DifField::in_memory(shape, self.indicate(bins, 0..count, rule)?))
+    }
+
     fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state();
         let mut pages = Pages::with_capacity(range.len());
         let shape = rule.shape();
         while !state.on_cpu && pages.len() < range.len() {
@@ -198,7 +229,8 @@ impl Stages for DeviceFrame {
                 (begin..range.end).find(|&bin| bin_bytes(bins.count(bin), shape) > room).unwrap_or(range.end);
             if end == begin {
                 // A bin too large for any batch. Without its page the others are of no use on the device.
-                (state.resident, state.resident_bytes) = (None, 0);
+                self.forget_residents();
+                state.resident_bytes = 0;
                 pages.extend(Cpu.indicate(bins, begin..begin + 1, rule)?);
                 continue;
             }
@@ -206,41 +238,49 @@ impl Stages for DeviceFrame {
             state.done.pages += range.start + pages.len() - begin;
             match outcome {
                 Ok(()) => {}
-                Err(Fault::Scratch(error)) => return Err(error),
+                Err(Fault::Host(error)) => return Err(error),
                 Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
         if pages.len() < range.len() {
             // Without the pages of these bins the others are of no use.
-            state.resident = None;
+            self.forget_residents();
             pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, rule)?);
         }
         Ok(pages)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox]) -> Vec<Option<BlockMesh>> {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut meshes = Vec::with_capacity(regions.len());
-        while !state.on_cpu && meshes.len() < regions.len() {
-            let begin = meshes.len();
-            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], &mut meshes);
-            state.done.regions += meshes.len() - begin;
-            if let Err(error) = outcome {
-                self.recover(&mut state, &error);
+    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+        surfaces.prepare();
+        let mut state = self.state();
+        let mut taken = 0;
+        while !state.on_cpu && taken < regions.len() {
+            let begin = taken;
+            let mut counted = |meshes: Vec<Option<BlockMesh>>| {
+                taken += meshes.len();
+                take(meshes)
+            };
+            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], &mut counted);
+            state.done.regions += taken - begin;
+            match outcome {
+                Ok(()) => {}
+                Err(Fault::Host(error)) => return Err(error),
+                Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
-        let left = &regions[meshes.len()..];
-        if !left.is_empty() {
-            meshes.extend(Cpu.contour(surfaces, left));
-        }
-        meshes
+        Cpu.contour(surfaces, &regions[taken..], take)
     }
 
     fn warnings(&self) -> Vec<String> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).warnings.clone()
+        let state = self.state();
+        let mut warnings = state.warnings.clone();
+        let failed = self.reader.failed().filter(|_| !state.on_cpu);
+        warnings
+            .extend(failed.map(|error| format!("{error}; what was on the device is made again on the CPU")));
+        warnings
     }
 
     fn on_device(&self) -> Work {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).done
+        self.state().done
     }
 }

@@ -5,8 +5,6 @@
 
 use std::rc::Rc;
 
-use glam::IVec3;
-
 use crate::backend::parent;
 use crate::grid::CellBox;
 use crate::recipe::{Filters, WideFields, bulk, joined};
@@ -17,7 +15,7 @@ use crate::vulkan::{Place, View, VulkanError};
 
 use super::contouring::{BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide};
 use super::fields::{Padded, PaddedBlocks};
-use super::grids::Grid;
+use super::grids::{Grid, NO_TILES};
 use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, part};
 
@@ -26,9 +24,6 @@ const WIDE: usize = 0;
 const CELLS: usize = 1;
 const PARTS: usize = 2;
 const DROPS: usize = 3;
-
-/// Nothing of a block is meshed.
-const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO };
 
 impl Contouring<'_> {
     /// Tells which regions are drawn, once wide cells are made, and in which parts of them particles stand out.
@@ -87,7 +82,7 @@ impl Contouring<'_> {
             }
         }
         let mut layout = Layout::default();
-        let places = grid.place(&mut layout, page_bytes(from.dif.shape()));
+        let places = grid.place(&mut layout, page_bytes(from.shape()));
         let looks_at = layout.place(size_of_val(&looks[..]) as u64);
         lane.begin()?;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
@@ -96,7 +91,7 @@ impl Contouring<'_> {
         let seen_bytes = (size_of::<Seen>() * looks.len()) as u64;
         let seen = lane.buffer(device, "seen", Place::Device, seen_bytes)?;
         let read = lane.buffer(device, "seen read", Place::Download, seen_bytes)?;
-        grid.stage(&staged, &places, from.dif);
+        grid.stage(&staged, &places, from);
         staged.write(looks_at.start, &looks);
         let uploaded = lane.send(&staged, &inputs)?;
 
@@ -105,7 +100,7 @@ impl Contouring<'_> {
         let within = Vec::new();
         let grid = PaddedBlocks { blocks: blocks.clone(), level: distances.level, marks, within, free };
         let mut fields = self.fields(&mut lane.compute, vec![grid]);
-        fields.gather(0, &places.pages(&inputs, from, &self.constants))?;
+        fields.gather(0, &places.pages(&inputs, from, Some(&self.constants)))?;
         let made = bulk(distances, &mut fields)?;
         let fields = WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
         let views = [&part(&inputs, &looks_at), &fields.bulk, &fields.outlying, &seen];
@@ -146,8 +141,7 @@ impl Contouring<'_> {
             (0..batch.parts.len() as u32).collect(),
         ];
         let mut layout = Layout::default();
-        let places =
-            [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.dif.shape())));
+        let places = [&cells, &parts, &drops].map(|grid| grid.place(&mut layout, page_bytes(from.shape())));
         let numbers_at = numbers.each_ref().map(|numbers| layout.place(size_of_val(&numbers[..]) as u64));
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
@@ -158,7 +152,7 @@ impl Contouring<'_> {
             free.push(lane.fields(device, name, count, grid.field_bytes())?);
         }
         for (grid, places) in [&cells, &parts, &drops].into_iter().zip(&places) {
-            grid.stage(&staged, places, from.dif);
+            grid.stage(&staged, places, from);
         }
         for (numbers, at) in numbers.iter().zip(&numbers_at) {
             staged.write(at.start, numbers);
@@ -186,7 +180,7 @@ impl Contouring<'_> {
         fields.cells = CELLS;
         if !batch.parts.is_empty() {
             fields.parts = Some(PARTS);
-            fields.gather(DROPS, &places[2].pages(&inputs, from, &self.constants))?;
+            fields.gather(DROPS, &places[2].pages(&inputs, from, Some(&self.constants)))?;
         }
         let known = |samples: &View| Rc::new(Padded { samples: samples.clone(), margin: 0, of: WIDE });
         let made = WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };

@@ -4,6 +4,7 @@
 mod axis;
 mod bin;
 mod grid;
+mod pages;
 
 pub use axis::{AxisPush, Window, along_each_axis};
 pub use bin::{
@@ -11,6 +12,7 @@ pub use bin::{
     PLACE, PROBES, SETTLE, SETTLED, SORT, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
+pub use pages::{FULL_CELLS, FullCells, HALVE, full_cells, halve};
 
 use std::sync::Arc;
 

@@ -9,7 +9,7 @@ use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::brick::{Block, DifField};
+use crate::brick::{Block, DifField, Elsewhere};
 use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 
 /// Wide cells along the edge of a brick.
@@ -17,7 +17,7 @@ pub const BRICK: i32 = 4;
 /// Bricks along the edge of a bin.
 const BRICKS: i32 = BIN / BRICK;
 /// Wide cells by which cubes slide.
-const PART: i32 = 2;
+pub(super) const PART: i32 = 2;
 /// Least edge of the cubes that have to be full, in spacings.
 const CUBE: f64 = 4.0;
 /// What they have to hold of the plateau.
@@ -125,18 +125,26 @@ impl Inside {
         let width = (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32;
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let rim = PART * (width - 1);
-        let full = bits_by_bin(&keys, |bin| {
-            // Some cube that holds a brick lies in the bin: spray need not be looked at any closer.
-            let cells = CellBox::cube(bin, BIN);
-            let own: u64 = field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
-            if (own as f64) < least {
-                return 0;
-            }
-            let sums = Cube::of_parts(&field.gather(cells.grown(rim, rim)));
-            let Cube { edge, values } = sums.joined(width as usize, |a, b| a + b);
-            let full = Cube { edge, values: values.into_iter().map(|sum| sum as f64 >= least).collect() };
-            let of_brick = width + BRICK / PART - 1;
-            full.joined(of_brick as usize, |a, b| a && b).halved().bits()
+        // What is summed up are integers.
+        let elsewhere = |pages: &dyn Elsewhere| pages.full_bricks(width as u32, least.ceil() as u32);
+        let full = field.elsewhere().and_then(elsewhere).map(|bits| {
+            let bins = keys.iter().map(|key| key.coord());
+            bins.zip(bits).filter(|&(_, bits)| bits != 0).collect()
+        });
+        let full: HashMap<IVec3, u64> = full.unwrap_or_else(|| {
+            bits_by_bin(&keys, |bin| {
+                // Some cube that holds a brick lies in the bin: spray need not be looked at any closer.
+                let cells = CellBox::cube(bin, BIN);
+                let own: u64 = field.gather(cells).samples().iter().map(|&sample| u64::from(sample)).sum();
+                if (own as f64) < least {
+                    return 0;
+                }
+                let sums = Cube::of_parts(&field.gather(cells.grown(rim, rim)));
+                let Cube { edge, values } = sums.joined(width as usize, |a, b| a + b);
+                let full = Cube { edge, values: values.into_iter().map(|sum| sum as f64 >= least).collect() };
+                let of_brick = width + BRICK / PART - 1;
+                full.joined(of_brick as usize, |a, b| a && b).halved().bits()
+            })
         });
         let is_full = |bin: IVec3, brick: IVec3| {
             let (bin, brick) = home(bin, brick);

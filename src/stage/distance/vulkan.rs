@@ -6,10 +6,11 @@ use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, UVec3};
 
 use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis, wall_bounds};
-use crate::grid::CellBox;
+use crate::grid::{BIN, CellBox};
 use crate::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
+use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
 
 push_block! {
@@ -83,6 +84,33 @@ push_block! {
         width: i32,
     }
 }
+
+push_block! {
+    /// Of [`FULL_BRICKS`].
+    struct FullPush {
+        width: u32,
+        least: u32,
+    }
+}
+
+/// Edge of the largest cubes that bricks can be looked at by on a device, in parts.
+const WIDEST_CUBE: u32 = 4;
+/// Parts along the edge of a bin, and of what lies around it.
+const BIN_PARTS: u32 = (BIN / PART) as u32;
+const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
+/// Parts that a work group sums up.
+pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
+/// Words of a bit for each cube of them.
+pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
+
+/// The bricks that are full.
+pub const FULL_BRICKS: Program = Program {
+    name: "full_bricks",
+    code: include_bytes!("../../../spirv/full_bricks.spv"),
+    buffers: &["blocks", "field", "bricks"],
+    push: FullPush::FIELDS,
+    group: [256, 1, 1],
+};
 
 /// The calm surface and the fine one.
 pub const DEPTHS_OF: Program = Program {
@@ -175,6 +203,30 @@ pub struct Kernels {
     pub quotient: Arc<Kernel>,
     /// Both surfaces: [`JOIN`].
     pub join: Arc<Kernel>,
+    /// What is deep inside: [`FULL_BRICKS`].
+    pub full_bricks: Arc<Kernel>,
+}
+
+/// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too wide for that.
+#[must_use]
+pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
+    let rim = PART * (width as i32 - 1);
+    (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(rim, rim))
+}
+
+/// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a bin.
+///
+/// # Errors
+/// Those of the device.
+pub fn full_bricks(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    (width, least): (u32, u32),
+    [field, bricks]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let views = [&blocks.blocks, field, bricks].map(Clone::clone);
+    batch.dispatch(&kernels.full_bricks, &views, &FullPush { width, least }, [1, blocks.count, 1])
 }
 
 /// The committed tables as kernels take them: of depths, and of how far away shares are.

@@ -1,0 +1,91 @@
+//! with block brick
+// What the host has to know of a page: which cells of its bin are full. A work group a page, a thread a row along x.
+
+struct Full {
+    // A bit for each layer across x, y and z that has a full cell.
+    layers: array<u32, 3>,
+    // How many cells are full.
+    count: u32,
+    // A bit for each brick that has a full cell of its own.
+    bricks: array<u32, 2>,
+}
+
+struct Push {
+    // Of a cell's coordinate, those in what is stored in one piece.
+    piece_bits: u32,
+    // How many cells around their own pieces hold.
+    rim: u32,
+    // Of a cell's coordinate, those in its brick.
+    brick_bits: u32,
+    page_words: u32,
+}
+
+var<immediate> push: Push;
+// Piece after piece along the Morton curve, x fastest in each.
+@group(0) @binding(0) var<storage, read> pages: array<u32>;
+@group(0) @binding(1) var<storage, read_write> found: array<Full>;
+
+var<workgroup> layers: array<atomic<u32>, 3>;
+var<workgroup> count: atomic<u32>;
+var<workgroup> bricks: array<atomic<u32>, 2>;
+
+@compute @workgroup_size(256)
+fn full_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    if local.x < 3u {
+        atomicStore(&layers[local.x], 0u);
+    }
+    if local.x < 2u {
+        atomicStore(&bricks[local.x], 0u);
+    }
+    if local.x == 0u {
+        atomicStore(&count, 0u);
+    }
+    workgroupBarrier();
+    let bin = u32(BIN);
+    let rim = i32(push.rim);
+    let side = 1u << push.piece_bits;
+    let edge = side + 2u * push.rim;
+    let cell = vec2<i32>(vec2(local.x % bin, local.x / bin));
+    let first = max(cell - rim, vec2(0)) >> vec2(push.piece_bits);
+    let last = min(cell + rim, vec2(BIN - 1)) >> vec2(push.piece_bits);
+    var bits = 0u;
+    for (var z = first.y; z <= last.y; z++) {
+        for (var y = first.x; y <= last.x; y++) {
+            for (var x = 0u; x < bin / side; x++) {
+                let corner = vec3(x, u32(y), u32(z)) << vec3(push.piece_bits);
+                let number = brick_of(corner, push.piece_bits);
+                let inside = vec2<u32>(cell - vec2<i32>(corner.yz) + rim);
+                let row = edge * (inside.x + edge * (inside.y + edge * number));
+                let owns_row = all(inside >= vec2(push.rim)) && all(inside < vec2(push.rim + side));
+                for (var i = 0u; i < edge; i++) {
+                    let at = i32(corner.x + i) - rim;
+                    let word = pages[group.y * push.page_words + (row + i) / 2u];
+                    if at < 0 || at >= BIN || half_of(word, row + i) == 0u {
+                        continue;
+                    }
+                    bits |= 1u << u32(at);
+                    if owns_row && i >= push.rim && i < push.rim + side {
+                        let brick = brick_of(vec3(u32(at), vec2<u32>(cell)), push.brick_bits);
+                        atomicOr(&bricks[brick / 32u], 1u << (brick % 32u));
+                    }
+                }
+            }
+        }
+    }
+    if bits != 0u {
+        atomicOr(&layers[0], bits);
+        atomicOr(&layers[1], 1u << u32(cell.x));
+        atomicOr(&layers[2], 1u << u32(cell.y));
+        atomicAdd(&count, countOneBits(bits));
+    }
+    workgroupBarrier();
+    if local.x < 3u {
+        found[group.y].layers[local.x] = atomicLoad(&layers[local.x]);
+    }
+    if local.x < 2u {
+        found[group.y].bricks[local.x] = atomicLoad(&bricks[local.x]);
+    }
+    if local.x == 0u {
+        found[group.y].count = atomicLoad(&count);
+    }
+}

@@ -1,0 +1,56 @@
+//! with block
+// Pages of cells twice as wide, of blocks of the cells that leave something in them. A thread makes a word of a page.
+
+struct Push {
+    // Of the finer cells, the lowest within the walls, and the highest.
+    walls_lo: vec3<i32>,
+    // What the mean of the finer ones is taken by, of 2^16.
+    factor: u32,
+    walls_hi: vec3<i32>,
+}
+
+var<immediate> push: Push;
+// From one cell below the lowest wide one on: what lies of a bin of wide cells within the walls.
+@group(0) @binding(0) var<storage, read> blocks: array<Block>;
+@group(0) @binding(1) var<storage, read> field: array<u32>;
+@group(0) @binding(2) var<storage, read_write> pages: array<u32>;
+
+// Along an axis, that of one of the four cells around the middle of a wide one.
+fn weight(i: i32) -> u32 {
+    return select(1u, 3u, i == 1 || i == 2);
+}
+
+fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
+    let lowest = push.walls_lo >> vec3(1u);
+    let highest = push.walls_hi >> vec3(1u);
+    if any(wide < lowest) || any(wide > highest) {
+        return 0u;
+    }
+    var sum = 0u;
+    for (var z = 0; z < 4; z++) {
+        for (var y = 0; y < 4; y++) {
+            var row = 0u;
+            for (var x = 0; x < 4; x++) {
+                let cell = clamp(2 * wide - 1 + vec3(x, y, z), push.walls_lo, push.walls_hi);
+                let at = vec3<u32>(cell - block.lo);
+                row += weight(x) * half_of(field[word_of(block, at)], at.x);
+            }
+            sum += weight(y) * weight(z) * row;
+        }
+    }
+    // Of the product, which is wider than a word, the lowest 16 bits do not matter.
+    let product = (sum >> 16u) * push.factor + (((sum & 0xffffu) * push.factor) >> 16u);
+    return min((product + (1u << (HALVED_BITS - 17u))) >> (HALVED_BITS - 16u), FULL);
+}
+
+@compute @workgroup_size(256)
+fn halve(@builtin(global_invocation_id) id: vec3<u32>) {
+    let block = blocks[id.y];
+    // Rows of the block begin at an even cell.
+    let corner = ((block.lo + 2) >> vec3(1u)) & vec3(-BIN);
+    let first = 2u * id.x;
+    let bin = u32(BIN);
+    let wide = corner + vec3<i32>(vec3(first % bin, first / bin % bin, first / (bin * bin)));
+    let pair = vec2(wide_sample(block, wide), wide_sample(block, wide + vec3(1, 0, 0)));
+    pages[id.y * PAGE_WORDS + id.x] = pair.x | pair.y << 16u;
+}

@@ -1,0 +1,217 @@
+//! Fields that stay on the device: what is made of them there, and what the host is told.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::Pod;
+use glam::IVec3;
+
+use crate::backend::{Cpu, Stages};
+use crate::brick::vulkan::{DeviceBlocks, FullCells, gather, halve};
+use crate::brick::{
+    Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource, halved_from,
+};
+use crate::grid::{CellBox, MortonKey};
+use crate::stage::distance::vulkan::{full_bricks, full_bricks_of};
+use crate::stage::indicator::PageRule;
+use crate::vulkan::{Place, View, VulkanError};
+
+use super::frame::{DeviceFrame, State};
+use super::grids::{Grid, NO_TILES, Samples};
+use super::kernels::page_bytes;
+use super::lane::{Lane, Layout, fly};
+use super::resident::Resident;
+
+/// Blocks of a batch at the most.
+const BLOCK_BATCH: usize = 4096;
+
+/// A field whose pages are on a device.
+#[derive(Debug)]
+struct DeviceField {
+    frame: Arc<DeviceFrame>,
+    /// How often its cells were made twice as wide.
+    level: usize,
+    infos: Vec<PageInfo>,
+    shape: PageShape,
+}
+
+/// The pages of bins, made again on the processor.
+#[derive(Debug)]
+struct Again {
+    bins: Arc<Bins>,
+    rule: PageRule,
+}
+
+impl PageSource for Again {
+    fn samples(&self, page: usize) -> Vec<u16> {
+        let pages = Cpu.indicate(&self.bins, page..page + 1, &self.rule);
+        let pages = pages.expect("particles in memory can be read");
+        pages[0].1.dense(self.rule.shape()).into_owned()
+    }
+}
+
+/// Pages that nobody can make again.
+#[derive(Debug)]
+struct Gone(PageShape);
+
+impl PageSource for Gone {
+    /// None are looked at: the failure is told instead.
+    fn samples(&self, _: usize) -> Vec<u16> {
+        vec![0; self.0.bin_samples()]
+    }
+}
+
+/// The field of a frame's bins.
+pub(super) fn of_bins(
+    frame: &Arc<DeviceFrame>,
+    infos: Vec<PageInfo>,
+    bins: &Arc<Bins>,
+    rule: &PageRule,
+) -> DifField {
+    let again = Again { bins: Arc::clone(bins), rule: *rule };
+    field(frame, infos, rule.shape(), Box::new(again))
+}
+
+/// The same of particles that are nowhere but on the device.
+pub(super) fn of_resident(frame: &Arc<DeviceFrame>, infos: Vec<PageInfo>, shape: PageShape) -> DifField {
+    field(frame, infos, shape, Box::new(Gone(shape)))
+}
+
+fn field(
+    frame: &Arc<DeviceFrame>,
+    infos: Vec<PageInfo>,
+    shape: PageShape,
+    otherwise: Box<dyn PageSource>,
+) -> DifField {
+    let pages = DeviceField { frame: Arc::clone(frame), level: 0, infos: infos.clone(), shape };
+    DifField::elsewhere_paged(shape, infos, Box::new(pages), otherwise)
+}
+
+impl DeviceField {
+    /// Has something made of its pages, unless they are no longer there; `None` where that fails.
+    fn made<T>(
+        &self,
+        make: impl FnOnce(&mut State, &Resident) -> Result<Option<T>, VulkanError>,
+    ) -> Option<T> {
+        let resident = self.frame.resident(self.level).filter(|_| self.frame.reader.failed().is_none())?;
+        let mut state = self.frame.state();
+        let made = make(&mut state, &resident);
+        made.map_err(|error| self.frame.recover(&mut state, &error)).ok().flatten()
+    }
+}
+
+impl Elsewhere for DeviceField {
+    fn count(&self) -> usize {
+        self.infos.len()
+    }
+
+    fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>> {
+        let resident = self.frame.resident(self.level)?;
+        self.frame.reader.read(&self.frame.device, &resident, &self.infos[pages], self.shape)
+    }
+
+    fn halved(
+        &self,
+        bins: &[IVec3],
+        walls: Option<CellBox>,
+        factor: Factor,
+    ) -> Option<(Vec<PageInfo>, Box<dyn Elsewhere>)> {
+        let infos = self.made(|state, resident| {
+            let stride = page_bytes(HALVED);
+            let Some(pages) = self.frame.room(state, bins.len() as u64 * stride, state.wide_bytes) else {
+                return Ok(None);
+            };
+            let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
+            let from = Samples::There(resident, self.shape);
+            let kernel = &self.frame.kernels.halve;
+            let found: Vec<FullCells> =
+                self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
+                    let count = range.len();
+                    let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
+                    lane.compute.stage("halve", cells.bytes() + pages.bytes());
+                    halve(&mut lane.compute, kernel, blocks, (walls, factor), [cells, &pages])?;
+                    self.frame.tell_full_cells(lane, &pages, count, HALVED)
+                })?;
+            let infos = bins.iter().zip(found).map(|(&bin, found)| found.info(MortonKey::of(bin)));
+            let infos: Vec<PageInfo> = infos.flatten().collect();
+            state.wide_bytes -= pages.bytes().min(state.wide_bytes);
+            let numbers = bins.iter().copied().zip(0..).collect();
+            self.frame.add_resident(self.level + 1, Resident { pages, numbers });
+            Ok(Some(infos))
+        })?;
+        let frame = Arc::clone(&self.frame);
+        let wide = Self { frame, level: self.level + 1, infos: infos.clone(), shape: HALVED };
+        Some((infos, Box::new(wide)))
+    }
+
+    fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>> {
+        let boxes = self.infos.iter().map(|info| full_bricks_of(info.key.coord(), width));
+        let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
+        self.made(|state, resident| {
+            let from = Samples::There(resident, self.shape);
+            let (device, kernels) = (&self.frame.device, &self.frame.kernels.distance);
+            let full: Vec<[u32; 2]> =
+                self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
+                    let bytes = (range.len() * size_of::<[u32; 2]>()) as u64;
+                    let bricks = lane.buffer(device, "full bricks", Place::Device, bytes)?;
+                    let read = lane.buffer(device, "full bricks read", Place::Download, bytes)?;
+                    lane.compute.stage("inside", cells.bytes());
+                    full_bricks(&mut lane.compute, kernels, blocks, (width, least), [cells, &bricks])?;
+                    lane.compute.copy(&bricks, &read);
+                    Ok(read)
+                })?;
+            Ok(Some(full.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32).collect()))
+        })
+    }
+}
+
+impl DeviceFrame {
+    /// Cuts boxes of cells out of a field batch by batch, has `make` make something of each, which is read from what that returns, and
+    /// collects it.
+    fn of_blocks<T: Pod>(
+        &self,
+        state: &mut State,
+        from: Samples<'_>,
+        boxes: &[CellBox],
+        make: impl Fn(&mut Lane, Range<usize>, &DeviceBlocks, &View) -> Result<View, VulkanError>,
+    ) -> Result<Vec<T>, VulkanError> {
+        self.make_lanes(state)?;
+        let most = state.batch_bytes.min(self.device.limits().storage_range);
+        let (mut next, mut all) = (0, Vec::with_capacity(boxes.len()));
+        fly(
+            &mut state.lanes,
+            |lane| {
+                let begin = next;
+                let mut grid = Grid::default();
+                while next < boxes.len() && grid.len() < BLOCK_BATCH && grid.field_bytes() < most / 2 {
+                    grid.push_sampled(boxes[next], NO_TILES, from, None);
+                    next += 1;
+                }
+                if grid.len() == 0 {
+                    return Ok(None);
+                }
+                let mut layout = Layout::default();
+                let places = grid.place(&mut layout, page_bytes(from.shape()));
+                lane.begin()?;
+                let staged = lane.buffer(&self.device, "staged", Place::Upload, layout.bytes)?;
+                let inputs = lane.buffer(&self.device, "inputs", Place::Device, layout.bytes)?;
+                let cells = lane.buffer(&self.device, "cells", Place::Device, grid.field_bytes())?;
+                grid.stage(&staged, &places, from);
+                let uploaded = lane.send(&staged, &inputs)?;
+                let (blocks, pages) = (grid.on_device(&inputs, &places), places.pages(&inputs, from, None));
+                lane.compute.stage("gather", pages.pages.bytes() + cells.bytes());
+                gather(&mut lane.compute, &self.kernels.gather, &blocks, &pages, &cells)?;
+                let read = make(lane, begin..next, &blocks, &cells)?;
+                lane.compute.submit(&[uploaded])?;
+                Ok(Some((next - begin, read)))
+            },
+            |_, _| Ok(()),
+            |lane, (count, read)| {
+                lane.compute.wait()?;
+                all.extend(read.read::<T>(0, count));
+                Ok(())
+            },
+        )?;
+        Ok(all)
+    }
+}

@@ -1,0 +1,92 @@
+//! The pages of a field on a device, and how the host reads them.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::IVec3;
+use hashbrown::HashMap;
+
+use crate::brick::{PageInfo, PageSamples, PageShape};
+use crate::vulkan::{Batch, Buffer, Device, Place, Queue, VulkanError};
+
+use super::kernels::page_bytes;
+
+/// The pages of a field's bins in one buffer.
+#[derive(Debug)]
+pub(super) struct Resident {
+    pub(super) pages: Arc<Buffer>,
+    pub(super) numbers: HashMap<IVec3, u32>,
+}
+
+/// Reads pages, one reader at a time, whatever the lanes do meanwhile.
+#[derive(Debug, Default)]
+pub(super) struct Reader {
+    batch: Mutex<Option<(Batch, Arc<Buffer>)>>,
+    /// What failed, after which nothing more is read.
+    failed: Mutex<Option<VulkanError>>,
+}
+
+impl Reader {
+    /// What failed, if anything did.
+    pub(super) fn failed(&self) -> Option<VulkanError> {
+        self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The samples of those pages of a field that are `infos`; `None` once anything failed.
+    pub(super) fn read(
+        &self,
+        device: &Device,
+        resident: &Resident,
+        infos: &[PageInfo],
+        shape: PageShape,
+    ) -> Option<Vec<PageSamples>> {
+        if self.failed().is_some() {
+            return None;
+        }
+        let read = self.try_read(device, resident, infos, shape);
+        let failed = |error| *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+        read.map_err(failed).ok()
+    }
+
+    fn try_read(
+        &self,
+        device: &Device,
+        resident: &Resident,
+        infos: &[PageInfo],
+        shape: PageShape,
+    ) -> Result<Vec<PageSamples>, VulkanError> {
+        let page_bytes = page_bytes(shape);
+        let bytes = infos.len() as u64 * page_bytes;
+        let mut known = self.batch.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.as_ref().is_none_or(|(_, buffer)| buffer.bytes() < bytes) {
+            *known = None;
+        }
+        let (batch, buffer) = match &mut *known {
+            Some(known) => known,
+            none => none.insert((device.batch(Queue::Compute)?, device.buffer(Place::Download, bytes)?)),
+        };
+        let number = |info: &PageInfo| resident.numbers[&info.key.coord()];
+        batch.begin()?;
+        batch.stage("download", 2 * bytes);
+        let mut to = 0;
+        // Pages that lie one after the other are copied at once.
+        for run in infos.chunk_by(|a, b| number(a) + 1 == number(b)) {
+            let bytes = run.len() as u64 * page_bytes;
+            let from = resident.pages.part(u64::from(number(&run[0])) * page_bytes, bytes);
+            batch.copy(&from, &buffer.part(to, bytes));
+            to += bytes;
+        }
+        // On the queue that they were made on, and so after that.
+        batch.submit(&[])?;
+        batch.wait()?;
+        let stride = page_bytes as usize / size_of::<u16>();
+        let samples: &[u16] = buffer.values(0, infos.len() * stride);
+        let pages = samples.chunks_exact(stride).zip(infos).map(|(samples, info)| {
+            let dense = &samples[..shape.bin_samples()];
+            let (known, samples) =
+                PageInfo::from_dense(info.key.coord(), dense, shape).expect("a page has a full cell");
+            debug_assert_eq!(known, *info);
+            samples
+        });
+        Ok(pages.collect())
+    }
+}

@@ -1,0 +1,108 @@
+//! What is made of pages where they are: what the host has to know of each, and pages of cells twice as wide.
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::brick::{Factor, PageInfo, PageShape};
+use crate::grid::{BIN, CellBox, MortonKey};
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+use super::{DeviceBlocks, GROUP, PAGE_WORDS, page_words, wall_bounds};
+
+push_block! {
+    /// Of [`FULL_CELLS`].
+    struct FullPush {
+        piece_bits: u32,
+        rim: u32,
+        brick_bits: u32,
+        page_words: u32,
+    }
+}
+
+push_block! {
+    /// Of [`HALVE`].
+    struct HalvePush {
+        walls_lo: [i32; 3],
+        factor: u32,
+        walls_hi: [i32; 3],
+    }
+}
+
+/// The full cells of pages.
+pub const FULL_CELLS: Program = Program {
+    name: "full_cells",
+    code: include_bytes!("../../../spirv/full_cells.spv"),
+    buffers: &["pages", "found"],
+    push: FullPush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// Pages of cells twice as wide.
+pub const HALVE: Program = Program {
+    name: "halve",
+    code: include_bytes!("../../../spirv/halve.spv"),
+    buffers: &["blocks", "field", "pages"],
+    push: HalvePush::FIELDS,
+    group: [GROUP, 1, 1],
+};
+
+/// What the host has to know of a page, as `full_cells.wgsl` has it.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct FullCells {
+    layers: [u32; 3],
+    count: u32,
+    bricks: [u32; 2],
+}
+
+impl FullCells {
+    /// The page of a bin, if any of its cells is full.
+    #[must_use]
+    pub fn info(&self, key: MortonKey) -> Option<PageInfo> {
+        let bricks = u64::from(self.bricks[0]) | u64::from(self.bricks[1]) << 32;
+        (bricks != 0)
+            .then(|| PageInfo::of_layers(key, bricks, self.layers.map(|bits| bits as u16), self.count))
+    }
+}
+
+/// Finds the full cells of so many pages.
+///
+/// # Errors
+/// Those of the device.
+pub fn full_cells(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    count: u32,
+    shape: PageShape,
+    [pages, found]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let brick = shape.side.cells();
+    // Without rims a bin lies in one piece.
+    let piece = if shape.rim == 0 { BIN } else { brick };
+    let push = FullPush {
+        piece_bits: piece.ilog2(),
+        rim: shape.rim as u32,
+        brick_bits: brick.ilog2(),
+        page_words: page_words(shape),
+    };
+    batch.dispatch(kernel, &[pages.clone(), found.clone()], &push, [1, count, 1])
+}
+
+/// Makes pages of cells twice as wide of `field`, by the twin of [`DifField::halved`](crate::brick::DifField::halved): of each
+/// block, which holds [what leaves something](crate::brick::halved_from) in what lies of a bin within the walls of the finer cells.
+///
+/// # Errors
+/// Those of the device.
+pub fn halve(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    (walls, factor): (Option<CellBox>, Factor),
+    [field, pages]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let push = HalvePush { walls_lo, factor: factor.steps(), walls_hi };
+    let views = [&blocks.blocks, field, pages].map(Clone::clone);
+    batch.dispatch(kernel, &views, &push, [PAGE_WORDS / GROUP, blocks.count, 1])
+}
