@@ -5,6 +5,7 @@
 
 mod scene;
 
+use std::error::Error;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,7 +14,7 @@ use clap::Parser;
 use glam::DVec3;
 use meniscus::backend::Vulkan;
 use meniscus::brick::InvalidParticles;
-use meniscus::frame::{Detail, Frame, Resources, Sampling, Surfacing};
+use meniscus::frame::{Detail, Frame, FrameError, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
 use meniscus::laps::Laps;
 use meniscus::mesh::source::MeshSource;
@@ -25,9 +26,12 @@ use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Que
 /// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as there is room for.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];
 /// The device's stages, in order.
-const STAGES: [&str; 9] = [
+const STAGES: [&str; 12] = [
     "upload",
     "indicate",
+    "full cells",
+    "halve",
+    "inside",
     "gather",
     "blur",
     "detail",
@@ -54,7 +58,7 @@ struct Options {
     bench: bool,
 }
 
-fn main() -> Result<ExitCode, VulkanError> {
+fn main() -> Result<ExitCode, Box<dyn Error>> {
     let options = Options::parse();
     let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
     let instance = Instance::connect(false)?;
@@ -80,13 +84,19 @@ fn main() -> Result<ExitCode, VulkanError> {
         let spacing = estimate(&particles[..]);
         for (&cells, kind) in options.cells.iter().flat_map(|cells| KINDS.map(|kind| (cells, kind))) {
             let mut sampling = sampling(f64::from(width) / f64::from(cells), kind, spacing);
-            let (cpu, expected) = run(&particles, &sampling);
+            let (cpu, expected) = match run(&particles, &sampling) {
+                Err(FrameError::TooFine(why)) => {
+                    println!("| {cells} | {:.2} | {} | {why} |", particles.len() as f64 / 1e6, kind.name());
+                    continue;
+                }
+                done => done?,
+            };
             sampling.resources.backend = Arc::clone(&vulkan) as _;
             // The first run compiles kernels and takes memory.
-            run(&particles, &sampling);
+            run(&particles, &sampling)?;
             drop(device.take_timings());
             let start = Instant::now();
-            let (laps, found) = run(&particles, &sampling);
+            let (laps, found) = run(&particles, &sampling)?;
             let wall = start.elapsed().as_secs_f64();
             let timings = device.take_timings();
             let stages: Vec<String> = STAGES.iter().map(|name| entry(&timings, name, bandwidth)).collect();
@@ -124,15 +134,15 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
 }
 
 /// The laps of a frame, and a checksum of its mesh.
-fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
+fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Laps, u32), FrameError> {
     let is_cloud = sampling.field == IndicatorKind::Cloud.into();
     let surfacing = match is_cloud {
         true => Surfacing::PLAIN,
         false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },
     };
     let mut laps = Laps::default();
-    let frame = Frame::sample(particles, sampling, &mut laps).expect("a frame");
-    let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
+    let frame = Frame::sample(particles, sampling, &mut laps)?;
+    let surface = frame.surface(&surfacing, &mut laps)?;
     assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
     let mut sum = crc32fast::Hasher::new();
     for piece in 0..surface.pieces() {
@@ -140,7 +150,7 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> (Laps, u32) {
         sum.update(bytemuck::cast_slice(&vertices.positions));
         sum.update(bytemuck::cast_slice(&surface.triangles(piece).expect("in memory")));
     }
-    (laps, sum.finalize())
+    Ok((laps, sum.finalize()))
 }
 
 /// Milliseconds, and the share of the device's bandwidth.
