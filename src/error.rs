@@ -6,10 +6,10 @@ use thiserror::Error;
 
 use crate::frame::FrameError;
 use crate::grid::DomainError;
+use crate::grid::units::UnitError;
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
-use crate::mesh::compare::CompareError;
-use crate::sequence::SequenceError;
-use crate::units::UnitError;
+use crate::simulation::SequenceError;
+use crate::surface::mesh::compare::CompareError;
 use crate::vulkan::VulkanError;
 
 /// Anything that can go wrong between a particle file and a mesh file.

@@ -1,10 +1,10 @@
 //! Watertight surface meshes from particle fluids, by discrete indicator functions.
 //!
 //! ```text
-//! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, stage::indicator
-//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  calibration
-//! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  recipe, stage, backend
-//! block surfaces --stitch--> mesh --write--> file                           stitch, io
+//! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
+//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  field::calibration
+//! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  field, surface, backend
+//! block surfaces --stitch--> mesh --write--> file                           surface::stitch, io
 //! ```
 //!
 //! Everything from a particle to the field is integer, so the result depends on nothing but the input: not
@@ -15,9 +15,9 @@
 //! use meniscus::brick::{BrickSide, InvalidParticles};
 //! use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
 //! use meniscus::grid::Grid;
-//! use meniscus::laps::Laps;
-//! use meniscus::mesh::check::check;
-//! use meniscus::stage::indicator::IndicatorKind;
+//! use meniscus::system::timings::Timings;
+//! use meniscus::surface::mesh::check::check;
+//! use meniscus::field::indicator::IndicatorKind;
 //!
 //! // A ball of particles, one a cell.
 //! let steps = || (-8..8).map(|i| f64::from(i) + 0.5);
@@ -32,35 +32,24 @@
 //!     side: BrickSide::default(),
 //!     carried: Vec::new(),
 //!     spacing: None,
-//!     resources: Resources::new(meniscus::memory::default_budget(), std::env::temp_dir()),
+//!     resources: Resources::new(meniscus::system::memory::default_budget(), std::env::temp_dir()),
 //! };
-//! let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default())?;
-//! let surface = frame.surface(&Surfacing::PLAIN, &mut Laps::default())?;
+//! let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default())?;
+//! let surface = frame.surface(&Surfacing::PLAIN, &mut Timings::default())?;
 //! assert!(check(&surface.to_mesh()?).is_closed_oriented_manifold());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 pub mod backend;
+pub mod baselines;
 pub mod brick;
-pub mod calibration;
 pub mod error;
-pub mod estimate;
+pub mod field;
 pub mod frame;
 pub mod grid;
 pub mod io;
-pub mod laps;
-pub mod lattice;
-pub mod memory;
-pub mod mesh;
 pub mod particles;
-pub mod programs;
-pub mod recipe;
-pub mod rivals;
-pub mod scratch;
-pub mod sequence;
-pub mod simplify;
-pub mod spacing;
-pub mod stage;
-pub mod stitch;
-pub mod units;
+pub mod simulation;
+pub mod surface;
+pub mod system;
 pub mod vulkan;

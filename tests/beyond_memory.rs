@@ -12,12 +12,12 @@ use common::scene::{Random, splash};
 use common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
-use meniscus::estimate::{Drawing, Estimate, Plan};
+use meniscus::field::indicator::{PageRule, indicate};
+use meniscus::frame::estimate::{Drawing, Estimate, Plan};
 use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
-use meniscus::laps::Laps;
+use meniscus::grid::units::MemoryBudget;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::stage::indicator::{PageRule, indicate};
-use meniscus::units::MemoryBudget;
+use meniscus::system::timings::Timings;
 use tempfile::TempDir;
 
 /// Particles that move and have a temperature.
@@ -363,7 +363,7 @@ fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
     let scratch = TempDir::new().unwrap();
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
     let sampling = Sampling { resources, carried: vec![0], ..sampling() };
-    let fault = Frame::sample(&particles, &sampling, &mut Laps::default()).expect_err("no room");
+    let fault = Frame::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
     let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
     assert!(folder == scratch.path() && needed > free);
     let error = Error::Frame { path: "frame".into(), fault };

@@ -10,8 +10,8 @@ use std::process::{Command, Output};
 use common::scene::Random;
 use common::{device, fill, splashes};
 use meniscus::io::output::read_mesh;
-use meniscus::mesh::check::check;
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::check::check;
+use meniscus::surface::mesh::measure::measure;
 use tempfile::TempDir;
 
 fn meniscus(folder: &Path, arguments: &[&str]) -> Output {

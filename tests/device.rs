@@ -19,15 +19,15 @@ use meniscus::brick::vulkan::{
     BinKernels, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
 };
 use meniscus::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
+use meniscus::grid::units::Isovalue;
 use meniscus::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
-use meniscus::mesh::BlockMesh;
-use meniscus::mesh::spool::Spool;
 use meniscus::particles::Particles;
-use meniscus::stage::dual_mc::contour;
-use meniscus::stage::dual_mc::vulkan::Tally;
-use meniscus::stitch::Stitched;
-use meniscus::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use meniscus::units::Isovalue;
+use meniscus::surface::dual_mc::contour;
+use meniscus::surface::dual_mc::vulkan::Tally;
+use meniscus::surface::mesh::BlockMesh;
+use meniscus::surface::mesh::spool::Spool;
+use meniscus::surface::stitch::Stitched;
+use meniscus::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use meniscus::vulkan::{Buffer, Device, DeviceOptions, Place, Program, Queue, ValidationLog, VulkanError};
 use scene::Random;
 

@@ -12,8 +12,8 @@ use meniscus::io::CoordinateWidth;
 use meniscus::io::UpAxis;
 use meniscus::io::glb::{Compression, Layout, grid_step};
 use meniscus::io::output::MeshFormat;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
 use serde_json::Value;
 
 fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u8>) {

@@ -5,10 +5,10 @@ mod common {
 }
 
 use common::shapes::{cone, cuboid, moved, sphere, torus, union};
-use meniscus::mesh::Mesh;
-use meniscus::mesh::check::{Found, check};
-use meniscus::mesh::compare::{CompareError, Side, compare};
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::check::{Found, check};
+use meniscus::surface::mesh::compare::{CompareError, Side, compare};
+use meniscus::surface::mesh::measure::measure;
 
 fn once<T>(place: T) -> Found<T> {
     Found { count: 1, first: Some(place) }

@@ -15,7 +15,7 @@ use common::shapes::{cuboid, dressed, moved, sphere, torus};
 use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
-use meniscus::mesh::{Mesh, VertexAttribute};
+use meniscus::surface::mesh::{Mesh, VertexAttribute};
 
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];

@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use meniscus::io::CoordinateWidth;
 use meniscus::io::output::MeshFormat;
-use meniscus::mesh::source::{MeshSource, Outline, Vertices};
 use meniscus::particles::AttributeInfo;
+use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 /// Counts the bytes that are held.
 struct Meter;

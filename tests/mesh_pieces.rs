@@ -15,8 +15,8 @@ use common::shapes::{dressed, torus};
 use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
-use meniscus::mesh::Mesh;
-use meniscus::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 const FORMATS: [MeshFormat; 6] = [
     MeshFormat::Ply,

@@ -11,17 +11,19 @@ use common::distances::Distances;
 use common::scene::Random;
 use common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::calibration::{COARSEST_STEP, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine};
+use meniscus::baselines::Method as Rival;
+use meniscus::field::blur::{Filter, Smoothing};
+use meniscus::field::calibration::{
+    COARSEST_STEP, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
+};
+use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
+use meniscus::grid::units::{Isovalue, MeanCount, Sigma};
 use meniscus::grid::{CellBox, Domain, Grid};
-use meniscus::laps::Laps;
-use meniscus::mesh::measure::measure;
-use meniscus::mesh::source::MeshSource;
-use meniscus::rivals::Method as Rival;
-use meniscus::stage::blur::{Filter, Smoothing};
-use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, MeanCount, Sigma};
+use meniscus::surface::mesh::measure::measure;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 const CLOUD: IndicatorKind = IndicatorKind::Cloud;
@@ -82,7 +84,7 @@ fn scaled(particles: &[[f64; 3]], by: f64) -> Vec<[f64; 3]> {
 }
 
 fn sample(particles: &[[f64; 3]], sampling: &Sampling) -> Frame {
-    Frame::sample(particles, sampling, &mut Laps::default()).unwrap()
+    Frame::sample(particles, sampling, &mut Timings::default()).unwrap()
 }
 
 /// The indicator of a frame, by the same mu0.
@@ -92,7 +94,7 @@ fn again(frame: &Frame) -> IndicatorRequest {
 }
 
 fn draw(frame: &Frame, surfacing: &Surfacing) -> Stitched {
-    frame.surface(surfacing, &mut Laps::default()).unwrap()
+    frame.surface(surfacing, &mut Timings::default()).unwrap()
 }
 
 /// The median of a field over the cells that lie deeper in a cube than so many.
@@ -421,7 +423,7 @@ fn refused(indicator: IndicatorKind, cell: f64) -> Result<(), TooFine> {
     let sampling = sampling_at(spacing, indicator);
     let before = asked(&surfacing(), spacing, indicator);
     let pool = scaled(&cube(12.0, 1.0, Disorder::Jittered(0.3), 1), spacing);
-    match sample(&pool, &sampling).surface(&surfacing(), &mut Laps::default()) {
+    match sample(&pool, &sampling).surface(&surfacing(), &mut Timings::default()) {
         Ok(_) => assert_eq!(before, Ok(()), "{indicator:?} in {cell}"),
         Err(FrameError::TooFine(after)) => assert!(before.is_err(), "{indicator:?} in {cell}: {after}"),
         Err(other) => panic!("{other}"),

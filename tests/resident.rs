@@ -12,12 +12,12 @@ use common::scene::Random;
 use common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::field::recipe::Detail;
 use meniscus::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
 use meniscus::frame::{FrameError, Sampling, Surfacing};
-use meniscus::mesh::Mesh;
-use meniscus::recipe::Detail;
-use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::units::{Isovalue, Sigma, Smooth};
+use meniscus::grid::units::{Isovalue, Sigma, Smooth};
+use meniscus::surface::mesh::Mesh;
 use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
 
 fn open() -> Option<(Device, ValidationLog)> {

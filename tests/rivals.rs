@@ -9,23 +9,23 @@ use common::dense::{Dense, mesh as dense_mesh};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, splashes, tank};
 use glam::{DMat3, DVec3};
+use meniscus::baselines::Method;
 use meniscus::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::units::MemoryBudget;
 use meniscus::grid::{CellBox, Grid};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::check::check;
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::rivals::Method;
-use meniscus::units::MemoryBudget;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::check::check;
+use meniscus::system::timings::Timings;
 
 const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, Method::YuTurk { iso: 0.4 }];
 
 fn surface(particles: &(impl Particles + ?Sized), sampling: &Sampling, method: Method) -> Mesh {
-    let laps = &mut Laps::default();
+    let timings = &mut Timings::default();
     let sampling = Sampling { field: method.into(), ..sampling.clone() };
-    let frame = Frame::sample(particles, &sampling, laps).unwrap();
+    let frame = Frame::sample(particles, &sampling, timings).unwrap();
     let surfacing = Surfacing { normals: Normals::Gradient, ..Surfacing::PLAIN };
-    frame.surface(&surfacing, laps).unwrap().to_mesh().unwrap()
+    frame.surface(&surfacing, timings).unwrap().to_mesh().unwrap()
 }
 
 fn spaced(spacing: f64) -> Sampling {
@@ -256,7 +256,7 @@ fn a_spacing_that_is_not_known_and_cells_much_smaller_than_it_are_refused() {
         let (grid, field) = (Grid::new(DVec3::ZERO, cell).unwrap(), Method::ZhuBridson.into());
         let sampling = Sampling { grid, field, spacing, ..sampling() };
         let before = sampling.refuse_unfit(&Surfacing::PLAIN).unwrap_err();
-        let refused = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap_err();
+        let refused = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap_err();
         for error in [before, refused] {
             match spacing {
                 Some(_) => assert!(matches!(error, FrameError::Kernels(_)), "{error}"),

@@ -14,9 +14,9 @@ use common::fill;
 use common::scene::Random;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::io::output::read_mesh;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::check::check;
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::check::check;
+use meniscus::surface::mesh::measure::measure;
 use serde_json::Value;
 use tempfile::TempDir;
 

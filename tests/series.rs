@@ -14,8 +14,8 @@ use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::series::{Series, SeriesFrame};
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
-use meniscus::mesh::Mesh;
-use meniscus::mesh::source::MeshSource;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::source::MeshSource;
 use serde_json::Value;
 
 fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {

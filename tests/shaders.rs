@@ -10,7 +10,7 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 use compile::{folder, parsed, source};
-use meniscus::programs::PROGRAMS;
+use meniscus::backend::programs::PROGRAMS;
 use meniscus::vulkan::Program;
 use naga::{AddressSpace, TypeInner};
 

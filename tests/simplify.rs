@@ -8,22 +8,22 @@ use std::collections::HashMap;
 use common::scene::Random;
 use common::{INDICATORS, fill, sampling, splashes, surfacing};
 use glam::{DVec3, IVec3};
+use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::{Frame, Normals, Sampling, Surfacing};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::check::check;
-use meniscus::mesh::compare::compare;
-use meniscus::mesh::measure::measure;
-use meniscus::mesh::source::MeshSource;
-use meniscus::simplify::{Reduction, simplify};
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::stitch::Stitched;
-use meniscus::units::Tolerance;
+use meniscus::grid::units::Tolerance;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::check::check;
+use meniscus::surface::mesh::compare::compare;
+use meniscus::surface::mesh::measure::measure;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::simplify::{Reduction, simplify};
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
-    let frame = Frame::sample(particles, sampling, &mut Laps::default()).unwrap();
-    frame.surface(&surfacing, &mut Laps::default()).unwrap()
+    let frame = Frame::sample(particles, sampling, &mut Timings::default()).unwrap();
+    frame.surface(&surfacing, &mut Timings::default()).unwrap()
 }
 
 fn within(cells: f64) -> Reduction {

@@ -16,20 +16,20 @@ use common::{
     INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use glam::IVec3;
+use meniscus::backend::programs::PROGRAMS;
 use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
+use meniscus::field::blur::{self, Kernel};
+use meniscus::field::indicator::{IndicatorKind, PageRule};
+use meniscus::field::recipe::{PaperFilters, Recipe};
 use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::grid::{BIN, CellBox, Domain, Grid};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::programs::PROGRAMS;
-use meniscus::recipe::{PaperFilters, Recipe};
-use meniscus::stage::blur::{self, Kernel};
-use meniscus::stage::indicator::{IndicatorKind, PageRule};
-use meniscus::units::{Isovalue, MemoryBudget, Sigma, Smooth};
+use meniscus::surface::mesh::Mesh;
+use meniscus::system::timings::Timings;
 use meniscus::vulkan::{
     Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
 };
@@ -250,7 +250,7 @@ fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and
                 let surfacing = surfacing();
                 let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
                 known.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
-                let frame = Frame::sample(&particles[..], &known, &mut Laps::default()).unwrap();
+                let frame = Frame::sample(&particles[..], &known, &mut Timings::default()).unwrap();
                 let [made, expected] = [&frame, &expected].map(dif);
                 assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
                 let calibration = surfacing.calibrate(expected).unwrap().calibration;
@@ -287,7 +287,7 @@ fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
     validated_with(&own, |device| {
         let mut sampling = sampling.clone();
         sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
-        let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+        let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
         assert!(dif(&frame).dif.elsewhere().is_some());
         device.faults().submission.store(1, Ordering::Relaxed);
         assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
@@ -311,13 +311,14 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
         validated_with(&options, |device| {
             let mut sampling = sampling.clone();
             sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
-            let laps = &mut Laps::default();
-            let frame = Frame::sample(&particles[..], &sampling, laps).unwrap();
+            let timings = &mut Timings::default();
+            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
             let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
             drop(frame);
             let before = device.counters();
-            let frame = Frame::sample(&particles[..], &sampling, laps).unwrap();
-            let surface = frame.calibrate(&surfacing(), Some(&known), laps).unwrap().surface(laps).unwrap();
+            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
+            let surface =
+                frame.calibrate(&surfacing(), Some(&known), timings).unwrap().surface(timings).unwrap();
             let after = device.counters();
             (after.received - before.received, after.sent - before.sent, surface.to_mesh().unwrap())
         })

@@ -1,6 +1,7 @@
 //! What the stages of a frame run on: the processor's cores, or a Vulkan device. Both give the same bytes.
 
 mod cpu;
+pub mod programs;
 mod vulkan;
 
 pub use cpu::{Cpu, field};
@@ -15,12 +16,12 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, DifField, Pages};
+use crate::field::indicator::{PageRule, SampledDif};
+use crate::field::recipe::{Filters, Recipe};
+use crate::grid::units::MemoryBudget;
 use crate::grid::{BLOCK, CellBox};
-use crate::mesh::BlockMesh;
-use crate::recipe::{Filters, Recipe};
-use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{PageRule, SampledDif};
-use crate::units::MemoryBudget;
+use crate::surface::dual_mc::Normals;
+use crate::surface::mesh::BlockMesh;
 use crate::vulkan::Device;
 
 /// Something that stages run on.

@@ -17,8 +17,8 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
-use crate::memory::empty_in_huge_pages;
 use crate::particles::Particles;
+use crate::system::memory::empty_in_huge_pages;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots, tuple_bytes};
 use super::place::{Address, BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
@@ -92,7 +92,7 @@ pub enum BinError {
     #[error(
         "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin; \
          use a larger cell size, move --origin, or drop such particles with --skip-invalid",
-        position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::units::shown(*cell_size)
+        position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::grid::units::shown(*cell_size)
     )]
     TooFar {
         /// Counted from 0 in the order of the file.

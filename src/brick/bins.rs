@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey};
-use crate::memory::zeroed_in_huge_pages;
-use crate::scratch::Scratch;
+use crate::system::memory::zeroed_in_huge_pages;
+use crate::system::scratch::Scratch;
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();

@@ -11,8 +11,8 @@ use hashbrown::HashSet;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::grid::units::FULL;
 use crate::grid::{BIN, CellBox, MortonKey};
-use crate::units::FULL;
 
 use super::elsewhere::FACTOR_BITS;
 use super::{BrickSide, DifField, Factor, PageInfo, PageShape, PageSource};

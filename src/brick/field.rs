@@ -6,8 +6,8 @@ use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
+use crate::grid::units::FULL;
 use crate::grid::{BIN, CellBox, MortonKey, block_parts};
-use crate::units::FULL;
 
 use super::store::Store;
 use super::{Block, BrickSide, Elsewhere, PageInfo, PageSamples, PageShape, PageSource, Pages};

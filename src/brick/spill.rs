@@ -14,7 +14,7 @@ use bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
 
 use crate::grid::MortonKey;
-use crate::scratch::Scratch;
+use crate::system::scratch::Scratch;
 
 use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, tuple_bytes};
 use super::elias_fano::EliasFano;

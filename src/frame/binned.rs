@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use crate::backend::Stages;
 use crate::brick::{BinPlan, BinnedParticles, Bins};
-use crate::calibration::Binned;
-use crate::estimate::Plan;
+use crate::field::calibration::Binned;
+use crate::field::indicator::PageRule;
+use crate::frame::estimate::Plan;
 use crate::particles::Particles;
-use crate::stage::indicator::PageRule;
 
 use super::lost::Occupied;
 use super::sink::FieldSink;

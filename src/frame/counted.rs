@@ -1,7 +1,7 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
-use crate::estimate::{Estimate, OverBudget};
+use crate::frame::estimate::{Estimate, OverBudget};
 use crate::grid::Grid;
 use crate::particles::Particles;
 

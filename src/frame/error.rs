@@ -6,14 +6,14 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use thiserror::Error;
 
+use crate::baselines::TooManyCells;
 use crate::brick::vulkan::DeviceBinError;
 use crate::brick::{BinError, Census};
-use crate::calibration::{NoMeanCount, TooFine};
-use crate::estimate::OverBudget;
-use crate::recipe::{Filters, Recipe};
-use crate::rivals::TooManyCells;
-use crate::simplify::Dropped;
-use crate::units::Isovalue;
+use crate::field::calibration::{NoMeanCount, TooFine};
+use crate::field::recipe::{Filters, Recipe};
+use crate::frame::estimate::OverBudget;
+use crate::grid::units::Isovalue;
+use crate::surface::simplify::Dropped;
 use crate::vulkan::VulkanError;
 
 /// A frame that cannot be reconstructed.

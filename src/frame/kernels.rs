@@ -5,14 +5,14 @@ use std::io;
 use rayon::prelude::*;
 
 use crate::backend::REGIONS_TOGETHER;
+use crate::baselines::{KernelField, Method, Spacing, kernel_field};
 use crate::brick::{Bins, FrameFacts};
-use crate::estimate::Plan;
+use crate::field::blur::Smoothing;
+use crate::field::indicator::IndicatorKind;
+use crate::frame::estimate::Plan;
+use crate::grid::units::Sigma;
 use crate::grid::{CellBox, Grid};
-use crate::rivals::{KernelField, Method, Spacing, kernel_field};
-use crate::stage::blur::Smoothing;
-use crate::stage::dual_mc::{Crossings, Normals};
-use crate::stage::indicator::IndicatorKind;
-use crate::units::Sigma;
+use crate::surface::dual_mc::{Crossings, Normals};
 
 use super::surface::Drawn;
 use super::{FrameError, Resources};

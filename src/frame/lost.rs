@@ -10,9 +10,9 @@ use rayon::prelude::*;
 
 use crate::brick::{Bins, unpack};
 use crate::grid::{BIN, BLOCK, TILE, local_from_morton};
-use crate::mesh::source::MeshSource;
-use crate::mesh::{TileMask, bits, cell_of_bit};
-use crate::stitch::Stitched;
+use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::{TileMask, bits, cell_of_bit};
+use crate::surface::stitch::Stitched;
 
 /// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of tiles, too.
 const SIDE: i32 = BIN / TILE;

@@ -6,6 +6,7 @@
 mod binned;
 mod counted;
 mod error;
+pub mod estimate;
 mod kernels;
 mod lost;
 mod request;
@@ -22,24 +23,24 @@ pub use resources::Resources;
 pub use shortfall::Shortfall;
 pub use surface::CalibratedFrame;
 
-pub use crate::recipe::Detail;
-pub use crate::stage::dual_mc::Normals;
+pub use crate::field::recipe::Detail;
+pub use crate::surface::dual_mc::Normals;
 
 use std::sync::Arc;
 
 use crate::backend::{Stages, Work};
+use crate::baselines::Method;
 use crate::brick::{Bins, FrameFacts};
-use crate::calibration::{Calibration, indicate};
-use crate::estimate::Estimate;
+use crate::field::calibration::{Calibration, indicate};
+use crate::field::indicator::SampledDif;
+use crate::frame::estimate::Estimate;
 use crate::grid::TILE;
-use crate::laps::Laps;
-use crate::mesh::source::MeshSource;
+use crate::grid::units::MemoryBudget;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
-use crate::rivals::Method;
-use crate::simplify::{Reduction, Simplified, simplify};
-use crate::stage::indicator::SampledDif;
-use crate::stitch::Stitched;
-use crate::units::MemoryBudget;
+use crate::surface::mesh::source::MeshSource;
+use crate::surface::simplify::{Reduction, Simplified, simplify};
+use crate::surface::stitch::Stitched;
+use crate::system::timings::Timings;
 
 use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
@@ -76,11 +77,11 @@ impl Frame {
     pub fn sample(
         particles: &(impl Particles + ?Sized),
         sampling: &Sampling,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Self, FrameError> {
         let counted = Counted::of(particles, sampling)?;
-        laps.lap("count");
-        Self::sample_counted(counted, sampling.resources.budget, laps)
+        timings.done("count");
+        Self::sample_counted(counted, sampling.resources.budget, timings)
     }
 
     /// Samples the field of particles that have been counted, under a budget of its own.
@@ -90,7 +91,7 @@ impl Frame {
     pub fn sample_counted<P: Particles + ?Sized>(
         counted: Counted<'_, P>,
         budget: MemoryBudget,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Self, FrameError> {
         let estimate = counted.estimate();
         let Counted { particles, sampling, plan: bin_plan, .. } = counted;
@@ -109,7 +110,7 @@ impl Frame {
         let mut occupied = Occupied::default();
         let (field, occupied, bins) = match *field {
             FieldRequest::Indicator(asked) => {
-                laps.lap("bin");
+                timings.done("bin");
                 let stages = resources.backend.start(budget);
                 let shape = asked.kind.shape(*side);
                 let sink = FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
@@ -117,15 +118,15 @@ impl Frame {
                     HostBins { binned, stages: &*stages, sink, occupied, resources: &resources, keep };
                 let (indicator, (sink, occupied, bins)) = indicate(binned, &facts, asked, *side)?;
                 let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
-                laps.lap("indicate");
+                timings.done("indicate");
                 (Field::Dif { sampled, stages }, occupied, bins)
             }
             FieldRequest::Kernels(method) => {
                 let bins = binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins));
                 let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
-                laps.lap("bin");
+                timings.done("bin");
                 let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
-                laps.lap("kernels");
+                timings.done("kernels");
                 (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
             }
         };
@@ -228,7 +229,7 @@ impl Frame {
         &self,
         surfacing: &Surfacing,
         known: Option<&Calibration>,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<CalibratedFrame<'_>, FrameError> {
         let normals = surfacing.normals;
         let (drawn, measured) = match &self.field {
@@ -243,7 +244,7 @@ impl Frame {
                     Some(known) => (*known, None),
                     None => {
                         let measured = surfacing.calibrate(sampled)?;
-                        laps.lap("plateau");
+                        timings.done("plateau");
                         (measured.calibration, Some(measured))
                     }
                 };
@@ -269,8 +270,8 @@ impl Frame {
     ///
     /// # Errors
     /// [`FrameError::TooFine`], and the errors of [`CalibratedFrame::surface`].
-    pub fn surface(&self, surfacing: &Surfacing, laps: &mut Laps) -> Result<Stitched, FrameError> {
-        self.calibrate(surfacing, None, laps)?.surface(laps)
+    pub fn surface(&self, surfacing: &Surfacing, timings: &mut Timings) -> Result<Stitched, FrameError> {
+        self.calibrate(surfacing, None, timings)?.surface(timings)
     }
 
     /// Compares a surface of the frame with its particles; `None` where it holds what one expects, or where their spacing is not
@@ -308,13 +309,13 @@ impl Frame {
         &self,
         surface: Stitched,
         reduction: &Reduction,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Simplified, FrameError> {
         let particle_cells = self.facts().spacing_cells_or_one().powi(3);
         let simplified =
             simplify(surface, reduction, particle_cells, self.surface_share, &self.resources.scratch)
                 .map_err(self.resources.scratch_error())?;
-        laps.lap("simplify");
+        timings.done("simplify");
         if simplified.triangle_count() == 0 {
             return Err(FrameError::NothingLeft(simplified.dropped()));
         }

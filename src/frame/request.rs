@@ -1,16 +1,16 @@
 //! Requests: how a frame is sampled, and how a surface is drawn through it.
 
+use crate::baselines::Method;
 use crate::brick::{BrickSide, InvalidParticles};
-use crate::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
-use crate::estimate::Drawing;
+use crate::field::blur::{Filter, Smoothing};
+use crate::field::calibration::{Calibrated, Calibration, TooFine, calibrate, refuse_too_fine_for};
+use crate::field::distance::{BULK_GAIN, Distances, Inside};
+use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideCells};
+use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
+use crate::frame::estimate::Drawing;
+use crate::grid::units::{Isovalue, Sigma, Smooth};
 use crate::grid::{BLOCK, Domain, Grid};
-use crate::recipe::{Detail, Filters, PaperFilters, Recipe};
-use crate::rivals::Method;
-use crate::stage::blur::{Filter, Smoothing};
-use crate::stage::distance::{BULK_GAIN, Distances, Inside};
-use crate::stage::dual_mc::{Normals, vertices_alone};
-use crate::stage::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideCells};
-use crate::units::{Isovalue, Sigma, Smooth};
+use crate::surface::dual_mc::{Normals, vertices_alone};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Resources};

@@ -12,12 +12,12 @@
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
-use crate::calibration::{Binned, Calibrated, Calibration, indicate};
+use crate::field::calibration::{Binned, Calibrated, Calibration, indicate};
+use crate::field::indicator::{IndicatorRequest, PageRule, SampledDif};
+use crate::grid::units::Isovalue;
 use crate::grid::{Domain, Grid};
-use crate::stage::dual_mc::Normals;
-use crate::stage::indicator::{IndicatorRequest, PageRule, SampledDif};
-use crate::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use crate::units::Isovalue;
+use crate::surface::dual_mc::Normals;
+use crate::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
 use crate::vulkan::{Batch, Device, Moment, Place, Queue, View, VulkanError};
 
 use super::{FrameError, Surfacing};

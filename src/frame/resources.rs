@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::backend::{Backend, Cpu};
-use crate::scratch::free_bytes;
-use crate::units::MemoryBudget;
+use crate::grid::units::MemoryBudget;
+use crate::system::scratch::free_bytes;
 
 use super::FrameError;
 

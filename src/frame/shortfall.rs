@@ -3,8 +3,8 @@
 use std::fmt;
 use std::io;
 
-use crate::stitch::Stitched;
-use crate::units::shown;
+use crate::grid::units::shown;
+use crate::surface::stitch::Stitched;
 
 /// The share of its particles' volume that is expected of a surface. Smoothing takes something off each drop and sheet.
 const EXPECTED: f64 = 0.5;

@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use crate::backend::Stages;
 use crate::brick::{Bins, DifField, FrameFacts, PageShape, Pages};
-use crate::estimate::{Estimate, Plan};
+use crate::field::indicator::{Indicator, PageRule, SampledDif};
+use crate::frame::estimate::{Estimate, Plan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
-use crate::stage::indicator::{Indicator, PageRule, SampledDif};
 
 /// Samples of the bins whose pages are made at once before they go into a file, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;

@@ -7,19 +7,19 @@ use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
-use crate::calibration::Calibrated;
-use crate::estimate::BLOCKS_A_THREAD;
+use crate::field::blur::Smoothing;
+use crate::field::calibration::Calibrated;
+use crate::field::indicator::SampledDif;
+use crate::field::recipe::Recipe;
+use crate::frame::estimate::BLOCKS_A_THREAD;
 use crate::grid::CellBox;
-use crate::laps::Laps;
-use crate::mesh::BlockMesh;
-use crate::mesh::spool::{Spool, block_bytes};
 use crate::particles::AttributeInfo;
-use crate::recipe::Recipe;
-use crate::stage::attribute::vertex_values;
-use crate::stage::blur::Smoothing;
-use crate::stage::dual_mc::{Crossings, Normals, block_vertices};
-use crate::stage::indicator::SampledDif;
-use crate::stitch::Stitched;
+use crate::surface::attribute::vertex_values;
+use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
+use crate::surface::mesh::BlockMesh;
+use crate::surface::mesh::spool::{Spool, block_bytes};
+use crate::surface::stitch::Stitched;
+use crate::system::timings::Timings;
 
 use super::{FrameError, Resources};
 
@@ -91,13 +91,13 @@ impl CalibratedFrame<'_> {
     ///
     /// # Errors
     /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], [`FrameError::NoDistanceSurface`], and [`FrameError::Scratch`] where scratch files fail.
-    pub fn surface(self, laps: &mut Laps) -> Result<Stitched, FrameError> {
+    pub fn surface(self, timings: &mut Timings) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let components = attributes.iter().map(|info| info.components).collect();
         let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
         self.mesh_blocks(&mut spool).map_err(self.resources.scratch_error())?;
-        laps.lap("mesh");
+        timings.done("mesh");
         if spool.is_empty() {
             return Err(self.drawn.nothing);
         }

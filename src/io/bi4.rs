@@ -7,8 +7,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::grid::units::positive_length;
 use crate::particles::AttributeInfo;
-use crate::units::positive_length;
 
 use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::mesh::source::{MeshSource, Vertices};
+use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::CoordinateWidth;
 

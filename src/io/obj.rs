@@ -6,8 +6,8 @@
 use std::fmt;
 use std::io::{self, Write};
 
-use crate::mesh::Mesh;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::Mesh;
+use crate::surface::mesh::source::MeshSource;
 
 use super::encode::{write_triangles, write_vertices};
 use super::scan::Scanner;

@@ -4,8 +4,8 @@ use std::fmt;
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::mesh::Mesh;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::Mesh;
+use crate::surface::mesh::source::MeshSource;
 
 use super::bytes::open_bytes;
 use super::whole::{FilledFile, Replace, WholeFile};
@@ -273,7 +273,7 @@ impl MeshOutput {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::source::{Outline, Vertices};
+    use crate::surface::mesh::source::{Outline, Vertices};
 
     /// Only its counts are there.
     struct Huge {

@@ -11,7 +11,7 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use serde::Deserialize;
 
-use crate::units::positive_length;
+use crate::grid::units::positive_length;
 
 /// No scene is larger, in bytes; a result that happens to be JSON may be.
 const LARGEST: u64 = 16 << 20;

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::mesh::bounds::Bounds;
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::bounds::Bounds;
 
 use super::output::MeshFormat;
 use super::usd::stage::{Manifest, stage};

@@ -14,8 +14,8 @@ use glam::DVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 
-use crate::mesh::Mesh;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::Mesh;
+use crate::surface::mesh::source::MeshSource;
 
 use super::encode::{in_order, write_triangles};
 use super::obj::vector;

@@ -1,8 +1,8 @@
 //! What the readers share whose formats hold either particles or a mesh: columns over the vertices, and
 //! triangles from polygons.
 
-use crate::mesh::{Mesh, VertexAttribute};
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
+use crate::surface::mesh::{Mesh, VertexAttribute};
 
 use super::bytes::Bytes;
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};

@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use meniscus::backend::{Backend, Stages, Surfaces, Take, Vulkan, Work};
 use meniscus::brick::{Bins, DifField, Pages};
+use meniscus::field::indicator::PageRule;
 use meniscus::grid::CellBox;
-use meniscus::mesh::BlockMesh;
-use meniscus::stage::indicator::PageRule;
-use meniscus::units::MemoryBudget;
+use meniscus::grid::units::MemoryBudget;
+use meniscus::surface::mesh::BlockMesh;
 use meniscus::vulkan::{
     Device, DeviceChoice, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
 };

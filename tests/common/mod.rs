@@ -9,15 +9,15 @@ pub mod scene;
 
 use glam::{DVec3, IVec3};
 use meniscus::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
-use meniscus::calibration::Calibrated;
+use meniscus::field::calibration::Calibrated;
+use meniscus::field::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
+use meniscus::field::recipe::Recipe;
 use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
+use meniscus::grid::units::{Isovalue, MeanCount, MemoryBudget};
 use meniscus::grid::{Domain, Grid};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
-use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
-use meniscus::units::{Isovalue, MeanCount, MemoryBudget};
+use meniscus::surface::mesh::Mesh;
+use meniscus::system::timings::Timings;
 use scene::Random;
 
 pub const INDICATORS: [IndicatorKind; 3] =
@@ -69,11 +69,11 @@ pub fn reconstruct(
     sampling: &Sampling,
     surfacing: &Surfacing,
 ) -> (Frame, Reconstructed) {
-    let mut laps = Laps::default();
-    let frame = Frame::sample(particles, sampling, &mut laps).unwrap();
-    let calibrated = frame.calibrate(surfacing, None, &mut laps).unwrap();
+    let mut timings = Timings::default();
+    let frame = Frame::sample(particles, sampling, &mut timings).unwrap();
+    let calibrated = frame.calibrate(surfacing, None, &mut timings).unwrap();
     let iso = calibrated.measured().unwrap().calibration.iso().unwrap_or(Isovalue::NO_DISTANCE);
-    let mesh = calibrated.surface(&mut laps).unwrap().to_mesh().unwrap();
+    let mesh = calibrated.surface(&mut timings).unwrap().to_mesh().unwrap();
     (frame, Reconstructed { mesh, iso })
 }
 

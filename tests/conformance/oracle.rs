@@ -9,13 +9,13 @@ use std::sync::Arc;
 use glam::{DVec3, IVec3};
 use meniscus::backend::field;
 use meniscus::brick::BrickSide;
+use meniscus::field::distance::{AWAY, BRICK, DEPTHS, Inside};
+use meniscus::field::indicator::IndicatorKind;
+use meniscus::field::recipe::Filters;
 use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
+use meniscus::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::grid::{BLOCK, CellBox, Domain, Grid};
-use meniscus::laps::Laps;
-use meniscus::recipe::Filters;
-use meniscus::stage::distance::{AWAY, BRICK, DEPTHS, Inside};
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::{Isovalue, Sigma, Smooth};
+use meniscus::system::timings::Timings;
 
 use crate::Place;
 
@@ -151,7 +151,7 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
     for seed in 0..2 {
         for variant in variants(place, seed) {
             let Variant { particles, sampling, surfacing } = &variant;
-            let frame = Frame::sample(&particles[..], sampling, &mut Laps::default()).unwrap();
+            let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
             let dense = dense_field(&frame, &variant);
             let what =
                 format!("seed {seed}, {:?}, spacing {:?}, {surfacing:?}", sampling.field, sampling.spacing);
@@ -165,8 +165,9 @@ pub fn the_sparse_field_is_the_dense_one_to_the_bit(place: &Place) {
                 shuffle(&mut shuffled, &mut Random::new(threads as u64));
                 let sampling = Sampling { side, ..sampling.clone() };
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                let frame =
-                    pool.install(|| Frame::sample(&shuffled[..], &sampling, &mut Laps::default())).unwrap();
+                let frame = pool
+                    .install(|| Frame::sample(&shuffled[..], &sampling, &mut Timings::default()))
+                    .unwrap();
                 assert_same_field(&frame, surfacing, &dense, &format!("{what}, {side:?}"));
             }
         }
@@ -270,7 +271,7 @@ fn distances_are_those_of_the_formulas_in_f64_within_a_fiftieth_of_a_spacing() {
     let Ok(place) = Place::cpu();
     for variant in of_clouds(&place, 5) {
         let Variant { particles, sampling, surfacing } = &variant;
-        let frame = Frame::sample(&particles[..], sampling, &mut Laps::default()).unwrap();
+        let frame = Frame::sample(&particles[..], sampling, &mut Timings::default()).unwrap();
         let integer = dense_field(&frame, &variant);
         let real = distances(&frame, sampling, surfacing).real(particles);
         let pairs = integer.iter().zip(real.values).filter(|(_, real)| real.abs() < 1.0);
@@ -312,7 +313,7 @@ pub fn a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much(place: &Place)
         let moved: Vec<[f64; 3]> =
             particles.iter().map(|&p| (DVec3::from(p) + shift.as_dvec3()).to_array()).collect();
         let frame =
-            |particles: &[[f64; 3]]| Frame::sample(particles, &sampling, &mut Laps::default()).unwrap();
+            |particles: &[[f64; 3]]| Frame::sample(particles, &sampling, &mut Timings::default()).unwrap();
         let (here, there) = (frame(&particles), frame(&moved));
         let (recipe, measured) = recipe(&here, &surfacing);
         let cells = CellBox { lo: IVec3::splat(-20), hi: IVec3::splat(20) };

@@ -4,11 +4,11 @@ use crate::common::scene::splash;
 use crate::common::{dif, recipe, surfacing};
 use glam::{DVec3, IVec3};
 use meniscus::backend::field;
-use meniscus::calibration::{Calibrated, Plateau};
+use meniscus::field::calibration::{Calibrated, Plateau};
+use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::{Frame, Sampling};
 use meniscus::grid::{BIN, CellBox, Grid};
-use meniscus::laps::Laps;
-use meniscus::stage::indicator::IndicatorKind;
+use meniscus::system::timings::Timings;
 
 use crate::Place;
 
@@ -20,7 +20,7 @@ fn frame(place: &Place, indicator: IndicatorKind) -> (Frame, IVec3) {
     let particles = splash(200_000, 8);
     let grid = Grid::new(DVec3::ZERO, 1.0 / CELLS).unwrap();
     let sampling = Sampling { field: indicator.into(), grid, spacing: Some(1.0), ..place.sampling() };
-    let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).unwrap();
+    let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
     let depth = (200_000.0_f64 * 0.96 / 16.0).cbrt();
     let pool = DVec3::new(4.0 * depth, 0.9 * depth, 4.0 * depth) * CELLS;
     (frame, pool.as_ivec3())

@@ -7,20 +7,20 @@ use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, 
 use glam::{DVec3, IVec3};
 use meniscus::backend::Surfaces;
 use meniscus::brick::{BrickSide, DifField, PageInfo};
-use meniscus::estimate::Plan;
+use meniscus::field::indicator::IndicatorKind;
+use meniscus::field::recipe::PaperFilters;
+use meniscus::field::recipe::Recipe;
+use meniscus::frame::estimate::Plan;
 use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
-use meniscus::laps::Laps;
-use meniscus::mesh::check::check;
-use meniscus::mesh::measure::measure;
-use meniscus::mesh::spool::Spool;
-use meniscus::mesh::{BlockMesh, Mesh};
 use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::recipe::PaperFilters;
-use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, MemoryBudget, Sigma, Smooth};
+use meniscus::surface::mesh::check::check;
+use meniscus::surface::mesh::measure::measure;
+use meniscus::surface::mesh::spool::Spool;
+use meniscus::surface::mesh::{BlockMesh, Mesh};
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 
 use crate::Place;
 
@@ -413,12 +413,12 @@ pub fn a_lone_particle_gives_a_closed_drop_and_an_isovalue_above_its_peak_an_err
     let (_, surface) = reconstruct(&particle[..], &of_spacings(place, 1.0), &surfacing());
     assert_watertight(&surface.mesh, "a drop");
     assert_eq!(measure(&surface.mesh).components, 1);
-    let frame = Frame::sample(&particle[..], &place.sampling(), &mut Laps::default()).unwrap();
-    let error = frame.surface(&surfacing(), &mut Laps::default()).unwrap_err();
+    let frame = Frame::sample(&particle[..], &place.sampling(), &mut Timings::default()).unwrap();
+    let error = frame.surface(&surfacing(), &mut Timings::default()).unwrap_err();
     assert!(matches!(error, FrameError::NoSurface { .. }), "{error}");
     let iso = Isovalue::new(0.5).unwrap();
     let above = Surfacing { iso: Some(iso), ..surfacing() };
-    let error = frame.surface(&above, &mut Laps::default()).unwrap_err();
+    let error = frame.surface(&above, &mut Timings::default()).unwrap_err();
     assert!(matches!(error, FrameError::NoSurface { iso: found } if found == iso), "{error}");
 }
 
@@ -428,9 +428,9 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
         let surface = Frame::sample(
             &particles[..],
             &Sampling { field: indicator.into(), spacing: Some(1.0), ..place.sampling() },
-            &mut Laps::default(),
+            &mut Timings::default(),
         )
-        .and_then(|frame| frame.surface(&surfacing(), &mut Laps::default()));
+        .and_then(|frame| frame.surface(&surfacing(), &mut Timings::default()));
         match (indicator, surface) {
             (IndicatorKind::Cloud, Ok(surface)) => {
                 let mesh = surface.to_mesh().unwrap();

@@ -11,9 +11,9 @@ use std::io::{self, Write};
 
 use meniscus::io::bytes::{Bytes, Unpacking};
 use meniscus::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
-use meniscus::mesh::source::MeshSource;
-use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::Particles;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::mesh::{Mesh, VertexAttribute};
 
 /// Refuses, and so ends the tests at, any allocation that only a lying header can ask for.
 struct Modest;

@@ -14,13 +14,13 @@ use clap::Parser;
 use glam::DVec3;
 use meniscus::backend::Vulkan;
 use meniscus::brick::InvalidParticles;
+use meniscus::field::indicator::IndicatorKind;
+use meniscus::field::spacing::estimate;
 use meniscus::frame::{Detail, Frame, FrameError, Resources, Sampling, Surfacing};
 use meniscus::grid::Grid;
-use meniscus::laps::Laps;
-use meniscus::mesh::source::MeshSource;
-use meniscus::spacing::estimate;
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::MemoryBudget;
+use meniscus::grid::units::MemoryBudget;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::system::timings::Timings;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
 
 /// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as there is room for.
@@ -96,14 +96,14 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
             run(&particles, &sampling)?;
             drop(device.take_timings());
             let start = Instant::now();
-            let (laps, found) = run(&particles, &sampling)?;
+            let (timings, found) = run(&particles, &sampling)?;
             let wall = start.elapsed().as_secs_f64();
-            let timings = device.take_timings();
-            let stages: Vec<String> = STAGES.iter().map(|name| entry(&timings, name, bandwidth)).collect();
-            let ms = |laps: &Laps, name| {
-                laps.seconds().iter().filter(|lap| lap.0 == name).map(|lap| lap.1).sum::<f64>() * 1e3
+            let on_kernels = device.take_timings();
+            let stages: Vec<String> = STAGES.iter().map(|name| entry(&on_kernels, name, bandwidth)).collect();
+            let ms = |timings: &Timings, name| {
+                timings.seconds().iter().filter(|lap| lap.0 == name).map(|lap| lap.1).sum::<f64>() * 1e3
             };
-            let on_device = ms(&laps, "indicate") + ms(&laps, "mesh");
+            let on_device = ms(&timings, "indicate") + ms(&timings, "mesh");
             println!(
                 "| {cells} | {:.2} | {} | {:.1} | {:.1} | {} | {on_device:.1} of {:.1} | {} |",
                 particles.len() as f64 / 1e6,
@@ -133,16 +133,16 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
     }
 }
 
-/// The laps of a frame, and a checksum of its mesh.
-fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Laps, u32), FrameError> {
+/// The timings of a frame, and a checksum of its mesh.
+fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Timings, u32), FrameError> {
     let is_cloud = sampling.field == IndicatorKind::Cloud.into();
     let surfacing = match is_cloud {
         true => Surfacing::PLAIN,
         false => Surfacing { detail: Detail::Recovered, ..Surfacing::PLAIN },
     };
-    let mut laps = Laps::default();
-    let frame = Frame::sample(particles, sampling, &mut laps)?;
-    let surface = frame.surface(&surfacing, &mut laps)?;
+    let mut timings = Timings::default();
+    let frame = Frame::sample(particles, sampling, &mut timings)?;
+    let surface = frame.surface(&surfacing, &mut timings)?;
     assert!(frame.warnings().is_empty(), "{:?}", frame.warnings());
     let mut sum = crc32fast::Hasher::new();
     for piece in 0..surface.pieces() {
@@ -150,7 +150,7 @@ fn run(particles: &[[f32; 3]], sampling: &Sampling) -> Result<(Laps, u32), Frame
         sum.update(bytemuck::cast_slice(&vertices.positions));
         sum.update(bytemuck::cast_slice(&surface.triangles(piece).expect("in memory")));
     }
-    Ok((laps, sum.finalize()))
+    Ok((timings, sum.finalize()))
 }
 
 /// Milliseconds, and the share of the device's bandwidth.

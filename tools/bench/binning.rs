@@ -16,9 +16,9 @@ use meniscus::brick::vulkan::{
     BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
 use meniscus::brick::{BrickSide, InvalidParticles};
+use meniscus::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
+use meniscus::field::indicator::{Content, PageRule};
 use meniscus::grid::{BIN, Grid, MortonKey};
-use meniscus::stage::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
-use meniscus::stage::indicator::{Content, PageRule};
 use meniscus::vulkan::{
     Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
 };

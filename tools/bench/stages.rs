@@ -10,16 +10,16 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::backend::field;
 use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
+use meniscus::field::blur::{Kernel, blur};
+use meniscus::field::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
 use meniscus::frame::{Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::grid::units::{MemoryBudget, Sigma};
 use meniscus::grid::{CellBox, Grid};
-use meniscus::laps::Laps;
-use meniscus::mesh::source::MeshSource;
-use meniscus::mesh::spool::Spool;
-use meniscus::stage::blur::{Kernel, blur};
-use meniscus::stage::dual_mc::contour;
-use meniscus::stage::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
-use meniscus::stitch::Stitched;
-use meniscus::units::{MemoryBudget, Sigma};
+use meniscus::surface::dual_mc::contour;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::mesh::spool::Spool;
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 /// The best of a few runs: what the machine can do when nobody disturbs it.
@@ -100,7 +100,7 @@ fn main() {
         resources: Resources::new(MemoryBudget(u64::MAX), std::env::temp_dir()),
     };
     let surfacing = Surfacing::PLAIN;
-    let frame = Frame::sample(&particles[..], &sampling, &mut Laps::default()).expect("a frame");
+    let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).expect("a frame");
     let sampled = frame.dif().expect("an indicator makes the field");
     let measured = surfacing.calibrate(sampled).expect("cells of a spacing");
     let recipe = surfacing.recipe(sampled, &measured.calibration);
@@ -127,14 +127,14 @@ fn main() {
     row("marching cubes and stitching", mesh.triangles.len() as f64, "M triangles/s", seconds);
     drop((frame, fields, mesh));
 
-    let (seconds, (laps, surface)) = best_seconds(3, || {
-        let mut laps = Laps::default();
-        let frame = Frame::sample(&particles[..], &sampling, &mut laps).expect("a frame");
-        let surface = frame.surface(&surfacing, &mut laps).expect("a surface");
-        (laps, surface)
+    let (seconds, (timings, surface)) = best_seconds(3, || {
+        let mut timings = Timings::default();
+        let frame = Frame::sample(&particles[..], &sampling, &mut timings).expect("a frame");
+        let surface = frame.surface(&surfacing, &mut timings).expect("a surface");
+        (timings, surface)
     });
     row("whole frame, before writing", count, "M particles/s", seconds);
-    for (stage, seconds) in laps.seconds() {
+    for (stage, seconds) in timings.seconds() {
         println!("  {stage:<32} {:>35.1} ms", seconds * 1e3);
     }
     println!("  {} vertices, {} triangles", surface.vertex_count(), surface.triangle_count());

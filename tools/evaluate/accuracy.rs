@@ -3,10 +3,10 @@
 
 use glam::{DQuat, DVec3};
 use meniscus::frame::{FrameError, Normals};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::compare::compare;
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::compare::compare;
+use meniscus::surface::mesh::measure::measure;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::methods::{Method, grid};
@@ -93,7 +93,8 @@ pub fn errors(
 ) -> Outcome<Option<Vec<Errors>>> {
     let of = |lattice: &Lattice| {
         let particles = fill(solid, lattice);
-        let surface = method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Laps::default());
+        let surface =
+            method.surface(&particles[..], grid(cell)?, 1.0, Normals::None, &mut Timings::default());
         match surface {
             Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
             surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),

@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use meniscus::calibration::FINEST_OF_SYMMETRY;
+use meniscus::field::calibration::FINEST_OF_SYMMETRY;
 use meniscus::frame::Normals;
-use meniscus::laps::Laps;
+use meniscus::system::timings::Timings;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
 use crate::methods::{Iso, Method, grid, held};
@@ -87,7 +87,7 @@ fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)>
     let mut least = (f64::INFINITY, 0);
     for _ in 0..RUNS {
         let start = Instant::now();
-        let surface = method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Laps::default())?;
+        let surface = method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Timings::default())?;
         let triangles = surface.to_mesh()?.triangles.len();
         least = (start.elapsed().as_secs_f64().min(least.0), triangles);
         held(&surface, frame.len(), 1.0)?;

@@ -5,14 +5,14 @@
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::backend::field;
-use meniscus::calibration::Calibrated;
+use meniscus::field::calibration::Calibrated;
+use meniscus::field::indicator::{IndicatorKind, SampledDif};
+use meniscus::field::recipe::Recipe;
 use meniscus::frame::{Frame, FrameError};
 use meniscus::grid::Grid;
-use meniscus::laps::Laps;
-use meniscus::lattice::sound_origin;
-use meniscus::recipe::Recipe;
-use meniscus::stage::indicator::{IndicatorKind, SampledDif};
-use meniscus::units::{FULL, Isovalue};
+use meniscus::grid::units::{FULL, Isovalue};
+use meniscus::particles::lattice::sound_origin;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};
@@ -141,7 +141,7 @@ fn per_rule(found: &[&Found]) -> Vec<String> {
 fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) -> Outcome<Found> {
     let particles = fill(solid, lattice);
     let sample =
-        |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Laps::default());
+        |grid: Grid| Frame::sample(&particles[..], &sampling(grid, 1.0, indicator), &mut Timings::default());
     let frame = sample(grid(cell)?)?;
     let (asked, sampled) = (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
     let Ok(Calibrated { calibration, plateau, .. }) = asked.calibrate(sampled) else {
@@ -167,7 +167,7 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
 
 fn error_at(solid: &Solid, frame: &Frame, c: Option<f64>) -> Outcome<Option<Errors>> {
     let iso = c.map(|c| Isovalue::new(c.clamp(1e-4, 0.9999))).transpose()?;
-    match frame.surface(&surfacing(None, iso), &mut Laps::default()) {
+    match frame.surface(&surfacing(None, iso), &mut Timings::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(None),
         surface => Errors::of(solid, &surface?.to_mesh()?).map(Some),
     }

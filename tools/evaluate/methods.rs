@@ -1,17 +1,17 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
+use meniscus::baselines::Method as Rival;
 use meniscus::brick::InvalidParticles;
+use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::{
     Detail, FieldRequest, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
 use meniscus::grid::Grid;
-use meniscus::laps::Laps;
+use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma};
 use meniscus::particles::Particles;
-use meniscus::rivals::Method as Rival;
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 
 use crate::Outcome;
 
@@ -127,7 +127,7 @@ impl Method {
         grid: Grid,
         spacing: f64,
         normals: Normals,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Stitched, FrameError> {
         let (field, surfacing): (FieldRequest, _) = match *self {
             Self::Dif { indicator, sigma, iso, detail } => {
@@ -135,8 +135,8 @@ impl Method {
             }
             Self::Rival(rival) => (rival.into(), Surfacing::PLAIN),
         };
-        let frame = Frame::sample(particles, &sampling(grid, spacing, field), laps)?;
-        frame.surface(&Surfacing { normals, ..surfacing }, laps)
+        let frame = Frame::sample(particles, &sampling(grid, spacing, field), timings)?;
+        frame.surface(&Surfacing { normals, ..surfacing }, timings)
     }
 }
 

@@ -5,13 +5,13 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
+use meniscus::field::spacing;
 use meniscus::frame::{Detail, Normals};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::open_particles;
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
 use meniscus::particles::{Particles, bounds};
-use meniscus::spacing;
+use meniscus::surface::mesh::Mesh;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::methods::{Iso, Method, grid};
@@ -71,7 +71,7 @@ impl Scene {
             grid(self.spacing)?,
             self.spacing,
             Normals::None,
-            &mut Laps::default(),
+            &mut Timings::default(),
         )?;
         Ok(Picture::of(&surface.to_mesh()?, None, &self.camera, size))
     }
@@ -100,7 +100,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let lattice =
         Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: options.inset, seed: 1 };
     let particles = fill(solid, &lattice);
-    let surface = method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Laps::default())?;
+    let surface = method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Timings::default())?;
     let mesh = surface.to_mesh()?;
     let colours: Vec<Vec3> =
         mesh.positions.par_iter().map(|&p| colour(-solid.depth(p.into()) / FULL_COLOUR)).collect();

@@ -6,12 +6,12 @@ use std::time::Instant;
 
 use meniscus::backend::{Surfaces, Vulkan, field};
 use meniscus::frame::{Detail, Frame, Normals, Surfacing};
-use meniscus::laps::Laps;
-use meniscus::mesh::measure::measure;
-use meniscus::mesh::source::MeshSource;
-use meniscus::mesh::spool::Spool;
-use meniscus::stage::dual_mc::contour;
-use meniscus::stitch::Stitched;
+use meniscus::surface::dual_mc::contour;
+use meniscus::surface::mesh::measure::measure;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::mesh::spool::Spool;
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
 
@@ -79,11 +79,11 @@ type Figures = ([Option<f64>; 4], f64, u64);
 fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let (sampling, surfacing) =
         (sampling(grid(cell)?, 1.0, COUNTING), surfacing(Sigmas::Auto.value(), Iso::Auto.value()));
-    Frame::sample(particles, &sampling, &mut Laps::default())?;
+    Frame::sample(particles, &sampling, &mut Timings::default())?;
     let start = Instant::now();
-    let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
+    let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
     let dif = start.elapsed().as_secs_f64();
-    let stitched = frame.surface(&surfacing, &mut Laps::default())?;
+    let stitched = frame.surface(&surfacing, &mut Timings::default())?;
     let surface = stitched.to_mesh()?;
     let whole = start.elapsed().as_secs_f64();
     held(&stitched, particles.len(), 1.0)?;
@@ -116,8 +116,8 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
     let surfacing = surfacing(Sigmas::Auto.value(), Iso::Auto.value());
     let run = || -> Outcome<(f64, u64)> {
         let start = Instant::now();
-        let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
-        let mesh = frame.surface(&surfacing, &mut Laps::default())?;
+        let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
+        let mesh = frame.surface(&surfacing, &mut Timings::default())?;
         mesh.to_mesh()?;
         let seconds = start.elapsed().as_secs_f64();
         held(&mesh, particles.len(), 1.0)?;
@@ -144,8 +144,8 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         let surfacing = Surfacing { detail, ..surfacing(Sigmas::Cells(1.2).value(), iso.value()) };
         let run = || -> Outcome<_> {
             let start = Instant::now();
-            let frame = Frame::sample(particles, &sampling, &mut Laps::default())?;
-            let mesh = frame.surface(&surfacing, &mut Laps::default())?.to_mesh()?;
+            let frame = Frame::sample(particles, &sampling, &mut Timings::default())?;
+            let mesh = frame.surface(&surfacing, &mut Timings::default())?.to_mesh()?;
             Ok((start.elapsed().as_secs_f64(), mesh))
         };
         run()?;

@@ -2,12 +2,12 @@
 //! grid, mu0 and isovalue are those of the first.
 
 use glam::{DVec3, IVec3};
-use meniscus::calibration::FINEST_OF_SYMMETRY;
+use meniscus::field::calibration::FINEST_OF_SYMMETRY;
+use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
 use meniscus::frame::{Frame, Sampling};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::sequence::frozen::{Measured, Origin, measure};
-use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::simulation::frozen::{Measured, Origin, measure};
+use meniscus::surface::mesh::Mesh;
+use meniscus::system::timings::Timings;
 
 use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::roughness::{WIDTH, is_central};
@@ -57,9 +57,9 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
     let frozen = Sampling { grid, field: IndicatorRequest { kind: indicator, mean }.into(), ..free };
 
     let height = |step: u32| -> Outcome<f64> {
-        let laps = &mut Laps::default();
-        let frame = Frame::sample(&raised(step)[..], &frozen, laps)?;
-        let mesh = frame.calibrate(&asked, calibration.as_ref(), laps)?.surface(laps)?.to_mesh()?;
+        let timings = &mut Timings::default();
+        let frame = Frame::sample(&raised(step)[..], &frozen, timings)?;
+        let mesh = frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
         Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;

@@ -2,9 +2,9 @@
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::frame::{Detail, FrameError, Normals};
-use meniscus::laps::Laps;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::measure::measure;
+use meniscus::system::timings::Timings;
 
 use crate::meshes::sphere;
 use crate::methods::{Iso, Method, grid};
@@ -96,7 +96,7 @@ impl Deviation {
 
 /// No mesh where there is no surface.
 fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
-    match method.surface(particles, grid(cell)?, 1.0, Normals::None, &mut Laps::default()) {
+    match method.surface(particles, grid(cell)?, 1.0, Normals::None, &mut Timings::default()) {
         Err(FrameError::NoSurface { .. } | FrameError::TooFine(_)) => Ok(Mesh::default()),
         surface => Ok(surface?.to_mesh()?),
     }

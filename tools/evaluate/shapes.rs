@@ -4,8 +4,8 @@ use std::path::Path;
 
 use glam::DVec3;
 use meniscus::io::output::read_mesh;
-use meniscus::mesh::Mesh;
-use meniscus::mesh::measure::measure;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::mesh::measure::measure;
 use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 

@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use meniscus::frame::Normals;
-use meniscus::laps::Laps;
-use meniscus::stitch::Stitched;
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::methods::{Iso, Method, grid, held};
@@ -118,8 +118,8 @@ fn seconds(
         let (cell, spacing) = (longest_side(frame) / f64::from(cells), 1.0);
         let start = Instant::now();
         let surface = pool.install(|| -> Outcome<Stitched> {
-            let laps = &mut Laps::default();
-            let surface = method.surface(&frame[..], grid(cell)?, spacing, Normals::None, laps)?;
+            let timings = &mut Timings::default();
+            let surface = method.surface(&frame[..], grid(cell)?, spacing, Normals::None, timings)?;
             std::hint::black_box(surface.to_mesh()?);
             Ok(surface)
         })?;

@@ -9,10 +9,10 @@ use std::error::Error;
 use ash::vk;
 use meniscus::brick::InvalidParticles;
 use meniscus::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::resident::{Exchange, Pipeline, Settings};
 use meniscus::frame::{FrameError, Surfacing};
 use meniscus::grid::Grid;
-use meniscus::stage::indicator::IndicatorKind;
 use meniscus::vulkan::{Device, DeviceOptions, Foreign, Moment};
 
 /// The vertices and the triangles of a surface.

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use meniscus::programs::{PROGRAMS, constants};
+use meniscus::backend::programs::{PROGRAMS, constants};
 use meniscus::vulkan::Program;
 use naga::Module;
 use naga::back::spv;

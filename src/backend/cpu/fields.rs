@@ -3,16 +3,16 @@
 use std::rc::Rc;
 
 use crate::brick::Block;
-use crate::grid::CellBox;
-use crate::recipe::{Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at};
-use crate::stage::blur::{Kernel, blur_of_few, blur_while};
-use crate::stage::detail::{lost, raise};
-use crate::stage::distance::{
+use crate::field::blur::{Kernel, blur_of_few, blur_while};
+use crate::field::detail::{lost, raise};
+use crate::field::distance::{
     Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient,
     refined, spread, wide_cells,
 };
-use crate::stage::indicator::SampledDif;
-use crate::units::Isovalue;
+use crate::field::indicator::SampledDif;
+use crate::field::recipe::{Fields, Filters, Recipe, WideFields, bulk, joined as joined_fields, walls_at};
+use crate::grid::CellBox;
+use crate::grid::units::Isovalue;
 
 /// Spray has particles in no more than one of so many cells.
 const FEW: usize = 16;

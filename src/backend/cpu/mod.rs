@@ -10,11 +10,11 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Pages};
+use crate::field::indicator::{PageRule, indicate};
 use crate::grid::CellBox;
-use crate::mesh::BlockMesh;
-use crate::stage::dual_mc::{block_mesh, dual_cells};
-use crate::stage::indicator::{PageRule, indicate};
-use crate::units::MemoryBudget;
+use crate::grid::units::MemoryBudget;
+use crate::surface::dual_mc::{block_mesh, dual_cells};
+use crate::surface::mesh::BlockMesh;
 
 use super::{Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;

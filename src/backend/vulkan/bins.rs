@@ -8,9 +8,9 @@ use rayon::prelude::*;
 
 use crate::brick::vulkan::{DeviceBins, FullCells, full_cells};
 use crate::brick::{Bins, PageInfo, PageShape, Pages};
+use crate::field::indicator::PageRule;
+use crate::field::indicator::vulkan::{BinEntry, indicate};
 use crate::grid::MortonKey;
-use crate::stage::indicator::PageRule;
-use crate::stage::indicator::vulkan::{BinEntry, indicate};
 use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};

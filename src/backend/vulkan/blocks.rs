@@ -6,11 +6,11 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use crate::backend::{Surfaces, Take};
+use crate::field::recipe::Filters;
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
-use crate::mesh::{BlockMesh, Tile};
-use crate::recipe::Filters;
-use crate::stage::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour};
-use crate::stage::dual_mc::{Crossings, normal};
+use crate::surface::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour};
+use crate::surface::dual_mc::{Crossings, normal};
+use crate::surface::mesh::{BlockMesh, Tile};
 use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
 
 use super::bins::Fault;

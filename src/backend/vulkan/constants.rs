@@ -3,9 +3,9 @@
 use hashbrown::{HashMap, HashSet};
 
 use crate::backend::Surfaces;
-use crate::stage::blur::Kernel;
-use crate::stage::distance::vulkan::tables as tables_of_distances;
-use crate::stage::dual_mc::vulkan::lengths;
+use crate::field::blur::Kernel;
+use crate::field::distance::vulkan::tables as tables_of_distances;
+use crate::surface::dual_mc::vulkan::lengths;
 use crate::vulkan::{Batch, View, VulkanError};
 
 /// Weights that are kept, at the most.

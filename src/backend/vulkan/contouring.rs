@@ -8,13 +8,13 @@ use hashbrown::HashSet;
 
 use crate::backend::Surfaces;
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks};
+use crate::field::distance::vulkan::Look;
+use crate::field::distance::wide_cells;
+use crate::field::recipe::{Filters, WideFields};
 use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
-use crate::mesh::Tile;
-use crate::recipe::{Filters, WideFields};
-use crate::stage::distance::vulkan::Look;
-use crate::stage::distance::wide_cells;
-use crate::stage::dual_mc::Normals;
-use crate::stage::dual_mc::vulkan::{Falls, SIGN_TILES, Slot};
+use crate::surface::dual_mc::Normals;
+use crate::surface::dual_mc::vulkan::{Falls, SIGN_TILES, Slot};
+use crate::surface::mesh::Tile;
 use crate::vulkan::{Batch, Ticket, View};
 
 use super::constants::FrameConstants;

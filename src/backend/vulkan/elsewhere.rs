@@ -11,9 +11,9 @@ use crate::brick::vulkan::{DeviceBlocks, FullCells, gather, halve};
 use crate::brick::{
     Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource, halved_from,
 };
+use crate::field::distance::vulkan::{full_bricks, full_bricks_of};
+use crate::field::indicator::PageRule;
 use crate::grid::{CellBox, MortonKey};
-use crate::stage::distance::vulkan::{full_bricks, full_bricks_of};
-use crate::stage::indicator::PageRule;
 use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};

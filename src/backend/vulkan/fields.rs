@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 
 use crate::brick::vulkan::{DeviceBlocks, DevicePages, Window, gather};
+use crate::field::blur::Kernel;
+use crate::field::blur::vulkan::blur;
+use crate::field::detail::vulkan::{lost, raise};
+use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
+use crate::field::distance::{Bulk, Depths, Drops, Gate, Inside};
+use crate::field::recipe::{Fields, WideFields, walls_at};
 use crate::grid::CellBox;
-use crate::recipe::{Fields, WideFields, walls_at};
-use crate::stage::blur::Kernel;
-use crate::stage::blur::vulkan::blur;
-use crate::stage::detail::vulkan::{lost, raise};
-use crate::stage::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
-use crate::stage::distance::{Bulk, Depths, Drops, Gate, Inside};
-use crate::units::Isovalue;
+use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
 
 use super::constants::FrameConstants;

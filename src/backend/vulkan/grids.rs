@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use crate::brick::vulkan::{DeviceBlock, DeviceBlocks, DevicePages};
 use crate::brick::{DifField, PageShape};
+use crate::field::distance::Inside;
 use crate::grid::CellBox;
-use crate::stage::distance::Inside;
 use crate::vulkan::View;
 
 use super::constants::FrameConstants;

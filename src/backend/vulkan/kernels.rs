@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use crate::brick::PageShape;
 use crate::brick::vulkan::{FULL_CELLS, GATHER, HALVE, page_words};
-use crate::stage::blur::vulkan::BLUR;
-use crate::stage::detail::vulkan::{GREATER, LOST};
-use crate::stage::distance::vulkan::{
+use crate::field::blur::vulkan::BLUR;
+use crate::field::detail::vulkan::{GREATER, LOST};
+use crate::field::distance::vulkan::{
     DEPTHS_OF, FULL_BRICKS, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
 };
-use crate::stage::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
-use crate::stage::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
+use crate::field::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
+use crate::surface::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
 use crate::vulkan::{Device, Kernel, VulkanError};
 
 /// All of them.

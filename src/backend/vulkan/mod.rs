@@ -24,10 +24,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::brick::vulkan::DeviceBins;
 use crate::brick::{Bins, DifField, Pages};
+use crate::field::indicator::PageRule;
 use crate::grid::CellBox;
-use crate::mesh::BlockMesh;
-use crate::stage::indicator::PageRule;
-use crate::units::MemoryBudget;
+use crate::grid::units::MemoryBudget;
+use crate::surface::mesh::BlockMesh;
 use crate::vulkan::{Device, VulkanError};
 
 use super::{Backend, Cpu, Stages, Surfaces, Take, Work};

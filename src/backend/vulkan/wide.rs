@@ -6,11 +6,11 @@
 use std::rc::Rc;
 
 use crate::backend::parent;
+use crate::field::distance::vulkan::{Look, Seen, look};
+use crate::field::distance::{Distances, wide_cells};
+use crate::field::recipe::{Filters, WideFields, bulk, joined};
 use crate::grid::CellBox;
-use crate::recipe::{Filters, WideFields, bulk, joined};
-use crate::stage::distance::vulkan::{Look, Seen, look};
-use crate::stage::distance::{Distances, wide_cells};
-use crate::stage::dual_mc::dual_cells;
+use crate::surface::dual_mc::dual_cells;
 use crate::vulkan::{Place, View, VulkanError};
 
 use super::contouring::{BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide};

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use meniscus::error::Error;
 use meniscus::io::output::read_mesh;
-use meniscus::mesh::check::{self, Report};
-use meniscus::mesh::compare::{self, Comparison, Distances, Side};
-use meniscus::mesh::measure::{Measures, measure};
+use meniscus::surface::mesh::check::{self, Report};
+use meniscus::surface::mesh::compare::{self, Comparison, Distances, Side};
+use meniscus::surface::mesh::measure::{Measures, measure};
 use serde::Serialize;
 
 use crate::{Verdict, print, print_json};

@@ -2,7 +2,7 @@
 
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use meniscus::units::MemoryBudget;
+use meniscus::grid::units::MemoryBudget;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// A lane that may not have so much is not worth a thread.

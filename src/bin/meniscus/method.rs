@@ -1,8 +1,8 @@
 //! `--method`: frames by discrete indicator functions, or by one of the kernel methods that the paper compares against.
 
 use clap::ValueEnum;
+use meniscus::baselines::Method;
 use meniscus::error::Error;
-use meniscus::rivals::Method;
 use serde::Serialize;
 
 use crate::reconstruct::{IsoOption, Options};

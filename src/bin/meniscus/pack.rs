@@ -9,8 +9,8 @@ use meniscus::frame::{Frame, FrameError, Surfacing};
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::write_frame;
 use meniscus::io::whole::{Replace, WholeFile};
-use meniscus::laps::Laps;
 use meniscus::particles::Particles;
+use meniscus::system::timings::Timings;
 
 use crate::Verdict;
 use crate::identity::refuse_same_file;
@@ -46,30 +46,30 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let prepare = || WholeFile::prepare(&options.output, replace);
     let (output, unfinished) = interrupt::guard(prepare, WholeFile::temporary)?;
 
-    let mut laps = Laps::default();
+    let mut timings = Timings::default();
     let file = open_particles(&options.input, unpacking(&resources))?;
-    laps.lap("open");
+    timings.done("open");
     notes.say(format!("{}: {} particles, {}", options.input.display(), file.particles.len(), file.format));
     let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
-    laps.lap("spacing");
+    timings.done("spacing");
     let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
     sampling.refuse_unfit(&Surfacing::PLAIN).map_err(in_file)?;
-    let frame = Frame::sample(&file.particles, &sampling, &mut laps).map_err(in_file)?;
+    let frame = Frame::sample(&file.particles, &sampling, &mut timings).map_err(in_file)?;
     warnings(&frame).iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     LeftOut::from(frame.facts().census).say(sampling.field, &notes);
     report_lattice(&frame, &notes);
     let sampled = frame.dif().ok_or_else(|| Error::Request("kernels cannot be packed".into()))?;
     let bytes = output.write(|out| write_frame(out, sampled).map(drop))?;
     drop(unfinished);
-    laps.lap("write");
+    timings.done("write");
     notes.say(format!(
         "{}: {} cells in {} bricks, {} in {:.2} s",
         options.output.display(),
         sampled.dif.full_cells(),
         sampled.dif.bricks(),
         ByteSize(bytes),
-        laps.total(),
+        timings.total(),
     ));
-    report_laps(&laps, &notes);
+    report_laps(&timings, &notes);
     Ok(Verdict::Good)
 }

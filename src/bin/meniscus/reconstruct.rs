@@ -7,24 +7,24 @@ use bytesize::ByteSize;
 use clap::{Args, value_parser};
 use meniscus::backend::Cpu;
 use meniscus::error::Error;
-use meniscus::estimate::{Estimate, SMALLEST_BUDGET};
+use meniscus::field::indicator::{IndicatorKind, SampledDif};
+use meniscus::frame::estimate::{Estimate, SMALLEST_BUDGET};
 use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Surfacing};
+use meniscus::grid::units::{Isovalue, Sigma, Smooth, Tolerance};
 use meniscus::io::glb::{Compression, Layout};
 use meniscus::io::input::{file_and_step, open_particles};
 use meniscus::io::mnf::open_frame;
 use meniscus::io::output::{MeshFormat, MeshOutput};
 use meniscus::io::whole::Replace;
 use meniscus::io::{CoordinateWidth, ParticleFile};
-use meniscus::laps::Laps;
-use meniscus::mesh::source::MeshSource;
 use meniscus::particles::{Particles, velocity_attribute};
-use meniscus::sequence::inputs::Inputs;
-use meniscus::sequence::naming::Naming;
-use meniscus::sequence::state::Settings;
-use meniscus::simplify::{BYTES_A_THREAD, Reduction};
-use meniscus::stage::indicator::{IndicatorKind, SampledDif};
-use meniscus::stitch::Stitched;
-use meniscus::units::{Isovalue, Sigma, Smooth, Tolerance};
+use meniscus::simulation::inputs::Inputs;
+use meniscus::simulation::naming::Naming;
+use meniscus::simulation::state::Settings;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::simplify::{BYTES_A_THREAD, Reduction};
+use meniscus::surface::stitch::Stitched;
+use meniscus::system::timings::Timings;
 use serde_json::json;
 
 use crate::Verdict;
@@ -321,13 +321,13 @@ impl Options {
         (request, surfacing): (&SamplingRequest, &Surfacing),
         format: MeshFormat,
         resources: Resources,
-        laps: &mut Laps,
+        timings: &mut Timings,
         notes: &Notes,
     ) -> Result<Option<Frame>, Error> {
         let in_file = |fault: FrameError| Error::Frame { path: input.to_owned(), fault };
         if is_frame(input) {
             let sampled = open_frame(input, resources.budget.0 / 4)?;
-            laps.lap("open");
+            timings.done("open");
             self.refuse_of_others(sampled.indicator.kind())?;
             let particles = sampled.facts.census.binned;
             notes.say(format!("{}: {particles} particles, packed frame", input.display()));
@@ -339,13 +339,13 @@ impl Options {
             return Ok(Some(Frame::from_sampled(sampled, surfacing, resources)));
         }
         let file = open_particles(input, unpacking(&resources))?;
-        laps.lap("open");
+        timings.done("open");
         notes.say(format!("{}: {} particles, {}", input.display(), file.particles.len(), file.format));
         let carried = self.carried(input, &file, format)?;
         let sampling = request.sampling(input, &file, carried, resources, notes)?;
-        laps.lap("spacing");
+        timings.done("spacing");
         let counted = Counted::for_surface(&file.particles, &sampling, surfacing).map_err(in_file)?;
-        laps.lap("count");
+        timings.done("count");
         if self.dry_run {
             let (estimate, budget) = (counted.estimate(), sampling.resources.budget);
             let plan = estimate.plan(budget);
@@ -364,7 +364,7 @@ impl Options {
             ))?;
             return Ok(None);
         }
-        Frame::sample_counted(counted, sampling.resources.budget, laps).map(Some).map_err(in_file)
+        Frame::sample_counted(counted, sampling.resources.budget, timings).map(Some).map_err(in_file)
     }
 }
 
@@ -411,15 +411,15 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let output = output.with_layout(options.layout(orientation));
     let format = output.format();
 
-    let mut laps = Laps::default();
+    let mut timings = Timings::default();
     let in_file = |fault| Error::Frame { path: input.to_owned(), fault };
     let backend = Arc::clone(&resources.backend);
-    let made = options.frame(input, (&request, &surfacing), format, resources, &mut laps, &notes)?;
+    let made = options.frame(input, (&request, &surfacing), format, resources, &mut timings, &notes)?;
     let Some(frame) = made else { return Ok(Verdict::Good) };
     report_lattice(&frame, &notes);
-    let calibrated = frame.calibrate(&surfacing, None, &mut laps).map_err(in_file)?;
+    let calibrated = frame.calibrate(&surfacing, None, &mut timings).map_err(in_file)?;
     let measured = calibrated.measured();
-    let mesh = calibrated.surface(&mut laps).map_err(in_file)?;
+    let mesh = calibrated.surface(&mut timings).map_err(in_file)?;
     warnings(&frame).iter().for_each(|warning| notes.say(format!("warning: {warning}")));
     measured.iter().for_each(|measured| report_calibration(&frame, measured, surfacing.iso, &notes));
     let lost = frame.lost(&mesh).map_err(in_file)?;
@@ -434,7 +434,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let mesh: Box<dyn MeshSource> = if reduction.is_none() {
         Box::new(mesh)
     } else {
-        let simplified = frame.simplify(mesh, &reduction, &mut laps).map_err(in_file)?;
+        let simplified = frame.simplify(mesh, &reduction, &mut timings).map_err(in_file)?;
         report_simplified(&simplified, &reduction, &notes);
         Box::new(simplified)
     };
@@ -443,20 +443,20 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     }
     let bytes = output.write(&orientation.turned(&*mesh), width)?;
     drop(unfinished);
-    laps.lap("write");
+    timings.done("write");
     notes.say(format!(
         "{}: {} vertices, {} triangles, {} in {:.2} s",
         options.output.display(),
         mesh.vertex_count(),
         mesh.triangle_count(),
         ByteSize(bytes),
-        laps.total(),
+        timings.total(),
     ));
-    report_laps(&laps, &notes);
+    report_laps(&timings, &notes);
     report_device(&*backend, 1, &notes);
     if options.stats.is_some() {
         let iso = measured.and_then(|measured| measured.calibration.iso());
-        let mut record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &laps);
+        let mut record = options.record([input, &options.output], &frame, iso, &*mesh, bytes, &timings);
         record["in_no_surface"] = json!(lost);
         options.append_stats(&record)?;
     }

@@ -6,16 +6,16 @@ use std::path::Path;
 use bytesize::ByteSize;
 use meniscus::backend::Backend;
 use meniscus::brick::{Census, FrameFacts};
-use meniscus::calibration::{Calibrated, ON_CORNERS, Plateau};
 use meniscus::error::Error;
+use meniscus::field::calibration::{Calibrated, ON_CORNERS, Plateau};
+use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::{FieldRequest, Frame};
+use meniscus::grid::units::{FULL, Isovalue, shown};
 use meniscus::io::output::MeshFormat;
 use meniscus::io::{WriteError, stl};
-use meniscus::laps::Laps;
-use meniscus::mesh::source::MeshSource;
-use meniscus::simplify::{Reduction, Simplified};
-use meniscus::stage::indicator::IndicatorKind;
-use meniscus::units::{FULL, Isovalue, shown};
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::simplify::{Reduction, Simplified};
+use meniscus::system::timings::Timings;
 use meniscus::vulkan::{Counters, Timing};
 
 use crate::method::MethodName;
@@ -223,8 +223,8 @@ pub fn report_device(backend: &dyn Backend, frames: usize, notes: &Notes) {
 }
 
 /// Says what every stage took.
-pub fn report_laps(laps: &Laps, notes: &Notes) {
-    for (stage, seconds) in laps.seconds() {
+pub fn report_laps(timings: &Timings, notes: &Notes) {
+    for (stage, seconds) in timings.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
 }

@@ -8,11 +8,11 @@ use clap::{Args, ValueEnum};
 use indicatif::MultiProgress;
 use meniscus::backend::{Backend, Cpu, Vulkan};
 use meniscus::error::Error;
-use meniscus::estimate::SMALLEST_BUDGET;
 use meniscus::frame::Resources;
+use meniscus::frame::estimate::SMALLEST_BUDGET;
+use meniscus::grid::units::MemoryBudget;
 use meniscus::io::bytes::Unpacking;
-use meniscus::memory::default_budget;
-use meniscus::units::MemoryBudget;
+use meniscus::system::memory::default_budget;
 use meniscus::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
 
 /// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to

@@ -6,15 +6,15 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use meniscus::brick::{Census, InvalidParticles};
 use meniscus::error::Error;
+use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::field::spacing::{self, Spacings};
 use meniscus::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
+use meniscus::grid::units::{MeanCount, positive_length, shown};
 use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::Particles;
-use meniscus::sequence::frozen::on_sound_grid;
-use meniscus::spacing::{self, Spacings};
-use meniscus::stage::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::units::{MeanCount, positive_length, shown};
+use meniscus::simulation::frozen::on_sound_grid;
 
 use crate::run::Notes;
 

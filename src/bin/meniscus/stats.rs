@@ -4,16 +4,16 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
+use meniscus::baselines::Method;
 use meniscus::brick::FrameFacts;
 use meniscus::error::Error;
+use meniscus::field::indicator::SampledDif;
 use meniscus::frame::{Frame, Surfacing};
+use meniscus::grid::units::{Isovalue, MeanCount, Smooth};
 use meniscus::io::WriteError;
-use meniscus::laps::Laps;
-use meniscus::memory::peak_resident;
-use meniscus::mesh::source::MeshSource;
-use meniscus::rivals::Method;
-use meniscus::stage::indicator::SampledDif;
-use meniscus::units::{Isovalue, MeanCount, Smooth};
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::system::memory::peak_resident;
+use meniscus::system::timings::Timings;
 use serde_json::{Value, json};
 
 use crate::reconstruct::Options;
@@ -27,9 +27,9 @@ impl Options {
         iso: Option<Isovalue>,
         mesh: &dyn MeshSource,
         bytes: u64,
-        laps: &Laps,
+        timings: &Timings,
     ) -> Value {
-        let seconds = laps.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+        let seconds = timings.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
         let of_run = json!({
             "input": input,
             "output": output,
@@ -41,7 +41,7 @@ impl Options {
             "triangles": mesh.triangle_count(),
             "output_bytes": bytes,
             "seconds": seconds.collect::<serde_json::Map<_, _>>(),
-            "total_seconds": laps.total(),
+            "total_seconds": timings.total(),
             "threads": rayon::current_num_threads(),
             "peak_resident_bytes": peak_resident(),
         });

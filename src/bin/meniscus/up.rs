@@ -7,9 +7,9 @@ use meniscus::error::Error;
 use meniscus::io::UpAxis;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::up::Turned;
-use meniscus::mesh::bounds::Bounds;
-use meniscus::mesh::source::MeshSource;
-use meniscus::sequence::state::Settings;
+use meniscus::simulation::state::Settings;
+use meniscus::surface::mesh::bounds::Bounds;
+use meniscus::surface::mesh::source::MeshSource;
 use serde_json::json;
 
 #[derive(Args)]

@@ -7,9 +7,9 @@ use meshopt::{
 };
 
 use crate::io::encode::{in_order, write_triangles, write_vertices};
-use crate::mesh::ordered::Ordered;
-use crate::mesh::source::{MeshSource, Vertices};
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::ordered::Ordered;
+use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::Compression;
 

@@ -6,8 +6,8 @@ use serde_json::Value;
 
 use crate::io::CoordinateWidth;
 use crate::io::output::MeshFormat;
-use crate::mesh::ordered::Ordered;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::ordered::Ordered;
+use crate::surface::mesh::source::MeshSource;
 
 use super::document::{document, empty_document};
 use super::view::{Space, View, views};

@@ -10,14 +10,14 @@ use rayon::prelude::*;
 use zstd::bulk::Decompressor;
 
 use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape, PageSource};
-use crate::calibration::refuse_finest;
+use crate::field::calibration::refuse_finest;
+use crate::field::indicator::{Amount, Indicator, SampledDif};
+use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
-use crate::stage::indicator::{Amount, Indicator, SampledDif};
-use crate::units::{MeanCount, positive_length};
 
 use super::{END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
 

@@ -7,9 +7,9 @@ use zstd::bulk::Compressor;
 use zstd::zstd_safe::CParameter;
 
 use crate::brick::{FrameFacts, PageInfo, PageShape};
+use crate::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use crate::grid::BIN;
-use crate::stage::indicator::{Indicator, IndicatorKind, SampledDif};
-use crate::units::MeanCount;
+use crate::grid::units::MeanCount;
 
 use super::{END_MAGIC, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
 

@@ -8,8 +8,8 @@ use crate::io::scan::Scanner;
 use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::Mesh;
 
 use super::header::{Element, Encoding, Header, Property};
 use super::{GROUPS, NORMAL};

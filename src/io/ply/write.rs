@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
 

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::io::UpAxis;
 use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::MeshSource;
+use crate::surface::mesh::source::MeshSource;
 
 use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
 use super::{PRIM, Property, properties};

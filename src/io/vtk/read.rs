@@ -6,8 +6,8 @@ use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::Mesh;
 
 use super::layout::{Array, CellKind, Cells, Corners, Layout};
 

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::{MeshSource, Vertices};
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::source::{MeshSource, Vertices};
 
 /// Writes `mesh` as binary POLYDATA of version 3.0: POINTS of float or double by `width`, POLYGONS, and under
 /// POINT_DATA the normals as NORMALS, an attribute `velocity` of three components as VECTORS, and all others

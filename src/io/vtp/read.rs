@@ -4,8 +4,8 @@ use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::mesh::Mesh;
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
 use super::data::Decoder;

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
 use crate::io::output::MeshFormat;
-use crate::mesh::source::MeshSource;
 use crate::particles::AttributeInfo;
+use crate::surface::mesh::source::MeshSource;
 
 use super::NORMALS;
 

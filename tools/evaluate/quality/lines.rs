@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use meniscus::io::output::read_mesh;
-use meniscus::mesh::Mesh;
+use meniscus::surface::mesh::Mesh;
 use rayon::prelude::*;
 use tempfile::TempDir;
 

@@ -11,10 +11,10 @@ use meniscus::io::ParticleFile;
 use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::particles::Particles;
-use meniscus::sequence::frozen::Stamp;
-use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::records::{Record, Records};
-use meniscus::sequence::state::{State, Store};
+use meniscus::simulation::frozen::Stamp;
+use meniscus::simulation::inputs::FrameFile;
+use meniscus::simulation::records::{Record, Records};
+use meniscus::simulation::state::{State, Store};
 
 use crate::Verdict;
 use crate::lanes::{Division, Gate};

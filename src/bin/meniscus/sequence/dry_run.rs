@@ -7,12 +7,12 @@ use bytesize::ByteSize;
 use meniscus::error::Error;
 use meniscus::frame::{Counted, Frame};
 use meniscus::io::input::open_particles;
-use meniscus::laps::Laps;
-use meniscus::mesh::source::MeshSource;
-use meniscus::sequence::frozen::Stamp;
-use meniscus::sequence::inputs::{FrameFile, gaps};
-use meniscus::sequence::records::Records;
-use meniscus::sequence::state::{State, Store};
+use meniscus::simulation::frozen::Stamp;
+use meniscus::simulation::inputs::{FrameFile, gaps};
+use meniscus::simulation::records::Records;
+use meniscus::simulation::state::{State, Store};
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::Verdict;
@@ -67,13 +67,14 @@ impl Setup<'_> {
             let carried = self.options.carried(&largest.path, &file, self.format(largest)?)?;
             let sampling = self.sampling(&frozen, carried, self.resources.clone())?;
             let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
-            let mut laps = Laps::default();
+            let mut timings = Timings::default();
             let counted =
                 Counted::for_surface(&file.particles, &sampling, &self.surfacing).map_err(in_file)?;
             let (census, estimate) = (counted.census(), counted.estimate());
-            let frame = Frame::sample_counted(counted, self.resources.budget, &mut laps).map_err(in_file)?;
-            let drawn = frame.calibrate(&self.surfacing, frozen.calibration.as_ref(), &mut laps);
-            let mesh = drawn.and_then(|frame| frame.surface(&mut laps)).map_err(in_file)?;
+            let frame =
+                Frame::sample_counted(counted, self.resources.budget, &mut timings).map_err(in_file)?;
+            let drawn = frame.calibrate(&self.surfacing, frozen.calibration.as_ref(), &mut timings);
+            let mesh = drawn.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
             let division = self.division(wanted.len());
             // 12 bytes a vertex and 13 a triangle, as .ply has it; attributes come on top, and simplifying takes away.
             let bytes = 24 * mesh.vertex_count() + 13 * mesh.triangle_count();
@@ -90,7 +91,7 @@ impl Setup<'_> {
                 ByteSize(self.resources.budget.0),
                 division.lanes,
                 ByteSize((bytes as f64 * scale) as u64),
-                (laps.total() * scale).max(begun.elapsed().as_secs_f64()).ceil(),
+                (timings.total() * scale).max(begun.elapsed().as_secs_f64()).ceil(),
             );
         }
         crate::print(&text)?;

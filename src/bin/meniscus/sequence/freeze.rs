@@ -1,15 +1,15 @@
 //! What is measured once for all frames, on the first that can tell.
 
-use meniscus::calibration::{Calibration, Plateau};
 use meniscus::error::{Cause, Error};
+use meniscus::field::calibration::{Calibration, Plateau};
 use meniscus::frame::{FrameError, Resources};
+use meniscus::grid::units::shown;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::{ParticleFile, ReadError};
-use meniscus::sequence::SequenceError;
-use meniscus::sequence::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
-use meniscus::sequence::inputs::FrameFile;
-use meniscus::units::shown;
+use meniscus::simulation::SequenceError;
+use meniscus::simulation::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
+use meniscus::simulation::inputs::FrameFile;
 
 use crate::reconstruct::is_frame;
 use crate::run::{Notes, unpacking};

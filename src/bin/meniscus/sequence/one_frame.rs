@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use meniscus::calibration::Calibration;
 use meniscus::error::Error;
+use meniscus::field::calibration::Calibration;
 use meniscus::frame::{Counted, Frame, FrameError, Normals, Resources};
+use meniscus::grid::units::MemoryBudget;
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::{file_and_step, open_particles};
 use meniscus::io::mnf::open_frame;
@@ -12,15 +13,14 @@ use meniscus::io::output::MeshOutput;
 use meniscus::io::series::SeriesFrame;
 use meniscus::io::whole::{FilledFile, Replace};
 use meniscus::io::{CoordinateWidth, ParticleFile, ReadError, ReadFault};
-use meniscus::laps::Laps;
-use meniscus::mesh::bounds::Bounded;
-use meniscus::mesh::source::MeshSource;
-use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::particles::{AttributeInfo, Particles, carried_infos};
-use meniscus::sequence::frozen::{Frozen, Stamp};
-use meniscus::sequence::inputs::FrameFile;
-use meniscus::sequence::records::Record;
-use meniscus::units::MemoryBudget;
+use meniscus::simulation::frozen::{Frozen, Stamp};
+use meniscus::simulation::inputs::FrameFile;
+use meniscus::simulation::records::Record;
+use meniscus::surface::mesh::bounds::Bounded;
+use meniscus::surface::mesh::source::MeshSource;
+use meniscus::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::system::timings::Timings;
 use serde_json::{Value, json};
 
 use crate::identity::refuse_same_file;
@@ -64,7 +64,7 @@ pub struct Opened {
     unfinished: Unfinished,
     /// `None` where it was sampled before.
     particles: Option<ParticleFile>,
-    laps: Laps,
+    timings: Timings,
 }
 
 /// A frame that waits to be meshed.
@@ -91,7 +91,7 @@ impl Conversion<'_> {
         again: bool,
         stage: &dyn Fn(&str),
     ) -> Result<Opened, Error> {
-        let mut laps = Laps::default();
+        let mut timings = Timings::default();
         let Setup { options, resources, .. } = self.setup;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
@@ -110,10 +110,10 @@ impl Conversion<'_> {
         } else {
             let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch: &resources.scratch };
             let file = particles.map_or_else(|| open_particles(path, unpacking), Ok)?;
-            laps.lap("open");
+            timings.done("open");
             Some(file)
         };
-        Ok(Opened { input, target, orientation, output, unfinished, particles, laps })
+        Ok(Opened { input, target, orientation, output, unfinished, particles, timings })
     }
 
     /// Converts a frame with the threads of its lane, or where it has to be alone with all.
@@ -127,11 +127,11 @@ impl Conversion<'_> {
         let options = self.setup.options;
         let path = &frame.path;
         let frozen = &settled.state.frozen;
-        let Opened { input, target, orientation, output, unfinished, particles, mut laps } = opened;
-        laps.skip();
+        let Opened { input, target, orientation, output, unfinished, particles, mut timings } = opened;
+        timings.skip();
         let ready = match particles {
-            Some(file) => self.sample(path, file, frozen, stage, &mut laps),
-            None => self.unpack(path, &mut laps),
+            Some(file) => self.sample(path, file, frozen, stage, &mut timings),
+            None => self.unpack(path, &mut timings),
         };
         let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
         let mut warnings = Vec::new();
@@ -140,7 +140,7 @@ impl Conversion<'_> {
             Some(sampled) => {
                 stage("meshing");
                 let surface = permit
-                    .run(|| self.surface(path, sampled, frozen, &mut left_out, &mut warnings, &mut laps));
+                    .run(|| self.surface(path, sampled, frozen, &mut left_out, &mut warnings, &mut timings));
                 warnings.extend(report::warnings(sampled));
                 surface?
             }
@@ -160,7 +160,7 @@ impl Conversion<'_> {
         }
         let bytes = file.bytes();
         drop(permit);
-        laps.lap("write");
+        timings.done("write");
 
         let particles = sampled.as_ref().map_or(0, |sampled| sampled.facts().census.binned);
         let listed = SeriesFrame {
@@ -184,7 +184,7 @@ impl Conversion<'_> {
                     frozen.calibration.and_then(|known| known.iso()),
                     &*mesh,
                     bytes,
-                    &laps,
+                    &timings,
                 ),
                 None => {
                     json!({ "input": path, "output": target, "particles": 0, "vertices": 0, "triangles": 0 })
@@ -195,7 +195,7 @@ impl Conversion<'_> {
             stats["time"] = json!(time.or(options.sequence.fps.map(|fps| frame.number as f64 / fps)));
             stats
         });
-        Ok(Filled { file, unfinished, record, stats, seconds: laps.total(), left_out, warnings })
+        Ok(Filled { file, unfinished, record, stats, seconds: timings.total(), left_out, warnings })
     }
 
     /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
@@ -208,11 +208,11 @@ impl Conversion<'_> {
     }
 
     /// Reads a frame that was sampled before.
-    fn unpack(&self, path: &Path, laps: &mut Laps) -> Result<Ready<'_>, Error> {
+    fn unpack(&self, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
         let budget = self.frame_budget(self.division.share);
         let permit = self.gate.enter();
         let sampled = open_frame(path, budget.0 / 4)?;
-        laps.lap("open");
+        timings.done("open");
         self.setup.options.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..self.setup.resources.clone() };
         let frame = Frame::from_sampled(sampled, &self.setup.surfacing, resources);
@@ -226,7 +226,7 @@ impl Conversion<'_> {
         file: ParticleFile,
         frozen: &Frozen,
         stage: &dyn Fn(&str),
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
         let Setup { options, surfacing, resources, .. } = self.setup;
         let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
@@ -237,7 +237,7 @@ impl Conversion<'_> {
         let mut sampling = self.setup.sampling(frozen, carried, opening)?;
         stage("counting");
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing);
-        laps.lap("count");
+        timings.done("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
             Err(FrameError::OverBudget(_)) => false,
@@ -247,7 +247,7 @@ impl Conversion<'_> {
         stage("waiting");
         let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
         let budget = if beside { share } else { alone };
-        laps.lap("wait");
+        timings.done("wait");
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
@@ -259,7 +259,7 @@ impl Conversion<'_> {
             counted => {
                 let counted = counted.map_err(in_file)?;
                 let census = counted.census();
-                let sample = || Frame::sample_counted(counted, budget, laps).map_err(in_file);
+                let sample = || Frame::sample_counted(counted, budget, timings).map_err(in_file);
                 (Some(permit.run(sample)?), census)
             }
         };
@@ -286,15 +286,15 @@ impl Conversion<'_> {
         frozen: &Frozen,
         left_out: &mut LeftOut,
         warnings: &mut Vec<String>,
-        laps: &mut Laps,
+        timings: &mut Timings,
     ) -> Result<Option<Found>, Error> {
         let reduction = &self.setup.reduction;
         let mut warn = |text: String| warnings.push(text);
         let empty = |why: &str| format!("{why}: an empty mesh");
         let binned = sampled.facts().census.binned as u64;
         let in_file = |fault| Error::Frame { path: path.to_owned(), fault };
-        let drawn = sampled.calibrate(&self.setup.surfacing, frozen.calibration.as_ref(), laps);
-        let surface = match drawn.and_then(|frame| frame.surface(laps)) {
+        let drawn = sampled.calibrate(&self.setup.surfacing, frozen.calibration.as_ref(), timings);
+        let surface = match drawn.and_then(|frame| frame.surface(timings)) {
             Err(FrameError::NoSurface { .. }) => {
                 left_out.lost = binned;
                 warn(empty("the field is nowhere above the isovalue") + &self.advice(frozen));
@@ -315,7 +315,7 @@ impl Conversion<'_> {
         if reduction.is_none() {
             return Ok(Some((Box::new(surface), width)));
         }
-        match sampled.simplify(surface, reduction, laps) {
+        match sampled.simplify(surface, reduction, timings) {
             Err(FrameError::NothingLeft(all)) => {
                 left_out.drops = all.drops;
                 warn(empty(&format!("all components are below {}", all.limits())));

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use clap::Args;
 use meniscus::error::Error;
-use meniscus::sequence::inputs::Selection;
+use meniscus::simulation::inputs::Selection;
 
 use crate::progress::ProgressMode;
 

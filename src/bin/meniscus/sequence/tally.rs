@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use bytesize::ByteSize;
 use meniscus::error::{Cause, Error};
 use meniscus::io::series::{Series, SeriesFrame};
-use meniscus::sequence::inputs::{FrameFile, gaps, missing_path};
-use meniscus::sequence::records::Records;
+use meniscus::simulation::inputs::{FrameFile, gaps, missing_path};
+use meniscus::simulation::records::Records;
 use rayon::prelude::*;
 use serde_json::json;
 

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use meniscus::sequence::frozen::Stamp;
-use meniscus::sequence::inputs::{FrameFile, Selection};
+use meniscus::simulation::frozen::Stamp;
+use meniscus::simulation::inputs::{FrameFile, Selection};
 
 /// A file that has not changed for so long is taken to be complete.
 const SETTLED: Duration = Duration::from_secs(1);

@@ -1,0 +1,99 @@
+//! Every program that runs on a device, and the constants that their sources share with Rust.
+
+use crate::brick::vulkan::{
+    ELSEWHERE, ENTER, FULL_CELLS, GATHER, HALVE, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED,
+    SORT,
+};
+use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};
+use crate::field::blur::vulkan::BLUR;
+use crate::field::detail::vulkan::{GREATER, LOST};
+use crate::field::distance::vulkan::{
+    CUBE_PARTS, CUBE_WORDS, DEPTHS_OF, FULL_BRICKS, JOIN, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+};
+use crate::field::distance::{BRICK, MOST_APART, ZERO};
+use crate::field::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
+use crate::field::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
+use crate::grid::units::FULL;
+use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
+use crate::surface::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
+use crate::surface::stitch::vulkan::{
+    BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES,
+};
+use crate::vulkan::Program;
+
+/// All of them, in the order in which a frame needs them.
+pub const PROGRAMS: [&Program; 28] = [
+    &PLACE,
+    &ENTER,
+    &SETTLE,
+    &SORT,
+    &INDICATE,
+    &CLOUDS,
+    &FULL_CELLS,
+    &HALVE,
+    &FULL_BRICKS,
+    &GATHER,
+    &BLUR,
+    &LOST,
+    &GREATER,
+    &DEPTHS_OF,
+    &MIX,
+    &OUTLYING,
+    &SPREAD,
+    &LOOK,
+    &REFINE,
+    &QUOTIENT,
+    &JOIN,
+    &SIGNS,
+    &TILES,
+    &BASES,
+    &EMIT,
+    &STARTS,
+    &VERTICES,
+    &TRIANGLES,
+];
+
+/// Constants of the sources: name, type and value.
+#[must_use]
+pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
+    const { assert!(RECORD_BITS <= 64 && 2 * AXIS_BITS > 32, "y lies in both words of a packed particle") };
+    const { assert!(3 * COORD_BITS < 64 && 2 * COORD_BITS > 32, "y lies in both words of a bin's key") };
+    vec![
+        ("FULL", "u32", FULL.into()),
+        ("DISTANCE_ZERO", "i32", ZERO.into()),
+        ("MOST_APART", "i32", MOST_APART.into()),
+        ("INSIDE_BITS", "u32", BRICK.ilog2().into()),
+        ("FRACTION_BITS", "u32", FRACTION_BITS.into()),
+        ("AXIS_BITS", "u32", AXIS_BITS.into()),
+        ("DISTANCE_SCALE_BITS", "u32", DISTANCE_SCALE.ilog2().into()),
+        ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
+        ("SHARE_BITS", "u32", SHARE_BITS.into()),
+        ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
+        ("RIM", "u32", RIM.into()),
+        ("RUN", "u32", RUN.into()),
+        ("CLOUD_SAMPLES", "u32", CLOUD_SAMPLES.into()),
+        ("HALVED_BITS", "u32", HALVED_BITS.into()),
+        ("CUBE_PARTS", "u32", CUBE_PARTS.into()),
+        ("CUBE_WORDS", "u32", CUBE_WORDS.into()),
+        ("TILE", "u32", TILE.into()),
+        ("BIN", "i32", BIN.into()),
+        ("BIN_BITS", "u32", BIN.ilog2().into()),
+        ("BLOCK", "i32", BLOCK.into()),
+        ("OCTANT", "u32", OCTANT.into()),
+        ("OCTANT_CELLS", "u32", OCTANT.pow(3).into()),
+        ("PAGE_WORDS", "u32", PAGE_WORDS.into()),
+        ("SIGN_TILES", "u32", SIGN_TILES.into()),
+        ("BLOCK_TILES", "u32", BLOCK_TILES.into()),
+        ("TILE_WORDS", "u32", TILE_WORDS.into()),
+        ("CELL_LIMIT", "i32", CELL_LIMIT.into()),
+        ("COORD_BITS", "u32", COORD_BITS.into()),
+        ("PROBES", "u32", PROBES.into()),
+        ("SETTLED", "u32", SETTLED.into()),
+        ("NO_BIN", "u32", NO_BIN.into()),
+        ("ELSEWHERE", "u32", ELSEWHERE.into()),
+        ("BLOCK_EDGE_TILES", "u32", BLOCK_EDGE_TILES.into()),
+        ("CASE_WORDS", "u32", CASE_WORDS.into()),
+        ("EDGE_BITS", "u32", EDGE_BITS.into()),
+        ("NO_BLOCK", "u32", NO_BLOCK.into()),
+    ]
+}

@@ -1,0 +1,173 @@
+//! Smoothing (section 4.2): separable filters along x, then y, then z.
+//!
+//! Per axis and cell: (sum over taps of weight * sample + 32768) >> 16, with integer weights that sum to
+//! 65536. A result is never outside of the range of its samples. A filter with a gain of g bits shifts its last axis by 16 - g
+//! instead, and holds what exceeds 16 bits at 65535: wide filters leave little of samples, and that in fine steps.
+//!
+//! A filter reaches [`Kernel::reach`] cells along every axis, and the result is smaller by as much.
+
+mod cpu;
+mod filter;
+mod smoothing;
+pub mod vulkan;
+
+pub use cpu::{Sample, blur, blur_of_few, blur_while};
+pub use filter::{FieldCount, Filter};
+pub use smoothing::Smoothing;
+
+use crate::grid::units::Sigma;
+
+/// Weights sum to this.
+const UNIT: u32 = 1 << 16;
+
+/// A symmetric filter: integer weights that sum to 65536.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Kernel {
+    /// The weight of the centre, then of the cells 1, 2, ... away on either side.
+    half: Vec<u32>,
+    /// Bits by which the result is larger than the samples.
+    gain: u32,
+}
+
+impl Kernel {
+    /// The Gaussian with max(3, 2 floor(3 sigma) - 1) taps.
+    #[must_use]
+    pub fn gaussian(sigma: Sigma) -> Self {
+        let sigma: f64 = sigma.cells();
+        let reach = ((3.0 * sigma).floor() as u32).saturating_sub(1).max(1);
+        let weight = |k: u32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();
+        let sum: f64 = weight(0) + 2.0 * (1..=reach).map(weight).sum::<f64>();
+        let tails: Vec<u32> =
+            (1..=reach).map(|k| (weight(k) / sum * f64::from(UNIT)).round() as u32).collect();
+        Self::with_tails(tails)
+    }
+
+    /// The Gaussian that is cut off at `reach` cells and has such a `variance` there, in squared cells, or as much as there is room for.
+    ///
+    /// All of it is arithmetic that every machine rounds alike.
+    #[must_use]
+    pub fn of_variance(variance: f64, reach: i32) -> Self {
+        let weights = |square: f64| -> Vec<f64> {
+            (0..=reach).map(|k| exp_of_minus(f64::from(k * k) / (2.0 * square))).collect()
+        };
+        let moments = |weights: &[f64]| {
+            let tails = || (1_u32..).zip(&weights[1..]);
+            let sum = weights[0] + 2.0 * tails().map(|(_, weight)| weight).sum::<f64>();
+            let second: f64 = tails().map(|(k, weight)| f64::from(k * k) * weight).sum();
+            (sum, 2.0 * second / sum)
+        };
+        // What is cut off makes it narrower than the Gaussian is.
+        let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
+        for _ in 0..60 {
+            let middle = (below + above) / 2.0;
+            let (_, found) = moments(&weights(middle));
+            *(if found < variance { &mut below } else { &mut above }) = middle;
+        }
+        let weights = weights(below);
+        let (sum, _) = moments(&weights);
+        let tails = weights[1..].iter().map(|weight| (weight / sum * f64::from(UNIT)).round() as u32);
+        Self::with_tails(tails.collect())
+    }
+
+    /// Adds a gain of so many bits, 15 at the most.
+    #[must_use]
+    pub fn gaining(self, gain: u32) -> Self {
+        debug_assert!(gain < UNIT.ilog2(), "{gain} bits");
+        Self { gain, ..self }
+    }
+
+    /// The box of three taps.
+    #[must_use]
+    pub fn box3() -> Self {
+        Self::with_tails(vec![UNIT / 3])
+    }
+
+    /// The centre takes what the tails leave.
+    fn with_tails(tails: Vec<u32>) -> Self {
+        let centre = UNIT - 2 * tails.iter().sum::<u32>();
+        Self { half: std::iter::once(centre).chain(tails).collect(), gain: 0 }
+    }
+
+    /// How far it reaches from a cell, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.half.len() as i32 - 1
+    }
+
+    /// Bits by which the sum of an axis is shifted down.
+    #[must_use]
+    pub fn shift(&self, axis: usize) -> u32 {
+        if axis == 2 { UNIT.ilog2() - self.gain } else { UNIT.ilog2() }
+    }
+
+    /// The square of its standard deviation, in squared cells.
+    #[must_use]
+    pub fn variance(&self) -> f64 {
+        let moments = (0_u32..).zip(&self.half).map(|(k, &weight)| u64::from(k * k) * u64::from(weight));
+        2.0 * moments.sum::<u64>() as f64 / f64::from(UNIT)
+    }
+
+    /// The weight of the centre, then of the cells 1, 2, ... away on either side.
+    #[must_use]
+    pub fn half(&self) -> &[u32] {
+        &self.half
+    }
+}
+
+/// e to the power of -x, x of 0 or more, by arithmetic alone.
+fn exp_of_minus(x: f64) -> f64 {
+    const HALVINGS: i32 = 10;
+    let small = x / f64::from(1 << HALVINGS);
+    let mut term = 1.0;
+    let mut sum = 1.0;
+    for k in 1..16 {
+        term *= -small / f64::from(k);
+        sum += term;
+    }
+    (0..HALVINGS).fold(sum, |power, _| power * power)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gaussian_has_the_variance_that_it_is_made_for() {
+        for variance in [0.3, 0.5, 1.0, 2.3, 5.5, 12.7, 40.0] {
+            let reach = (2.6 * f64::sqrt(variance)).ceil() as i32;
+            let kernel = Kernel::of_variance(variance, reach);
+            assert_eq!(kernel.reach(), reach);
+            assert!((kernel.variance() / variance - 1.0).abs() < 1e-3, "{variance}: {}", kernel.variance());
+        }
+        for x in [0.0, 0.1, 1.0, 4.5, 12.0] {
+            assert!((exp_of_minus(x) / (-x).exp() - 1.0).abs() < 1e-12, "{x}");
+        }
+    }
+
+    #[test]
+    fn the_mask_has_as_many_taps_as_the_paper_says() {
+        for (sigma, taps) in [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)] {
+            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
+            assert_eq!(2 * kernel.reach() + 1, taps, "sigma {sigma}");
+        }
+    }
+
+    #[test]
+    fn the_variance_is_that_of_the_gaussian_but_for_what_is_cut_off() {
+        assert!((Kernel::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
+        for sigma in [2.0, 3.2, 6.4, 10.0] {
+            let ratio = Kernel::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);
+            assert!((0.85..1.0).contains(&ratio), "sigma {sigma}: {ratio}");
+        }
+    }
+
+    #[test]
+    fn weights_sum_to_one_and_fall_off() {
+        for sigma in [0.01, 0.3, 0.5, 0.8, 1.0, 1.5, 3.3, 10.0] {
+            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
+            let half = kernel.half();
+            assert_eq!(half[0] + 2 * half[1..].iter().sum::<u32>(), UNIT);
+            assert!(half.is_sorted_by(|a, b| a >= b), "sigma {sigma}: {half:?}");
+        }
+    }
+}

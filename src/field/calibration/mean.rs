@@ -1,0 +1,51 @@
+//! mu0, the mean number of particles in a full cell (eq. 4): given, or measured on the way to the DIF.
+//!
+//! Counts become the DIF when all pages are made, so mu0 is measured on all of them. Only counting has a use for it: what clouds
+//! hold is told by the particles' spacing.
+
+use thiserror::Error;
+
+use crate::brick::{BrickSide, FrameFacts};
+use crate::field::indicator::{Amount, Content, Indicator, IndicatorKind, IndicatorRequest, PageRule};
+use crate::grid::units::{MeanCount, UnitError};
+
+/// A frame on which mu0 cannot be measured.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error("cannot measure mu0 on this frame: {0}")]
+pub struct NoMeanCount(#[source] UnitError);
+
+/// A frame's particles in order of their bins, ready to be made into pages, wherever they are kept.
+#[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
+pub trait Binned {
+    /// The pages, and whatever else is left when they are made.
+    type Made;
+    /// The errors of whoever keeps them.
+    type Error: From<NoMeanCount>;
+
+    /// Makes the pages of all bins, and says how many cells are full.
+    fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), Self::Error>;
+}
+
+/// Makes the pages of an indicator, with its mu0, which is measured where it is not given.
+///
+/// # Errors
+/// [`NoMeanCount`], and those of `binned`.
+pub fn indicate<B: Binned>(
+    binned: B,
+    facts: &FrameFacts,
+    asked: IndicatorRequest,
+    side: BrickSide,
+) -> Result<(Indicator, B::Made), B::Error> {
+    let particles = facts.census.binned as u64;
+    let measured = |full_cells| MeanCount::measured(particles, full_cells).map_err(NoMeanCount);
+    let known = match (asked.kind, asked.mean) {
+        (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
+        (IndicatorKind::Cloud, _) => Some(Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one()))),
+        (IndicatorKind::Counting, Some(mean)) => Some(Indicator::Counting(mean)),
+        (IndicatorKind::Counting, None) => None,
+    };
+    let content = known.map_or(Content::Counts, Indicator::content);
+    let (full_cells, made) = binned.make_pages(&PageRule { content, side, walls: facts.walls() })?;
+    let indicator = known.map_or_else(|| measured(full_cells).map(Indicator::Counting), Ok)?;
+    Ok((indicator, made))
+}

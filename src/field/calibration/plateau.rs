@@ -1,0 +1,152 @@
+//! The field deep in the fluid: by it the paper's isovalue is told, and shares of clouds become depths.
+//!
+//! At the true surface the paper's smoothed field is 0.47 of its interior plateau ([`Isovalue::PLATEAU_PERCENT`]). The plateau is
+//! the median of the smoothed DIF over interior cells: those whose filters see nothing but fluid. What is interior is told
+//! by lengths in spacings, so that it is the same in cells of any size: gaps between particles in which a cube of two
+//! spacings finds room count as fluid, for particles at random leave such cubes empty in the middle of the fluid.
+//!
+//! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that spacing would have stands in.
+
+use crate::brick::equal_steps;
+use crate::field::blur::{Filter, Smoothing, blur};
+use crate::field::distance::{BULK_GAIN, Distances};
+use crate::field::indicator::{RIM, SampledDif, WideCells};
+use crate::field::recipe::walls_at;
+use crate::grid::CellBox;
+use crate::grid::units::Isovalue;
+
+use super::expected::expected;
+use super::histogram::Histogram;
+use super::interior::{Blurred, Interior};
+
+/// Blocks that are looked at; in a larger frame they are taken at equal steps along the Morton curve.
+const SAMPLED_BLOCKS: usize = 64;
+
+/// Interior that the blocks' middles have to have, in cubed spacings; else they are looked at whole.
+const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
+
+/// Interior that a frame has to have, in cubed spacings: in less, a clump of particles would tell for all of it.
+const LEAST: f64 = 256.0;
+
+/// Gaps that count as fluid, in spacings, and the least plateau of a fluid with such gaps, if that matters, as a share of what is
+/// expected of its spacing. Thin fluids at random have an interior by the wider gaps alone; but those are in mist as well.
+const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
+
+/// The value of the smoothed DIF deep in the fluid, measured or expected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Plateau {
+    /// Interior cells were found.
+    Interior {
+        /// Median of the field over the interior cells.
+        median: u16,
+        /// The least value seen in the parts of blocks that were looked at: from there on the interior fills with bubbles.
+        lowest: u16,
+    },
+    /// Next to none of the fluid is deeper than the filters reach; what a fluid of the same spacing would have stands in.
+    Shallow {
+        /// The mean of the field deep in such a fluid.
+        expected: u16,
+    },
+}
+
+impl Plateau {
+    /// The plateau of clouds with a particle in each cubed spacing, by the spacing in cells.
+    #[must_use]
+    pub fn nominal(spacing: f64) -> f64 {
+        WideCells::of_spacing(spacing).plateau() * f64::from(1 << BULK_GAIN)
+    }
+
+    /// Measures the plateau of a frame of clouds, in wide cells, under the narrowest width. The result depends on the frame and that
+    /// width alone.
+    #[must_use]
+    pub fn of_clouds(frame: &SampledDif, distances: &Distances) -> Self {
+        let narrowest = &distances.bulk.widths[0];
+        let wide = frame.wide_cells();
+        let spacing = 1.0 / wide.edge;
+        let volume = spacing * spacing * spacing;
+        let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
+        let blurred = Blurred {
+            dif: frame.wide(distances.level),
+            walls: walls_at(distances.level, frame.facts.walls()),
+            reach: RIM,
+            halo: narrowest.kernel.reach(),
+            width: f64::from(narrowest.spacings) / 4096.0 * spacing,
+            apply: &|block, walls| blur(block, &narrowest.kernel, walls),
+        };
+        let found = GAPS.into_iter().find_map(|(gap, share)| {
+            let interior = Interior::new(&blurred, gap * spacing);
+            let (median, lowest) = measured(&interior, ENOUGH * volume, LEAST * volume)?;
+            let is_fluid = |share| f64::from(median) >= share * nominal;
+            share.is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
+        });
+        found.unwrap_or(Self::Shallow { expected: nominal.round() as u16 })
+    }
+
+    /// Measures a frame's plateau by an indicator of the paper. The result depends on the frame and the smoothing alone. Particles
+    /// whose spacing is not known are taken to be a cell apart.
+    #[must_use]
+    pub fn of(frame: &SampledDif, smoothing: &Smoothing) -> Self {
+        let (dif, indicator, spacing) = (&frame.dif, frame.indicator, frame.facts.spacing_cells());
+        let cells = spacing.unwrap_or(1.0);
+        let blurred = Blurred {
+            dif,
+            walls: frame.facts.walls(),
+            reach: 0,
+            halo: smoothing.halo(),
+            width: smoothing.width(),
+            apply: &|block, walls| smoothing.apply(block, walls),
+        };
+        // Symmetry does not tell how many particles there are, and any interior is better than none where the spacing is not
+        // known, for nothing can be expected there.
+        let counted = spacing.filter(|_| indicator.kind().counts());
+        let volume = cells * cells * cells;
+        let (enough, least) = (ENOUGH * volume, if spacing.is_some() { LEAST * volume } else { 1.0 });
+        let found = GAPS.into_iter().find_map(|(gap, share)| {
+            let interior = Interior::new(&blurred, gap * cells);
+            let (median, lowest) = measured(&interior, enough, least)?;
+            let is_fluid = |(share, spacing)| f64::from(median) >= share * expected(indicator, spacing, None);
+            share.zip(counted).is_none_or(is_fluid).then_some(Self::Interior { median, lowest })
+        });
+        found.unwrap_or_else(|| {
+            let expected = expected(indicator, cells, Some(dif)).round().max(1.0) as u16;
+            Self::Shallow { expected }
+        })
+    }
+
+    /// The field deep in the fluid.
+    #[must_use]
+    pub fn value(self) -> u16 {
+        match self {
+            Self::Interior { median, .. } => median,
+            Self::Shallow { expected } => expected,
+        }
+    }
+
+    /// The isovalue for a field with this plateau.
+    #[must_use]
+    pub fn isovalue(self) -> Isovalue {
+        Isovalue::of_plateau(self.value())
+    }
+}
+
+/// The median and the least value over the interior: of `enough` cells in the middles of some blocks, else of all that these
+/// have, if that is at `least` so much.
+fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u16)> {
+    let blocks = interior.blocks();
+    let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();
+    let middles = || sampled.iter().map(middle).collect::<Vec<_>>();
+    let of = |parts: &[CellBox], enough: f64| {
+        let samples = Histogram::of(parts, |seen, &cells| interior.add(seen, cells));
+        (samples.total() as f64 >= enough).then_some(())?;
+        Some((samples.quantile(0.5)?, samples.quantile(0.0)?))
+    };
+    let of_middles = if sampled.len() < blocks.len() { of(&middles(), enough) } else { None };
+    // A frame without depth is small for its number of blocks, or all of it is spray: look at all.
+    of_middles.or_else(|| of(&sampled, least)).or_else(|| of(&blocks, least))
+}
+
+/// Half of a box along each axis.
+fn middle(cells: &CellBox) -> CellBox {
+    let size = cells.size();
+    CellBox { lo: cells.lo + size / 4, hi: cells.hi - size / 4 }
+}

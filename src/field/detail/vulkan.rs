@@ -1,0 +1,70 @@
+//! See the room's `mod.rs` for the formula.
+
+use std::sync::Arc;
+
+use crate::brick::vulkan::DeviceBlocks;
+use crate::grid::units::Isovalue;
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+push_block! {
+    /// Of [`LOST`].
+    struct LostPush {
+        words: u32,
+        threshold: u32,
+    }
+}
+
+push_block! {
+    /// Of [`GREATER`].
+    struct GreaterPush {
+        words: u32,
+    }
+}
+
+/// theta_bar.
+pub const LOST: Program = Program {
+    name: "lost",
+    code: include_bytes!("../../../spirv/lost.spv"),
+    buffers: &["dif", "smoothed", "kept"],
+    push: LostPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// The greater of two fields.
+pub const GREATER: Program = Program {
+    name: "greater",
+    code: include_bytes!("../../../spirv/greater.spv"),
+    buffers: &["other", "field"],
+    push: GreaterPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Writes into `kept` what smoothing lost of the DIF.
+///
+/// # Errors
+/// Those of the device.
+pub fn lost(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    iso: Isovalue,
+    [dif, smooth, kept]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let push = LostPush { words: blocks.words, threshold: iso.threshold().into() };
+    batch.dispatch(kernel, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups())
+}
+
+/// Raises `field` to `other`.
+///
+/// # Errors
+/// Those of the device.
+pub fn raise(
+    batch: &mut Batch,
+    kernel: &Arc<Kernel>,
+    blocks: &DeviceBlocks,
+    other: &View,
+    field: &View,
+) -> Result<(), VulkanError> {
+    let push = GreaterPush { words: blocks.words };
+    batch.dispatch(kernel, &[other, field].map(Clone::clone), &push, blocks.flat_groups())
+}

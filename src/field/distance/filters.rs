@@ -1,0 +1,252 @@
+//! The filters of a frame, by its particles' spacing in cells.
+
+use std::sync::Arc;
+
+use glam::IVec3;
+
+use crate::field::blur::Kernel;
+use crate::field::indicator::{Amount, WideCells};
+use crate::grid::units::Smooth;
+use crate::grid::{BLOCK, CellBox};
+
+use super::{Bulk, Drops, FARTHEST, Gate, Inside, UNITS, Width, ZERO, wide_cells};
+
+/// The widths under which clouds are smoothed, in those asked for: the fine surface is made by the first two, the calm one by the
+/// last two.
+const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
+/// Where their Gaussians are cut off, in standard deviations.
+const CUT: f64 = 2.2;
+/// The standard deviation of what averages by how much the two surfaces are apart, in widths asked for, and where it is cut off.
+const AROUND: f64 = 0.5625;
+const AROUND_CUT: f64 = 1.7;
+/// By how much they are apart on average where noise ends and shape begins, in spacings, and where there is nothing but shape.
+const APART: [f64; 2] = [0.07, 0.14];
+/// From how deep in the fluid on there is no fine surface, for noise has bubbles there, in spacings.
+const DEEP: [f64; 2] = [0.3, 0.9];
+/// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
+const LEAST_VARIANCE: f64 = 0.35;
+/// Those of the widths: in coarse cells they still are as many.
+const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
+/// The widest drops, in spacings, however coarse the cells are.
+const WIDEST_DROP: f64 = 8.0;
+/// Within how many spacings of a particle that stands out drops are drawn, and calm surface at all of any particle.
+const NEAR: f64 = 1.0;
+/// By how much a particle's centre has to lie outside of the calm surface to stand out, in spacings, and to do so wholly.
+const STANDS_OUT: [f64; 2] = [0.4, 1.0];
+/// The standard deviation of what makes drops of particles, in spacings.
+const DROP_WIDTH: f64 = 0.6;
+/// The radius of a particle alone in fine cells, in spacings.
+const DROP_RADIUS: f64 = 0.55;
+/// By how much less it is in others, in spacings over a squared one, and where drops are refined from those: by as much as clouds in
+/// such cells are wider, and splines from them. A drop of one then holds four fifths of a cubed spacing in cells of any size.
+const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
+/// The least radius, for cells that hardly tell of a particle alone.
+const LEAST_DROP_RADIUS: f64 = 0.38;
+/// Where its Gaussian is cut off, in standard deviations.
+const DROP_CUT: f64 = 2.6;
+
+/// The variance of the spline that makes cells of wider ones, in squared wider ones.
+const SPLINE: f64 = 0.25;
+
+/// All that makes distances of clouds but the plateau.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Distances {
+    /// A wide cell, in which the calm surface is made, is 2^`level` cells along an axis.
+    pub level: u32,
+    /// The calm surface.
+    pub bulk: Bulk,
+    /// Within how many wide cells of a particle along each axis there can be a surface.
+    pub near: i32,
+    /// The least sample of a wide cell that holds a particle's centre.
+    pub least: u16,
+    /// Where drops begin.
+    pub gate: Gate,
+    /// Drops are made in cells 2^`drops_level` times as wide: half as wide as wide ones, where those are.
+    pub drops_level: u32,
+    /// Drops.
+    pub drops: Drops,
+    /// The deep inside, where nothing is made.
+    pub inside: Arc<Inside>,
+}
+
+/// Bits that the calm surface's blurs gain: a plateau of 4096 becomes a quarter of what a sample can be, so that a fluid four times as
+/// dense as its spacing says, because that is wrong by half, is still told.
+pub const BULK_GAIN: u32 = 2;
+
+/// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
+fn gaussian(cells: f64, least: f64, cut: f64) -> (Kernel, f64) {
+    let variance = (cells * cells - 0.25).max(least);
+    let kernel = Kernel::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
+    let width = (kernel.variance() + 0.25).sqrt();
+    (kernel, width)
+}
+
+/// From one distance to another, in spacings, over a value that stands for 0.
+fn gate([begin, end]: [f64; 2], zero: i32) -> Gate {
+    let units = |spacings: f64| (spacings * UNITS).round() as i32;
+    Gate::new((zero + units(begin)) as u16, (units(end) - units(begin)) as u16)
+}
+
+impl Distances {
+    /// For particles `spacing` cells apart.
+    #[must_use]
+    pub fn new(smooth: Smooth, spacing: f64) -> Self {
+        let wide = WideCells::of_spacing(spacing);
+        let widths = [0, 1, 2].map(|i: usize| {
+            let cells = WIDTHS[i] * smooth.spacings() / wide.edge;
+            let (kernel, width) = gaussian(cells, LEAST_VARIANCES[i], CUT);
+            let spacings = (width * wide.edge * 4096.0).round() as i32;
+            Width { kernel: kernel.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
+        });
+        // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones: of balls of a few spacings, whose
+        // extrapolation goes somewhat too far, no more than that is missing.
+        let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
+        let share = |narrow: usize| {
+            let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
+            ((a + spline) / (b - a) * 4096.0).round() as i32
+        };
+        let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
+        let around = Kernel::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
+        let amount = f64::from(wide.amount().steps());
+        let bulk = Bulk {
+            shares: [share(0), share(1)],
+            scale: scale(wide.plateau() * f64::from(1 << BULK_GAIN)),
+            widths,
+            around,
+            apart: gate(APART, 0),
+            deep: gate(DEEP, ZERO),
+        };
+        Self {
+            level: wide.level,
+            bulk,
+            near: (NEAR / wide.edge).round().max(1.0) as i32,
+            least: ((amount / 9.0) as u16).max(1),
+            gate: gate(STANDS_OUT, ZERO),
+            drops_level: wide.level.saturating_sub(1),
+            drops: Drops::new(spacing, wide.level.saturating_sub(1)),
+            inside: Arc::default(),
+        }
+    }
+
+    /// The same by a plateau that was measured: the sample under the narrowest width deep in the fluid.
+    #[must_use]
+    pub fn with_plateau(mut self, plateau: u16) -> Self {
+        self.bulk.scale = scale(plateau.into());
+        self
+    }
+
+    /// The same without what lies deep inside.
+    #[must_use]
+    pub fn skipping(self, inside: Inside) -> Self {
+        Self { inside: Arc::new(inside), ..self }
+    }
+
+    /// The part of some cells in which dual cells can be mixed, their lowest corners among them: all but those between cells that are
+    /// inside.
+    #[must_use]
+    pub fn not_inside(&self, cells: CellBox) -> CellBox {
+        let rest = self.inside.rest(self.wide_cells(cells.grown(0, 1)));
+        if rest.is_empty() {
+            return rest;
+        }
+        let further = i32::from(self.level > 0);
+        let rest = rest.grown(further, further);
+        let near = CellBox { lo: rest.lo << self.level, hi: rest.hi << self.level };
+        near.grown(1, 0).intersection(&cells)
+    }
+
+    /// The widest filter of the calm surface reaches so many wide cells.
+    #[must_use]
+    pub fn bulk_reach(&self) -> i32 {
+        self.bulk.widths.iter().map(|width| width.kernel.reach()).max().unwrap_or(0)
+    }
+
+    /// The wide cells on which the calm surface is needed for a field on `cells`.
+    #[must_use]
+    pub fn wide_cells(&self, cells: CellBox) -> CellBox {
+        wide_cells(self.level, cells)
+    }
+
+    /// How far beyond those wide cells decide the field.
+    #[must_use]
+    pub fn wide_halo(&self) -> i32 {
+        self.bulk_reach() + self.near.max(self.bulk.around.reach())
+    }
+
+    /// How far beyond the cells that they are made in those decide the drops.
+    #[must_use]
+    pub fn drops_halo(&self) -> i32 {
+        self.drops.around.reach() + self.drops.spread.reach()
+    }
+
+    /// How far from a full cell there can be a surface, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        (self.near + 2) << self.level
+    }
+
+    /// Every filter.
+    pub fn kernels(&self) -> impl Iterator<Item = &Kernel> {
+        let widths = self.bulk.widths.iter().map(|width| &width.kernel);
+        widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread])
+    }
+
+    /// Bytes that the surface of the bulk takes on some wide cells while it is made.
+    #[must_use]
+    pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
+        let halo = self.wide_halo();
+        6 * volume_bytes(wide.grown(halo, halo))
+    }
+
+    /// Bytes of a block while its field is made, at the most, together with its neighbours where there is room for them.
+    #[must_use]
+    pub fn block_bytes(&self) -> u64 {
+        let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
+        let halo = self.drops_halo();
+        let drops = wide_cells(self.drops_level, cells(BLOCK)).grown(halo, halo);
+        let drops = 4 * volume_bytes(drops) + 4 * volume_bytes(cells(BLOCK));
+        let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
+        self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
+    }
+}
+
+/// Bytes of the samples of some cells.
+fn volume_bytes(cells: CellBox) -> u64 {
+    cells.volume() as u64 * size_of::<u16>() as u64
+}
+
+/// What samples are taken by to be shares of a plateau.
+fn scale(plateau: f64) -> u32 {
+    ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
+}
+
+impl Drops {
+    /// For particles `spacing` cells apart, in cells 2^`level` times as wide.
+    fn new(spacing: f64, level: u32) -> Self {
+        let spacing = spacing / f64::from(1 << level);
+        let cells = DROP_WIDTH * spacing;
+        let (kernel, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
+        let spline = if level > 0 { SPLINE } else { 0.0 };
+        let (spread, _) = gaussian((cells * cells - spline).sqrt(), LEAST_VARIANCE, DROP_CUT);
+        let less = LESS_RADIUS[usize::from(level > 0)];
+        let radius = (DROP_RADIUS - less / (spacing * spacing)).max(LEAST_DROP_RADIUS);
+        let amount = f64::from(Amount::of_spacing(spacing).steps());
+        // What is around a particle alone, at its place: about 2048 to 4096 with the gain.
+        let alone = amount / (width * std::f64::consts::TAU.sqrt()).powi(3);
+        let bits_between = |value: f64, most: f64| {
+            (0..15).take_while(|&bits| value * f64::from(1 << (bits + 1)) <= most).count() as u32
+        };
+        let gain = bits_between(alone, 4096.0);
+        // Of its cloud no more than 27/64 lie in one cell.
+        let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
+        let bits = bits_between(share, 49152.0);
+        Self {
+            around: kernel.gaining(gain),
+            // 1 becomes 32768.
+            spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
+            bits,
+            radius: (radius * UNITS).round() as i32,
+            width: ((width / spacing).min(WIDEST_DROP) * UNITS).round() as i32,
+        }
+    }
+}

@@ -1,0 +1,433 @@
+//! See the room's `mod.rs` for the formulas.
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use glam::{IVec3, UVec3};
+
+use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis, wall_bounds};
+use crate::grid::units::Isovalue;
+use crate::grid::{BIN, CellBox};
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+use super::inside::PART;
+use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
+
+push_block! {
+    /// Of [`DEPTHS_OF`].
+    struct DepthsPush {
+        words: u32,
+        scale: u32,
+        narrow_width: i32,
+        middle_width: i32,
+        wide_width: i32,
+        narrow_most: i32,
+        middle_most: i32,
+        wide_most: i32,
+        fine_share: i32,
+        calm_share: i32,
+    }
+}
+
+push_block! {
+    /// Of [`MIX`].
+    struct MixPush {
+        apart_begin: u32,
+        apart_range: u32,
+        apart_slope: u32,
+        deep_begin: u32,
+        deep_range: u32,
+        deep_slope: u32,
+    }
+}
+
+push_block! {
+    /// Of [`OUTLYING`].
+    struct OutlyingPush {
+        words: u32,
+        least: u32,
+    }
+}
+
+push_block! {
+    /// Of [`REFINE`].
+    struct RefinePush {
+        walls_lo: [i32; 3],
+        level: u32,
+        walls_hi: [i32; 3],
+    }
+}
+
+push_block! {
+    /// Of [`LOOK`].
+    struct LookPush {
+        threshold: u32,
+        begin: u32,
+    }
+}
+
+push_block! {
+    /// Of [`QUOTIENT`].
+    struct QuotientPush {
+        words: u32,
+        bits: u32,
+    }
+}
+
+push_block! {
+    /// Of [`JOIN`].
+    struct JoinPush {
+        begin: u32,
+        range: u32,
+        slope: u32,
+        radius: i32,
+        width: i32,
+    }
+}
+
+push_block! {
+    /// Of [`FULL_BRICKS`].
+    struct FullPush {
+        width: u32,
+        least: u32,
+    }
+}
+
+/// Edge of the largest cubes that bricks can be looked at by on a device, in parts.
+const WIDEST_CUBE: u32 = 4;
+/// Parts along the edge of a bin, and of what lies around it.
+const BIN_PARTS: u32 = (BIN / PART) as u32;
+const MOST_PARTS: u32 = BIN_PARTS + 2 * (WIDEST_CUBE - 1);
+/// Parts that a work group sums up.
+pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
+/// Words of a bit for each cube of them.
+pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
+
+/// The bricks that are full.
+pub const FULL_BRICKS: Program = Program {
+    name: "full_bricks",
+    code: include_bytes!("../../../spirv/full_bricks.spv"),
+    buffers: &["blocks", "field", "bricks"],
+    push: FullPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// The calm surface and the fine one.
+pub const DEPTHS_OF: Program = Program {
+    name: "depths_of",
+    code: include_bytes!("../../../spirv/depths_of.spv"),
+    buffers: &["narrow", "middle", "wide", "depths"],
+    push: DepthsPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// The one that is drawn of both.
+pub const MIX: Program = Program {
+    name: "mix_both",
+    code: include_bytes!("../../../spirv/mix_both.spv"),
+    buffers: &["blocks", "calm", "fine", "apart", "near", "marks"],
+    push: MixPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// By how much particles lie outside of it.
+pub const OUTLYING: Program = Program {
+    name: "outlying",
+    code: include_bytes!("../../../spirv/outlying.spv"),
+    buffers: &["calm", "field"],
+    push: OutlyingPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// One axis of the greatest near by.
+pub const SPREAD: Program = Program {
+    name: "spread",
+    code: include_bytes!("../../../spirv/spread.spv"),
+    buffers: &["blocks", "samples", "filtered"],
+    push: AxisPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Wide cells to cells.
+pub const REFINE: Program = Program {
+    name: "refine",
+    code: include_bytes!("../../../spirv/refine.spv"),
+    buffers: &["blocks", "wide_blocks", "within", "wide", "field"],
+    push: RefinePush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// What can be seen of the wide cells around each region.
+pub const LOOK: Program = Program {
+    name: "look",
+    code: include_bytes!("../../../spirv/look.spv"),
+    buffers: &["blocks", "looks", "bulk", "outlying", "seen"],
+    push: LookPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Shares of clouds in what is around them.
+pub const QUOTIENT: Program = Program {
+    name: "quotient",
+    code: include_bytes!("../../../spirv/quotient.spv"),
+    buffers: &["around", "field"],
+    push: QuotientPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// The calm surface and drops.
+pub const JOIN: Program = Program {
+    name: "join",
+    code: include_bytes!("../../../spirv/join.spv"),
+    buffers: &["parts", "blocks", "homes", "near", "shares", "away", "field"],
+    push: JoinPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Kernels that make distances.
+#[derive(Debug)]
+pub struct Kernels {
+    /// Two surfaces of the bulk: [`DEPTHS_OF`].
+    pub depths: Arc<Kernel>,
+    /// The one that is drawn: [`MIX`].
+    pub mix: Arc<Kernel>,
+    /// What lies outside of it: [`OUTLYING`].
+    pub outlying: Arc<Kernel>,
+    /// The greatest near by: [`SPREAD`].
+    pub spread: Arc<Kernel>,
+    /// Wide cells to cells: [`REFINE`].
+    pub refine: Arc<Kernel>,
+    /// What they show: [`LOOK`].
+    pub look: Arc<Kernel>,
+    /// Shares: [`QUOTIENT`].
+    pub quotient: Arc<Kernel>,
+    /// Both surfaces: [`JOIN`].
+    pub join: Arc<Kernel>,
+    /// What is deep inside: [`FULL_BRICKS`].
+    pub full_bricks: Arc<Kernel>,
+}
+
+/// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too wide for that.
+#[must_use]
+pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
+    let rim = PART * (width as i32 - 1);
+    (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(rim, rim))
+}
+
+/// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a bin.
+///
+/// # Errors
+/// Those of the device.
+pub fn full_bricks(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    (width, least): (u32, u32),
+    [field, bricks]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let views = [&blocks.blocks, field, bricks].map(Clone::clone);
+    batch.dispatch(&kernels.full_bricks, &views, &FullPush { width, least }, [1, blocks.count, 1])
+}
+
+/// The committed tables as kernels take them: of depths, and of how far away shares are.
+#[must_use]
+pub fn tables() -> [Vec<i32>; 2] {
+    [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
+}
+
+/// Makes distances of what is smoothed under each width, narrowest first: the fine surface in place of the first, what both are
+/// apart by in place of the second, and the calm surface in place of the last; `table` is of depths.
+///
+/// # Errors
+/// Those of the device.
+pub fn depths(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    by: &Bulk,
+    table: &View,
+    [narrow, middle, wide]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let Bulk { widths, shares, scale, .. } = by;
+    let push = DepthsPush {
+        words: blocks.words,
+        scale: *scale,
+        narrow_width: widths[0].spacings,
+        middle_width: widths[1].spacings,
+        wide_width: widths[2].spacings,
+        narrow_most: widths[0].most,
+        middle_most: widths[1].most,
+        wide_most: widths[2].most,
+        fine_share: shares[0],
+        calm_share: shares[1],
+    };
+    let views = [narrow, middle, wide, table].map(Clone::clone);
+    batch.dispatch(&kernels.depths, &views, &push, blocks.flat_groups())
+}
+
+/// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the bricks that are inside, by block.
+///
+/// # Errors
+/// Those of the device.
+pub fn mixed(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    by: &Bulk,
+    marks: &View,
+    [calm, fine, apart, near]: [&View; 4],
+) -> Result<(), VulkanError> {
+    let push = MixPush {
+        apart_begin: by.apart.begin.into(),
+        apart_range: by.apart.range.into(),
+        apart_slope: by.apart.slope,
+        deep_begin: by.deep.begin.into(),
+        deep_range: by.deep.range.into(),
+        deep_slope: by.deep.slope,
+    };
+    let views = [&blocks.blocks, calm, fine, apart, near, marks].map(Clone::clone);
+    batch.dispatch(&kernels.mix, &views, &push, blocks.groups())
+}
+
+/// Makes of clouds by how much those that hold a particle lie outside of the calm surface.
+///
+/// # Errors
+/// Those of the device.
+pub fn outlying(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    least: u16,
+    [calm, clouds]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let push = OutlyingPush { words: blocks.words, least: least.into() };
+    batch.dispatch(&kernels.outlying, &[calm, clouds].map(Clone::clone), &push, blocks.flat_groups())
+}
+
+/// The greatest sample within the window along x, then y, then z: from `from` through `to` and `through` into `to`.
+///
+/// # Errors
+/// Those of the device.
+pub fn spread(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    window: Window,
+    views: [&View; 3],
+) -> Result<(), VulkanError> {
+    along_each_axis(batch, &kernels.spread, blocks, window, views, &[], |_| 0)
+}
+
+/// The wide cells around a region, as `look.wgsl` has them.
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Look {
+    lo: [i32; 3],
+    block: u32,
+    size: [u32; 3],
+    spare: u32,
+}
+
+impl Look {
+    /// At some cells of block number `block`.
+    #[must_use]
+    pub fn new(cells: CellBox, block: u32) -> Self {
+        Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
+    }
+
+    /// A box around the cells near which particles stand out, if they do.
+    #[must_use]
+    pub fn outlying(&self, seen: &Seen) -> Option<CellBox> {
+        let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
+        (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
+    }
+}
+
+/// What can be seen of a [`Look`].
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Seen {
+    /// Whether any cell is inside.
+    pub above: u32,
+    /// Whether any is not.
+    pub below: u32,
+    lo: [u32; 3],
+    hi: [u32; 3],
+}
+
+/// Looks at `count` regions of wide `blocks`: what each shows by an isovalue, and where particles stand out as a gate says, goes into
+/// `seen`.
+///
+/// # Errors
+/// Those of the device.
+pub fn look(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    count: u32,
+    (iso, gate): (Isovalue, &Gate),
+    [looks, bulk, outlying, seen]: [&View; 4],
+) -> Result<(), VulkanError> {
+    let push = LookPush { threshold: iso.threshold().into(), begin: gate.begin.into() };
+    let views = [&blocks.blocks, looks, bulk, outlying, seen].map(Clone::clone);
+    batch.dispatch(&kernels.look, &views, &push, [1, count, 1])
+}
+
+/// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the one whose number is in `within`.
+///
+/// # Errors
+/// Those of the device.
+pub fn refine(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    [wide, blocks]: [&DeviceBlocks; 2],
+    within: &View,
+    level: u32,
+    walls: Option<CellBox>,
+    [from, to]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let push = RefinePush { walls_lo, level, walls_hi };
+    let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
+    batch.dispatch(&kernels.refine, &views, &push, blocks.run_groups())
+}
+
+/// Makes shares of clouds in what is around them.
+///
+/// # Errors
+/// Those of the device.
+pub fn quotient(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    bits: u32,
+    [clouds, around]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let push = QuotientPush { words: blocks.words, bits };
+    batch.dispatch(&kernels.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
+}
+
+/// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the number of the block that each part is
+/// of, and `table` how far away shares are. What is near and the shares are of the parts.
+///
+/// # Errors
+/// Those of the device.
+pub fn join(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    [parts, blocks]: [&DeviceBlocks; 2],
+    homes: &View,
+    (drops, gate): (&Drops, &Gate),
+    table: &View,
+    [bulk, near, shares]: [&View; 3],
+) -> Result<(), VulkanError> {
+    let push = JoinPush {
+        begin: gate.begin.into(),
+        range: gate.range.into(),
+        slope: gate.slope,
+        radius: drops.radius,
+        width: drops.width,
+    };
+    let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, bulk].map(Clone::clone);
+    batch.dispatch(&kernels.join, &views, &push, parts.groups())
+}

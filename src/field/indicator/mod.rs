@@ -1,0 +1,189 @@
+//! The discrete indicator function (section 4.1), as integers of 0 to 65535.
+//!
+//! Counting (eq. 6): theta = min(N, mu0) / mu0, rounded to the nearest integer.
+//!
+//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). With N particles whose offsets in the cell sum
+//! to S in steps of h / F, each offset standing for the middle of its step, the centroid is at
+//! (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with D = |2 S + N - N F|.
+//!
+//! Both depend on the cell's own particles alone, and jump where a particle passes from one cell to the next: layers of
+//! particles that lie along layers of cells move the surface by as much as a cell. A full cell's theta is never 0: the
+//! farthest centroid is half a step away from a corner.
+//!
+//! Cloud, which is this project's, is no share of fluid but a density: rho A, at most 65535, where rho counts particles as
+//! clouds, and A is the [`Amount`] that suits the cells. A particle lies around its place as the quadratic B-spline does, the
+//! triangular-shaped cloud of Hockney and Eastwood (Computer Simulation Using Particles, 1988): at u of a cell's edge along an
+//! axis, a share of (1 - u)^2 / 2 falls to the cell below, u^2 / 2 to the one above, and the rest to its own. Cells then hold
+//! the particles' number, their centroid and how wide they lie, save for a constant, and nothing jumps. All cells around a
+//! particle's own can hold something of it. What is drawn by it: see [`distance`](super::distance).
+
+mod cloud;
+mod cpu;
+mod sampled;
+pub mod vulkan;
+mod wide;
+
+pub use cloud::{Amount, RIM, SHARE_BITS, SQUARE_BITS};
+pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
+pub use sampled::SampledDif;
+pub use wide::WideCells;
+
+use crate::brick::{BrickSide, DifField, PageShape};
+use crate::grid::CellBox;
+use crate::grid::units::{FULL, MeanCount};
+
+/// The kinds of indicators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum IndicatorKind {
+    /// By how far a cell's particles lie from its centre on average (eq. 7).
+    Symmetry,
+    /// By their number (eq. 6).
+    Counting,
+    /// By how much of their clouds lies in a cell.
+    #[default]
+    Cloud,
+}
+
+/// An indicator as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct IndicatorRequest {
+    /// Its kind.
+    pub kind: IndicatorKind,
+    /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Only counting has a use for it.
+    pub mean: Option<MeanCount>,
+}
+
+/// An indicator with what it has to know.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Indicator {
+    /// [`IndicatorKind::Symmetry`].
+    Symmetry,
+    /// [`IndicatorKind::Counting`] with its `mu0`.
+    Counting(MeanCount),
+    /// [`IndicatorKind::Cloud`] with what a particle adds.
+    Cloud(Amount),
+}
+
+/// Meaning of the samples in pages.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Content {
+    /// The DIF by symmetry.
+    Symmetry,
+    /// Numbers of particles, which become the DIF once `mu0` is known.
+    Counts,
+    /// Sums of the clouds of a page's own particles, of so much each.
+    Clouds(Amount),
+}
+
+/// How pages are made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PageRule {
+    /// The samples that are stored.
+    pub content: Content,
+    /// How it is stored.
+    pub side: BrickSide,
+    /// Walls, if the fluid is in a tank.
+    pub walls: Option<CellBox>,
+}
+
+impl PageRule {
+    /// How the samples lie.
+    #[must_use]
+    pub fn shape(&self) -> PageShape {
+        self.content.kind().shape(self.side)
+    }
+}
+
+impl Content {
+    fn kind(self) -> IndicatorKind {
+        match self {
+            Self::Symmetry => IndicatorKind::Symmetry,
+            Self::Counts => IndicatorKind::Counting,
+            Self::Clouds(_) => IndicatorKind::Cloud,
+        }
+    }
+}
+
+impl IndicatorKind {
+    /// What it is called.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Symmetry => "symmetry",
+            Self::Counting => "counting",
+            Self::Cloud => "cloud",
+        }
+    }
+
+    /// Whether it has to know mu0.
+    #[must_use]
+    pub fn counts(self) -> bool {
+        self == Self::Counting
+    }
+
+    /// The bricks that suit it: rims weigh less around large ones.
+    #[must_use]
+    pub fn brick_side(self) -> BrickSide {
+        if self == Self::Cloud { BrickSide::Sixteen } else { BrickSide::default() }
+    }
+
+    /// How what it stores lies in pages.
+    #[must_use]
+    pub fn shape(self, side: BrickSide) -> PageShape {
+        PageShape { side, rim: if self == Self::Cloud { RIM } else { 0 } }
+    }
+}
+
+/// Asks for mu0 to be measured.
+impl From<IndicatorKind> for IndicatorRequest {
+    fn from(kind: IndicatorKind) -> Self {
+        Self { kind, mean: None }
+    }
+}
+
+impl Indicator {
+    /// Its kind.
+    #[must_use]
+    pub fn kind(self) -> IndicatorKind {
+        match self {
+            Self::Symmetry => IndicatorKind::Symmetry,
+            Self::Counting(_) => IndicatorKind::Counting,
+            Self::Cloud(_) => IndicatorKind::Cloud,
+        }
+    }
+
+    /// mu0, where it counts.
+    #[must_use]
+    pub fn mean(self) -> Option<MeanCount> {
+        match self {
+            Self::Symmetry | Self::Cloud(_) => None,
+            Self::Counting(mean) => Some(mean),
+        }
+    }
+
+    /// Meaning of the samples in its pages.
+    #[must_use]
+    pub fn content(self) -> Content {
+        match self {
+            Self::Symmetry => Content::Symmetry,
+            Self::Counting(_) => Content::Counts,
+            Self::Cloud(amount) => Content::Clouds(amount),
+        }
+    }
+
+    /// The DIF by what was stored.
+    #[must_use]
+    pub fn decode(self, stored: DifField) -> DifField {
+        match self {
+            Self::Counting(mean) => stored.with_decode(&count_table(mean)),
+            _ => stored,
+        }
+    }
+}
+
+/// Eq. 6: theta by the number of particles, up to `mean`; beyond, it is 1.
+#[must_use]
+pub fn count_table(mean: MeanCount) -> Vec<u16> {
+    let mean = mean.particles();
+    (0..=mean.floor() as u32).map(|n| (f64::from(n) / mean * f64::from(FULL)).round() as u16).collect()
+}

@@ -1,0 +1,258 @@
+//! What a frame will take of memory and disk, known once its particles are counted by bin and before
+//! anything is stored for them; and how to share a budget that is smaller than that.
+//!
+//! Every stage says what it takes; here it is added up.
+
+use bytesize::ByteSize;
+use glam::IVec3;
+use thiserror::Error;
+
+use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
+use crate::grid::units::MemoryBudget;
+use crate::grid::{BIN, BLOCK, MortonKey};
+use crate::surface::attribute;
+use crate::surface::dual_mc::{bin_vertices, block_vertices};
+use crate::surface::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
+use crate::surface::stitch::writing_bytes;
+
+/// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
+const PROGRAM: u64 = 6 << 20;
+const THREAD: u64 = 5 << 18;
+/// Blocks that each thread meshes before their surfaces go to the others, at the least.
+pub const BLOCKS_A_THREAD: usize = 2;
+
+/// The smallest budget that is worth a try.
+pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
+
+/// Bytes, by what they are for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Estimate {
+    /// The program, its threads, its backend, and an input that had to be unpacked or decoded.
+    pub program: u64,
+    /// Tables of bins.
+    pub index: u64,
+    /// What is kept of the first reading until particles are sorted.
+    pub places: u64,
+    /// Sorted particles, with their attributes.
+    pub particles: u64,
+    /// The same particles in a scratch file, not yet sorted: what they take there at the least.
+    pub spilled: u64,
+    /// The DIF, at the most.
+    pub field: u64,
+    /// The surface before it is written, at the most.
+    pub surface: u64,
+    /// Whether particles are needed until the surface is done, for their attributes.
+    pub carried: bool,
+}
+
+/// Memory that drawing a surface takes, as its stages say.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Drawing {
+    /// Bytes of a block while its field is made.
+    pub block_bytes: u64,
+    /// How far from a cell particles decide its attributes, in cells.
+    pub carried_halo: i32,
+    /// Whether every drop and every sheet can have a surface.
+    pub keeps_details: bool,
+    /// Vertices around a particle alone.
+    pub vertices_alone: u64,
+    /// How many times the DIF is kept once more in cells twice as wide.
+    pub wide_levels: u32,
+    /// Whether vertices get normals.
+    pub normals: bool,
+    /// Components of each attribute on the vertices.
+    pub components: Vec<usize>,
+}
+
+/// How a frame is brought under its budget.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Plan {
+    /// Everything fits; nothing touches the disk.
+    InCore,
+    /// What exceeds its share goes to scratch files.
+    OutOfCore(Shares),
+}
+
+/// Bytes that may be resident at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shares {
+    /// Of particles being sorted.
+    pub particles: u64,
+    /// Of the DIF.
+    pub field: u64,
+    /// Of the surface.
+    pub surface: u64,
+}
+
+/// A frame that cannot be brought under its budget.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error(
+    "with a cell size of {cell_size} the tables of bins alone need more than the {} of memory that may be \
+     used; a cell size of {fitting_cell_size} fits; or allow more with --memory",
+    ByteSize(*budget)
+)]
+pub struct OverBudget {
+    /// What was asked for.
+    pub cell_size: f64,
+    /// Bytes that may be used.
+    pub budget: u64,
+    /// The smallest doubling of the cell size that fits.
+    pub fitting_cell_size: f64,
+}
+
+impl Drawing {
+    /// Bytes of a vertex, without its tile.
+    fn vertex_bytes(&self) -> u64 {
+        vertex_bytes(self.normals, &self.components)
+    }
+
+    /// Bytes that each thread takes.
+    fn thread_bytes(&self) -> u64 {
+        let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
+        let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
+        let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
+        let vertices = block_vertices(self.keeps_details);
+        let meshing = carrying.max(self.block_bytes)
+            + BLOCKS_A_THREAD as u64 * block_bytes(vertices, self.vertex_bytes());
+        THREAD + meshing.max(writing_bytes(vertices))
+    }
+}
+
+/// Bytes of the pages of cells 2, 4, ... times as wide, at the most, by how many samples can be other than 0 in each bin.
+fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
+    let page = |nonzero: usize| PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64;
+    // Of each level the page that is being added up: bins of one follow one another.
+    let mut open: Vec<(IVec3, usize)> = vec![(IVec3::MAX, 0); levels as usize];
+    let mut bytes = 0;
+    for (key, nonzero) in bins {
+        for (level, (coord, sum)) in (1..).zip(&mut open) {
+            let wide = key.coord() >> level;
+            if wide != *coord {
+                bytes += page(std::mem::take(sum));
+                *coord = wide;
+            }
+            *sum = sum.saturating_add(nonzero);
+        }
+    }
+    bytes + open.into_iter().map(|(_, sum)| page(sum)).sum::<u64>()
+}
+
+impl Estimate {
+    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input and a
+    /// backend of which `in_memory` bytes are taken all the time.
+    #[must_use]
+    pub fn of(
+        bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
+        shape: Option<PageShape>,
+        drawing: &Drawing,
+        in_memory: u64,
+    ) -> Self {
+        let mut estimate = Self::of_program(drawing, in_memory);
+        let nonzero = |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
+        let page = |count: usize, shape: PageShape| {
+            let bricks = count.min(shape.side.bricks_a_bin());
+            PageSamples::most_bytes(nonzero(count, shape), bricks, shape) as u64
+        };
+        if let Some(shape) = shape {
+            let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
+            estimate.field += wide_bytes(by_bin, drawing.wide_levels);
+        }
+        for (_, count) in bins {
+            estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
+            estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
+            estimate.add_bin(count as u64, shape.map_or(0, |shape| page(count, shape)), drawing);
+        }
+        estimate
+    }
+
+    /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
+    #[must_use]
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing, in_memory: u64) -> Self {
+        let mut estimate = Self::of_program(drawing, in_memory);
+        let nonzero = |page: &PageInfo| (page.key, page.full_count as usize * shape.cells_a_particle());
+        estimate.field += wide_bytes(pages.iter().map(nonzero), drawing.wide_levels);
+        for page in pages {
+            estimate.add_bin(page.full_count.into(), page.most_bytes(shape) as u64, drawing);
+        }
+        estimate
+    }
+
+    fn of_program(drawing: &Drawing, in_memory: u64) -> Self {
+        let threads = drawing.thread_bytes() * rayon::current_num_threads() as u64;
+        let carried = !drawing.components.is_empty();
+        Self { program: PROGRAM + threads + in_memory, carried, ..Self::default() }
+    }
+
+    /// Adds a bin of so many particles, and so many bytes of the DIF.
+    fn add_bin(&mut self, particles: u64, field: u64, drawing: &Drawing) {
+        self.index += Bins::TABLE_BYTES;
+        self.field += field;
+        self.surface +=
+            (drawing.vertex_bytes() + TILE_SHARE) * bin_vertices(particles, drawing.vertices_alone);
+    }
+
+    /// The peak with everything in memory.
+    #[must_use]
+    pub fn in_core(&self) -> u64 {
+        let meshing = self.field + self.particles.max(self.surface + self.beside_the_surface());
+        self.program + self.index + meshing.max(self.places + self.particles)
+    }
+
+    /// Particles that carry attributes are needed until the surface is done.
+    fn beside_the_surface(&self) -> u64 {
+        if self.carried { self.particles } else { 0 }
+    }
+
+    /// Disk that scratch files take under a plan, at the most.
+    #[must_use]
+    pub fn scratch(&self, plan: Plan) -> u64 {
+        let Plan::OutOfCore(shares) = plan else { return 0 };
+        let beyond = |bytes: u64, share: u64| if bytes > share { bytes } else { 0 };
+        self.particles * if self.carried { 2 } else { 1 }
+            + beyond(self.field, shares.field)
+            + beyond(self.surface, shares.surface)
+    }
+
+    /// Disk that scratch files take under a plan, at the least.
+    #[must_use]
+    pub fn least_scratch(&self, plan: Plan) -> u64 {
+        match plan {
+            Plan::InCore => 0,
+            Plan::OutOfCore(_) => self.spilled + self.beside_the_surface(),
+        }
+    }
+
+    /// How to keep to `budget`.
+    #[must_use]
+    pub fn plan(&self, budget: MemoryBudget) -> Plan {
+        if self.in_core() <= budget.0 {
+            return Plan::InCore;
+        }
+        let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
+        Plan::OutOfCore(Shares { particles: left / 2, field: left / 4, surface: left / 4 })
+    }
+
+    /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a scratch file. The
+    /// estimate of a surface is no promise: a low isovalue or a wide filter can make it larger.
+    #[must_use]
+    pub fn surface_share(&self, budget: MemoryBudget) -> u64 {
+        match self.plan(budget) {
+            Plan::OutOfCore(shares) => shares.surface,
+            Plan::InCore => {
+                let others = self.program + self.index + self.field + self.beside_the_surface();
+                budget.0.saturating_sub(others)
+            }
+        }
+    }
+
+    /// The peak under a plan.
+    #[must_use]
+    pub fn peak(&self, plan: Plan) -> u64 {
+        match plan {
+            Plan::InCore => self.in_core(),
+            Plan::OutOfCore(Shares { particles, field, surface }) => {
+                self.program + self.index + particles.max(surface) + field
+            }
+        }
+    }
+}

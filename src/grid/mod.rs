@@ -1,0 +1,410 @@
+//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of a tank.
+//!
+//! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open. Everything
+//! finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums over particles
+//! are integers and their order cannot matter.
+
+pub mod units;
+
+use glam::{DVec3, IVec3};
+use hashbrown::HashMap;
+use thiserror::Error;
+
+use crate::grid::units::{UnitError, positive_length};
+
+/// Bits of a particle's offset in its cell.
+pub const FRACTION_BITS: u32 = 13;
+/// Fixed-point steps per cell edge, the paper's `F` in our integer formulas.
+pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
+
+/// Edge of a tile in cells: 64 cells, one machine word of signs.
+pub const TILE: i32 = 4;
+/// Edge of a bin in cells: the unit in which particles are sorted and DIF bricks are paged.
+pub const BIN: i32 = 16;
+/// Edge of a block in cells: the unit in which the field is smoothed and meshed.
+pub const BLOCK: i32 = 32;
+/// Tiles of a block.
+pub const BLOCK_TILES: u32 = (BLOCK / TILE).pow(3) as u32;
+
+/// Cells from the origin to the end of the addressable grid, along each half axis: what a Morton key of
+/// 21 bits an axis can name in tiles, less a margin for whatever the widest filter reaches.
+pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
+
+/// [`CELL_LIMIT`] in fixed-point steps.
+pub const STEP_LIMIT: f64 = CELL_LIMIT as f64 * FRACTIONS as f64;
+
+/// The sampling grid: cubic cells of edge `cell`, anchored at `origin`, unbounded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    origin: DVec3,
+    cell: f64,
+}
+
+/// A position that the grid cannot hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unplaced {
+    /// A coordinate is NaN or infinite.
+    NotFinite,
+    /// A coordinate is more than [`CELL_LIMIT`] cells from the origin.
+    TooFar,
+}
+
+impl Grid {
+    /// A grid of cells with edge `cell` whose cell (0, 0, 0) has its lowest corner at `origin`.
+    ///
+    /// # Errors
+    /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`] unless the origin is.
+    pub fn new(origin: DVec3, cell: f64) -> Result<Self, UnitError> {
+        positive_length("the cell size", cell)?;
+        match origin.to_array().iter().find(|x| !x.is_finite()) {
+            Some(&value) => Err(UnitError::NotFinite { what: "the origin's coordinates", value }),
+            None => Ok(Self { origin, cell }),
+        }
+    }
+
+    /// Edge of a cell, in the particles' unit of length.
+    #[must_use]
+    pub fn cell_size(&self) -> f64 {
+        self.cell
+    }
+
+    /// The lowest corner of cell (0, 0, 0).
+    #[must_use]
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// A world position in cells: integers are cell faces.
+    #[must_use]
+    #[inline(always)]
+    pub fn cells_from_world(&self, world: [f64; 3]) -> [f64; 3] {
+        [
+            (world[0] - self.origin.x) / self.cell,
+            (world[1] - self.origin.y) / self.cell,
+            (world[2] - self.origin.z) / self.cell,
+        ]
+    }
+
+    /// The inverse of [`cells_from_world`](Self::cells_from_world).
+    #[must_use]
+    pub fn world_from_cells(&self, cells: DVec3) -> DVec3 {
+        self.origin + self.cell * cells
+    }
+
+    /// A position in steps of 1 / [`FRACTIONS`] of a cell from the origin, rounded down: the cell, and behind it
+    /// [`FRACTION_BITS`] of the offset in it.
+    ///
+    /// # Errors
+    /// [`Unplaced`] where the grid does not reach.
+    pub fn place(&self, world: [f64; 3]) -> Result<[i64; 3], Unplaced> {
+        // Multiplying by a power of two is exact, and so is every step below.
+        let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
+        // Comparisons that NaN fails too.
+        if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
+            let finite = world.iter().all(|x| x.is_finite());
+            return Err(if finite { Unplaced::TooFar } else { Unplaced::NotFinite });
+        }
+        Ok(steps.map(|s| s as i64))
+    }
+}
+
+/// Cells from `lo` to just before `hi`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CellBox {
+    /// Lowest cell.
+    pub lo: IVec3,
+    /// One past the highest cell.
+    pub hi: IVec3,
+}
+
+impl CellBox {
+    /// Contains nothing, and becomes what it is united with.
+    pub const EMPTY: Self = Self { lo: IVec3::MAX, hi: IVec3::MIN };
+
+    /// A cube of `edge` cells whose coordinates count in such cubes.
+    #[must_use]
+    pub fn cube(coord: IVec3, edge: i32) -> Self {
+        Self { lo: coord * edge, hi: (coord + 1) * edge }
+    }
+
+    /// Whether there is no cell in it.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.lo.cmpge(self.hi).any()
+    }
+
+    /// Edge lengths in cells.
+    #[must_use]
+    pub fn size(&self) -> IVec3 {
+        self.hi - self.lo
+    }
+
+    /// Number of cells.
+    #[must_use]
+    pub fn volume(&self) -> usize {
+        if self.is_empty() { 0 } else { self.size().as_usizevec3().element_product() }
+    }
+
+    /// Whether `cell` is in it.
+    #[must_use]
+    pub fn contains(&self, cell: IVec3) -> bool {
+        cell.cmpge(self.lo).all() && cell.cmplt(self.hi).all()
+    }
+
+    /// Whether all of `other` is in it.
+    #[must_use]
+    pub fn covers(&self, other: &Self) -> bool {
+        other.lo.cmpge(self.lo).all() && other.hi.cmple(self.hi).all()
+    }
+
+    /// Larger by `below` cells at every lower face and `above` at every upper one.
+    #[must_use]
+    pub fn grown(&self, below: i32, above: i32) -> Self {
+        Self { lo: self.lo - below, hi: self.hi + above }
+    }
+
+    /// What both contain.
+    #[must_use]
+    pub fn intersection(&self, other: &Self) -> Self {
+        Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
+    }
+
+    /// The smallest box around both.
+    #[must_use]
+    pub fn union(&self, other: &Self) -> Self {
+        Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
+    }
+
+    /// The smallest box of whole tiles around it.
+    #[must_use]
+    pub fn tiled(&self) -> Self {
+        let tile = IVec3::splat(TILE);
+        Self { lo: self.lo.div_euclid(tile) * TILE, hi: (self.hi + (TILE - 1)).div_euclid(tile) * TILE }
+    }
+
+    /// The coordinates of the cubes of `edge` cells that it touches, x fastest.
+    pub fn cubes(&self, edge: i32) -> impl Iterator<Item = IVec3> + use<> {
+        let edge = IVec3::splat(edge);
+        let lo = self.lo.div_euclid(edge);
+        let hi = if self.is_empty() { lo } else { (self.hi - 1).div_euclid(edge) + 1 };
+        (lo.z..hi.z)
+            .flat_map(move |z| (lo.y..hi.y).flat_map(move |y| (lo.x..hi.x).map(move |x| IVec3::new(x, y, z))))
+    }
+}
+
+/// The parts of blocks that some boxes touch, a box around each, in the Morton order of their blocks.
+#[must_use]
+pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
+    let mut parts: HashMap<IVec3, CellBox> = HashMap::new();
+    for cells in boxes {
+        for block in cells.cubes(BLOCK) {
+            let part = parts.entry(block).or_insert(CellBox::EMPTY);
+            *part = part.union(&cells.intersection(&CellBox::cube(block, BLOCK)));
+        }
+    }
+    let mut parts: Vec<_> = parts.into_iter().collect();
+    parts.sort_unstable_by_key(|&(block, _)| MortonKey::of(block));
+    parts.into_iter().map(|(_, cells)| cells).collect()
+}
+
+/// A cube's place on the Morton curve: 21 bits an axis, biased so that negative coordinates come first.
+///
+/// Order of keys is order on the curve, whatever the cubes' edge; a cube's children are consecutive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MortonKey(pub u64);
+
+impl MortonKey {
+    const BIAS: i32 = 1 << 20;
+
+    /// The key of the cube at `coord`, counted in cubes.
+    ///
+    /// # Panics
+    /// Beyond 2^20 cubes from the origin; [`CELL_LIMIT`] keeps cells well within.
+    #[must_use]
+    pub fn of(coord: IVec3) -> Self {
+        let biased = (coord + Self::BIAS).as_uvec3();
+        assert!(biased.max_element() < 1 << 21, "{coord} is beyond the Morton range");
+        Self(spread(biased.x) | spread(biased.y) << 1 | spread(biased.z) << 2)
+    }
+
+    /// The inverse of [`of`](Self::of).
+    #[must_use]
+    pub fn coord(self) -> IVec3 {
+        let axis = |shift: u32| gather(self.0 >> shift) as i32;
+        IVec3::new(axis(0), axis(1), axis(2)) - Self::BIAS
+    }
+}
+
+/// The Morton index of a cube among the siblings in a parent of at most 2^10 cubes an axis.
+#[must_use]
+pub fn local_morton(local: IVec3) -> usize {
+    let local = local.as_uvec3();
+    (spread(local.x) | spread(local.y) << 1 | spread(local.z) << 2) as usize
+}
+
+/// The inverse of [`local_morton`].
+#[must_use]
+pub fn local_from_morton(index: usize) -> IVec3 {
+    let axis = |shift: u32| gather(index as u64 >> shift) as i32;
+    IVec3::new(axis(0), axis(1), axis(2))
+}
+
+/// Moves bit i to bit 3 i, for 21 bits.
+fn spread(bits: u32) -> u64 {
+    let mut x = u64::from(bits);
+    for (shift, mask) in [
+        (32, 0x001f_0000_0000_ffff),
+        (16, 0x001f_0000_ff00_00ff),
+        (8, 0x100f_00f0_0f00_f00f),
+        (4, 0x10c3_0c30_c30c_30c3),
+        (2, 0x1249_2492_4924_9249),
+    ] {
+        x = (x | x << shift) & mask;
+    }
+    x
+}
+
+/// Moves bit 3 i to bit i and drops the others.
+fn gather(bits: u64) -> u32 {
+    let mut x = bits & 0x1249_2492_4924_9249;
+    for (shift, mask) in [
+        (2, 0x10c3_0c30_c30c_30c3),
+        (4, 0x100f_00f0_0f00_f00f),
+        (8, 0x001f_0000_ff00_00ff),
+        (16, 0x001f_0000_0000_ffff),
+        (32, 0x0000_0000_001f_ffff),
+    ] {
+        x = (x | x >> shift) & mask;
+    }
+    x as u32
+}
+
+/// A box with walls that the fluid cannot leave.
+///
+/// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost layer
+/// of cells reaches to the wall, from half a cell up to one and a half.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Domain {
+    lo: DVec3,
+    hi: DVec3,
+    cells: CellBox,
+}
+
+/// A box that cannot be a domain.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum DomainError {
+    /// The corners are not in order, or not finite.
+    #[error("the domain's corners must be finite, and the second above the first along every axis")]
+    Corners,
+    /// Too thin for a single layer of cells.
+    #[error("the domain holds no cell centre along {axis}; use a smaller cell size")]
+    Thin {
+        /// x, y or z.
+        axis: char,
+    },
+    /// Beyond the grid.
+    #[error("the domain reaches more than {CELL_LIMIT} cells from the origin; use a larger cell size")]
+    TooFar,
+}
+
+impl Domain {
+    /// The box from `lo` to `hi` in world coordinates, on `grid`.
+    ///
+    /// # Errors
+    /// [`DomainError`] where the box is empty, thinner than a cell or beyond the grid.
+    pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
+        if !(lo.is_finite() && hi.is_finite() && lo.cmplt(hi).all()) {
+            return Err(DomainError::Corners);
+        }
+        let lo_cells = DVec3::from(grid.cells_from_world(lo.to_array()));
+        let hi_cells = DVec3::from(grid.cells_from_world(hi.to_array()));
+        let limit = f64::from(CELL_LIMIT);
+        if lo_cells.min_element() < -limit || hi_cells.max_element() >= limit {
+            return Err(DomainError::TooFar);
+        }
+        // Cell k is in when lo < k + 1/2 < hi.
+        let cells = CellBox {
+            lo: ((lo_cells - 0.5).floor() + 1.0).as_ivec3(),
+            hi: (hi_cells - 0.5).ceil().as_ivec3(),
+        };
+        let thin = cells.lo.cmpge(cells.hi);
+        match (0..3).find(|&axis| thin.test(axis)) {
+            Some(axis) => Err(DomainError::Thin { axis: ['x', 'y', 'z'][axis] }),
+            None => Ok(Self { lo, hi, cells }),
+        }
+    }
+
+    /// Its cells.
+    #[must_use]
+    pub fn cells(&self) -> CellBox {
+        self.cells
+    }
+
+    /// Its lower and upper corner, in world coordinates.
+    #[must_use]
+    pub fn walls(&self) -> [DVec3; 2] {
+        [self.lo, self.hi]
+    }
+
+    /// Whether a particle counts: walls belong to the domain.
+    #[must_use]
+    #[inline(always)]
+    pub fn contains(&self, world: [f64; 3]) -> bool {
+        (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
+    }
+
+    /// The first and the last step of its cells, along each axis: particles between the outermost cells and a wall
+    /// are put on the nearest of them.
+    #[must_use]
+    pub fn step_range(&self) -> [[i64; 3]; 2] {
+        let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
+        [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn morton_keys_round_trip_and_sort_negative_coordinates_first() {
+        for coord in
+            [IVec3::ZERO, IVec3::new(-1, 5, 77), IVec3::splat(-(1 << 20)), IVec3::splat((1 << 20) - 1)]
+        {
+            assert_eq!(MortonKey::of(coord).coord(), coord);
+        }
+        assert!(MortonKey::of(IVec3::NEG_ONE) < MortonKey::of(IVec3::ZERO));
+        for index in 0..512 {
+            assert_eq!(local_morton(local_from_morton(index)), index);
+        }
+    }
+
+    #[test]
+    fn a_position_is_its_cell_and_offset_rounded_down() {
+        let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
+        let steps = grid.place([-0.125, 0.5, 0.749_999_9]).unwrap();
+        assert_eq!(steps, [-8192 + 6144, 8192, 8192 + 4095]);
+        assert_eq!(grid.place([f64::NAN, 0.0, 0.0]), Err(Unplaced::NotFinite));
+        assert_eq!(grid.place([0.0, f64::INFINITY, 0.0]), Err(Unplaced::NotFinite));
+        assert_eq!(grid.place([0.0, 0.0, 1e30]), Err(Unplaced::TooFar));
+    }
+
+    #[test]
+    fn a_tiny_negative_coordinate_stays_in_the_cell_below() {
+        let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
+        assert_eq!(grid.place([-1e-20, 0.0, 0.0]), Ok([-1, 0, 0]));
+    }
+
+    #[test]
+    fn a_domains_cells_are_those_with_their_centre_inside() {
+        let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
+        let aligned = Domain::new(&grid, DVec3::ZERO, DVec3::new(0.3, 0.7, 1.0)).unwrap();
+        assert_eq!(aligned.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::new(3, 7, 10) });
+        let off = Domain::new(&grid, DVec3::splat(-0.04), DVec3::splat(0.26)).unwrap();
+        assert_eq!(off.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) });
+        assert_eq!(
+            Domain::new(&grid, DVec3::ZERO, DVec3::new(1.0, 0.04, 1.0)),
+            Err(DomainError::Thin { axis: 'y' })
+        );
+    }
+}

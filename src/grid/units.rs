@@ -1,0 +1,222 @@
+//! Numbers that carry a meaning, checked once where they are made.
+//!
+//! Symbols follow the paper: isovalue `c`, standard deviation `sigma`, particle mean `mu0`.
+
+use thiserror::Error;
+
+/// The value that stands for an indicator of exactly 1 in every integer field.
+pub const FULL: u16 = u16::MAX;
+
+/// A number outside of the range that its meaning allows.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum UnitError {
+    /// An isovalue must cut the field.
+    #[error("the isovalue must lie between 0 and 1, both excluded; {0} does not")]
+    Isovalue(f64),
+    /// The width of the Gaussian.
+    #[error("sigma must be more than 0 and at most {max} cells; {0} is not", max = Sigma::MAX)]
+    Sigma(f64),
+    /// The mean number of particles in a full cell.
+    #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
+    MeanCount(f64),
+    /// The width of what makes water calm.
+    #[error("--smooth must be from {least} to {most} spacings; {0} is not", least = Smooth::LEAST, most = Smooth::MOST)]
+    Smooth(f64),
+    /// How far a simplified surface may lie from the one that it replaces.
+    #[error("--simplify must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
+    Tolerance(f64),
+    /// A coordinate that must be finite.
+    #[error("{what} must be finite numbers; {value} is not")]
+    NotFinite {
+        /// What the coordinates are of.
+        what: &'static str,
+        /// The one that is not.
+        value: f64,
+    },
+    /// A length that must be positive.
+    #[error("{what} must be a positive length; {value} is not")]
+    Length {
+        /// What the length measures.
+        what: &'static str,
+        /// What was given.
+        value: f64,
+    },
+}
+
+/// Checks that `value` can be used as a length.
+///
+/// # Errors
+/// [`UnitError::Length`] where it is not positive and finite.
+pub fn positive_length(what: &'static str, value: f64) -> Result<f64, UnitError> {
+    (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { what, value })
+}
+
+/// A length as people read it: in decimals where these are few, else by its power of ten.
+#[must_use]
+pub fn shown(length: f64) -> String {
+    match length.abs() {
+        size if size == 0.0 || (0.01..1e9).contains(&size) => format!("{length:.6}"),
+        _ => format!("{length:.6e}"),
+    }
+}
+
+/// The isovalue `c`, held as an integer plus one half on the scale of the field.
+///
+/// A sample is inside the fluid when it is greater than [`threshold`](Self::threshold). No sample can
+/// be equal to `threshold + 1/2`, so no vertex ever falls on a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Isovalue(u16);
+
+impl Isovalue {
+    /// The isovalue nearest to `c`, 0 < `c` < 1.
+    ///
+    /// # Errors
+    /// [`UnitError::Isovalue`] outside of that range.
+    pub fn new(c: f64) -> Result<Self, UnitError> {
+        if !(c > 0.0 && c < 1.0) {
+            return Err(UnitError::Isovalue(c));
+        }
+        Ok(Self(((c * f64::from(FULL)) as u16).min(FULL - 1)))
+    }
+
+    /// The share of its interior plateau at which a smoothed field crosses the true surface, in hundredths: what leaves no
+    /// bias on surfaces of known bodies, on average over both indicators, cells of 0.5 to 1.5 spacings, and where the
+    /// particles' lattice lies on the grid (`tools/evaluate isovalue`).
+    pub const PLATEAU_PERCENT: u16 = 47;
+
+    /// The isovalue for a plateau.
+    #[must_use]
+    pub fn of_plateau(plateau: u16) -> Self {
+        Self((u32::from(plateau) * u32::from(Self::PLATEAU_PERCENT) / 100) as u16)
+    }
+
+    /// Where distances are 0: see [`distance`](crate::field::distance).
+    pub const NO_DISTANCE: Self = Self(u16::MAX / 2);
+
+    /// The greatest field value that is outside.
+    #[must_use]
+    pub fn threshold(self) -> u16 {
+        self.0
+    }
+
+    /// `c` as a fraction of 1.
+    #[must_use]
+    pub fn value(self) -> f64 {
+        (f64::from(self.0) + 0.5) / f64::from(FULL)
+    }
+}
+
+/// The standard deviation of the Gaussian, in cells.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Sigma(f64);
+
+impl Sigma {
+    /// Wider filters erase everything that a particle fluid holds.
+    pub const MAX: f64 = 10.0;
+
+    /// # Errors
+    /// [`UnitError::Sigma`] unless 0 < `cells` <= [`Self::MAX`].
+    pub fn new(cells: f64) -> Result<Self, UnitError> {
+        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
+    }
+
+    /// So many cells wide, but one at the least. Where the width is a matter of the particles' spacing, what is left of the
+    /// lattice that they stand on, and of how it lies on the grid, is smoothed away in however small cells.
+    #[must_use]
+    pub fn at_least_a_cell(cells: Option<f64>) -> Self {
+        Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
+    }
+
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> f64 {
+        self.0
+    }
+
+    /// The narrower Gaussian of the detail step (section 6.2).
+    #[must_use]
+    pub fn half(self) -> Self {
+        Self(self.0 / 2.0)
+    }
+}
+
+/// How calm the water is: the width under which particles make one surface, in their spacings.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Smooth(f64);
+
+impl Smooth {
+    /// Of less, single particles show all over.
+    pub const LEAST: f64 = 0.8;
+    /// Of more, nothing is left but bulk.
+    pub const MOST: f64 = 4.0;
+
+    /// What suits most fluids.
+    pub const USUAL: Self = Self(1.6);
+
+    /// # Errors
+    /// [`UnitError::Smooth`] unless [`Self::LEAST`] <= `spacings` <= [`Self::MOST`].
+    pub fn new(spacings: f64) -> Result<Self, UnitError> {
+        let fits = (Self::LEAST..=Self::MOST).contains(&spacings);
+        if fits { Ok(Self(spacings)) } else { Err(UnitError::Smooth(spacings)) }
+    }
+
+    /// In spacings.
+    #[must_use]
+    pub fn spacings(self) -> f64 {
+        self.0
+    }
+}
+
+/// How far a simplified surface may lie from the one that it replaces, in cells, either way.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Tolerance(f64);
+
+impl Tolerance {
+    /// Chunks are simplified one by one, and must be much wider.
+    pub const MAX: f64 = 4.0;
+
+    /// # Errors
+    /// [`UnitError::Tolerance`] unless 0 < `cells` <= [`Self::MAX`].
+    pub fn new(cells: f64) -> Result<Self, UnitError> {
+        if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Tolerance(cells)) }
+    }
+
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> f64 {
+        self.0
+    }
+}
+
+/// `mu0`: the mean number of particles in the full cells of frame 0 (eq. 4). Not an integer.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct MeanCount(f64);
+
+impl MeanCount {
+    /// Counts are held in 16 bits.
+    pub const MAX: f64 = u16::MAX as f64;
+
+    /// # Errors
+    /// [`UnitError::MeanCount`] unless 0 < `mean` <= [`Self::MAX`].
+    pub fn new(mean: f64) -> Result<Self, UnitError> {
+        if mean > 0.0 && mean <= Self::MAX { Ok(Self(mean)) } else { Err(UnitError::MeanCount(mean)) }
+    }
+
+    /// Eq. 4: `particles` / `full_cells`.
+    ///
+    /// # Errors
+    /// [`UnitError::MeanCount`] where there is no full cell, or more than [`Self::MAX`] particles in each.
+    pub fn measured(particles: u64, full_cells: u64) -> Result<Self, UnitError> {
+        Self::new(particles as f64 / full_cells as f64)
+    }
+
+    /// In particles per cell.
+    #[must_use]
+    pub fn particles(self) -> f64 {
+        self.0
+    }
+}
+
+/// The bytes that a run may have resident at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MemoryBudget(pub u64);

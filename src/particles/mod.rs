@@ -1,0 +1,167 @@
+//! What the pipeline asks of particles: to be read by range, from several threads, as often as it likes.
+
+pub mod lattice;
+
+use std::ops::Range;
+
+use glam::DVec3;
+use multiversion::multiversion;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// A value that every particle carries.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AttributeInfo {
+    /// As the file spells it.
+    pub name: String,
+    /// Numbers per particle.
+    pub components: usize,
+}
+
+impl AttributeInfo {
+    /// Whether it is the velocity of a mesh's vertices, which is always called so.
+    #[must_use]
+    pub fn is_velocity(&self) -> bool {
+        self.name == "velocity" && self.components == 3
+    }
+}
+
+/// Particles, held in memory or in a mapped file.
+///
+/// The order is the file's, and an index names a particle in error messages. Values are handed out as
+/// stored: they may be NaN or infinite.
+pub trait Particles: Sync {
+    /// Number of particles.
+    fn len(&self) -> usize;
+
+    /// Whether there is none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Fills `out` with the positions of the particles from `first` on.
+    ///
+    /// # Panics
+    /// If `first + out.len()` exceeds [`len`](Self::len).
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]);
+
+    /// Bytes of memory that the particles occupy as long as they are there; none where a file is mapped.
+    fn resident_bytes(&self) -> u64 {
+        0
+    }
+
+    /// Says that the particles of a range will not be read soon: a mapped file can give its pages back.
+    fn release(&self, range: Range<usize>) {
+        let _ = range;
+    }
+
+    /// The attributes that [`attribute`](Self::attribute) serves, positions excluded.
+    fn attributes(&self) -> &[AttributeInfo] {
+        &[]
+    }
+
+    /// Fills `out` with attribute number `index` of the particles from `first` on, all components of one
+    /// particle after the other.
+    ///
+    /// # Panics
+    /// If the range exceeds the particles or there is no such attribute.
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let _ = (first, out);
+        panic!("there is no attribute number {index}");
+    }
+}
+
+impl Particles for [[f64; 3]] {
+    fn len(&self) -> usize {
+        self.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        out.copy_from_slice(&self[first..first + out.len()]);
+    }
+}
+
+impl Particles for [[f32; 3]] {
+    fn len(&self) -> usize {
+        self.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        let from = &self[first..first + out.len()];
+        widen(out.as_flattened_mut(), from.as_flattened());
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
+fn widen(to: &mut [f64], from: &[f32]) {
+    to.iter_mut().zip(from).for_each(|(to, &from)| *to = from.into());
+}
+
+/// The names under which simulators store a particle's velocity.
+pub const VELOCITY_NAMES: [&str; 8] =
+    ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", ".velocities"];
+
+/// The number of the attribute that holds velocities, if there is one: three components under a usual name.
+#[must_use]
+pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
+    VELOCITY_NAMES
+        .iter()
+        .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
+}
+
+/// The attributes on the mesh: velocity under the name that other programs read, others under their own.
+#[must_use]
+pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
+    let taken = attributes.iter().any(|info| info.name == "velocity");
+    let velocity = velocity_attribute(attributes).filter(|_| !taken);
+    let name = |&index: &usize| {
+        let info = attributes[index].clone();
+        if velocity == Some(index) { AttributeInfo { name: "velocity".into(), ..info } } else { info }
+    };
+    carried.iter().map(name).collect()
+}
+
+/// Where particles are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Least coordinates.
+    pub lo: DVec3,
+    /// Greatest coordinates.
+    pub hi: DVec3,
+    /// Particles whose coordinates are all finite; the others do not count.
+    pub finite: usize,
+}
+
+/// The box around all finite positions; `None` where there is no such.
+#[must_use]
+pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
+    let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
+    let of_chunk = |positions: Vec<[f64; 3]>| {
+        positions.into_iter().map(DVec3::from).fold(none(), |b, p| Bounds {
+            lo: b.lo.min(p),
+            hi: b.hi.max(p),
+            finite: b.finite + 1,
+        })
+    };
+    let bounds = finite_chunks(particles).map(of_chunk).reduce(none, |a, b| Bounds {
+        lo: a.lo.min(b.lo),
+        hi: a.hi.max(b.hi),
+        finite: a.finite + b.finite,
+    });
+    (bounds.finite > 0).then_some(bounds)
+}
+
+/// All finite positions, some thousands at once; what a mapped file holds of them is given back.
+pub fn finite_chunks(
+    particles: &(impl Particles + ?Sized),
+) -> impl IndexedParallelIterator<Item = Vec<[f64; 3]>> {
+    const CHUNK: usize = 1 << 12;
+    (0..particles.len().div_ceil(CHUNK)).into_par_iter().map(move |chunk| {
+        let first = chunk * CHUNK;
+        let mut positions = vec![[0.0; 3]; CHUNK.min(particles.len() - first)];
+        particles.positions(first, &mut positions);
+        particles.release(first..first + positions.len());
+        positions.retain(|position| DVec3::from(*position).is_finite());
+        positions
+    })
+}

@@ -1,0 +1,232 @@
+//! Grid and calibration, measured once and the same for every frame.
+
+use std::io;
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
+use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
+use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
+use crate::grid::units::UnitError;
+use crate::grid::{Domain, Grid};
+use crate::io::input::file_and_step;
+use crate::particles::Particles;
+use crate::particles::lattice::sound_origin;
+use crate::system::timings::Timings;
+
+/// What tells an input from what it was before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stamp {
+    /// Its size.
+    pub bytes: u64,
+    /// When it was written, in nanoseconds.
+    pub modified: u64,
+}
+
+impl Stamp {
+    /// Of the file as it is now, with all frames that it may hold.
+    ///
+    /// # Errors
+    /// Where the system has none.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let metadata = file_and_step(path).0.metadata()?;
+        let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+        Ok(Self { bytes: metadata.len(), modified: since.as_nanos() as u64 })
+    }
+}
+
+/// Measured on one frame, the same for all.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Frozen {
+    /// The number of the frame that it was measured on.
+    pub frame: u64,
+    /// That frame's file.
+    pub input: Stamp,
+    /// Of the particles, where it is known.
+    pub spacing: Option<f64>,
+    /// Where the spacing comes from, for people.
+    pub spacing_source: Option<String>,
+    /// Edge of a cell.
+    pub cell_size: f64,
+    /// Of the grid.
+    pub origin: [f64; 3],
+    /// Makes the frames alike; `None` for kernels, which have nothing to measure.
+    #[serde(flatten, with = "as_numbers")]
+    pub calibration: Option<Calibration>,
+}
+
+/// A calibration as the state file has it: mu0 where the indicator counts, and the isovalue as a fraction of 1; or the plateau
+/// of clouds.
+mod as_numbers {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::field::calibration::Calibration;
+    use crate::grid::units::{Isovalue, MeanCount, UnitError};
+
+    #[derive(Serialize, Deserialize)]
+    struct Numbers {
+        mu0: Option<f64>,
+        isovalue: Option<f64>,
+        plateau: Option<u16>,
+    }
+
+    pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
+        let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
+        let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
+        let plateau = match known {
+            Some(Calibration::Clouds { plateau }) => Some(*plateau),
+            _ => None,
+        };
+        Numbers { mu0, isovalue, plateau }.serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
+        let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
+        let calibration = |iso| {
+            let mean = mu0.map(MeanCount::new).transpose()?;
+            Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })
+        };
+        match (plateau, isovalue) {
+            (Some(0), _) => Err(D::Error::custom("a plateau of 0")),
+            (Some(plateau), None) => Ok(Some(Calibration::Clouds { plateau })),
+            (Some(_), Some(_)) => Err(D::Error::custom("both a plateau and an isovalue")),
+            (None, isovalue) => isovalue.map(calibration).transpose().map_err(D::Error::custom),
+        }
+    }
+}
+
+/// Whether the grid may be moved to suit the particles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// As far as half a cell.
+    Free,
+    /// It was asked for where it is.
+    Given,
+}
+
+/// What a frame says about all others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measured {
+    /// Of the grid for all frames.
+    pub grid: Grid,
+    /// Measured, or given; `None` for kernels, which have nothing to measure.
+    pub calibration: Option<Calibration>,
+    /// Whether a later frame would know better.
+    pub trust: Trust,
+}
+
+/// How much a frame can tell of those to come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Trust {
+    /// Next to none of the fluid is deeper than the filters reach.
+    Shallow,
+    /// Counts on a lattice are all the same, as they will not be in disorder.
+    Lattice,
+    /// It is like all others.
+    Sound,
+}
+
+/// Measures a frame for its whole sequence.
+///
+/// A first frame often is a lattice, and one that falls on the grid in a way that no later frame will. It is
+/// measured, and with a free origin all frames are sampled, on a grid that holds it as it will hold the fluid in
+/// disorder: see [`sound_origin`]. That does for symmetry; for counting the isovalue has to come from disorder. Clouds are
+/// the same wherever they fall.
+///
+/// # Errors
+/// [`FrameError::TooFine`], and the errors of [`Sampling::refuse_unfit`] and of [`Frame::sample`].
+pub fn measure(
+    particles: &(impl Particles + ?Sized),
+    sampling: &Sampling,
+    origin: Origin,
+    surfacing: &Surfacing,
+) -> Result<Measured, FrameError> {
+    sampling.refuse_unfit(surfacing)?;
+    let given = sampling.grid;
+    let lattice = of_lattice(particles, sampling);
+    let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
+    let grid = if origin == Origin::Free { sound.grid } else { given };
+    let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
+    if sound.field.indicator().is_none() {
+        return Ok(nothing);
+    }
+    let frame =
+        Frame::sample(particles, &Sampling { carried: Vec::new(), ..sound }, &mut Timings::default())?;
+    match frame.dif() {
+        Some(sampled) => Ok(Measured { grid, ..measure_sampled(sampled, surfacing, lattice.is_some())? }),
+        None => Ok(nothing),
+    }
+}
+
+/// Measures a sampled frame for its whole sequence, by whether its particles stand on a lattice.
+///
+/// # Errors
+/// [`TooFine`].
+pub fn measure_sampled(
+    frame: &SampledDif,
+    surfacing: &Surfacing,
+    lattice: bool,
+) -> Result<Measured, TooFine> {
+    let Calibrated { calibration, plateau, .. } = surfacing.calibrate(frame)?;
+    let trust = match (plateau, frame.indicator.kind()) {
+        (Plateau::Shallow { .. }, _) => Trust::Shallow,
+        (Plateau::Interior { .. }, IndicatorKind::Counting) if lattice => Trust::Lattice,
+        (Plateau::Interior { .. }, _) => Trust::Sound,
+    };
+    Ok(Measured { grid: frame.facts.grid, calibration: Some(calibration), trust })
+}
+
+/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
+/// one and the indicator tells where that lies: see [`sound_origin`].
+#[must_use]
+pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
+    of_lattice(particles, &sampling).and_then(|origin| moved(&sampling, origin)).unwrap_or(sampling)
+}
+
+/// Where the grid should be for a lattice, if there is one and it matters.
+fn of_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
+    match sampling.field.indicator()?.kind {
+        IndicatorKind::Cloud => None,
+        IndicatorKind::Symmetry | IndicatorKind::Counting => {
+            sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
+        }
+    }
+}
+
+/// The same sampling on a grid with another origin; `None` where its walls have no cells.
+fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
+    let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
+    let domain = match &sampling.domain {
+        None => None,
+        Some(domain) => {
+            let [lo, hi] = domain.walls();
+            Some(Domain::new(&grid, lo, hi).ok()?)
+        }
+    };
+    Some(Sampling { grid, domain, ..sampling.clone() })
+}
+
+impl Frozen {
+    /// The grid of all frames.
+    ///
+    /// # Errors
+    /// [`UnitError`] for numbers that cannot have been measured.
+    pub fn grid(&self) -> Result<Grid, UnitError> {
+        Grid::new(self.origin.into(), self.cell_size)
+    }
+
+    /// How the field of all frames is made: an indicator by the mu0 that was measured.
+    #[must_use]
+    pub fn field(&self, asked: FieldRequest) -> FieldRequest {
+        match (asked, &self.calibration) {
+            (FieldRequest::Indicator(asked), Some(known)) => {
+                FieldRequest::Indicator(IndicatorRequest { mean: known.mean(), ..asked })
+            }
+            _ => asked,
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! What is kept beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
+//! all frames have in common, and the [records](super::records) of those that are done.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::io::whole::replace_small;
+
+use super::SequenceError;
+use super::frozen::Frozen;
+use super::records::Log;
+
+/// What was asked for, by the names of the options.
+pub type Settings = Map<String, Value>;
+
+/// What all frames of a sequence have in common.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// The version of this library.
+    pub meniscus: String,
+    /// What was asked for.
+    pub settings: Settings,
+    /// What was measured.
+    pub frozen: Frozen,
+}
+
+impl State {
+    /// By this version.
+    #[must_use]
+    pub fn new(settings: Settings, frozen: Frozen) -> Self {
+        Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
+    }
+
+    /// A number that differs where anything does.
+    #[must_use]
+    pub fn fingerprint(&self) -> u32 {
+        crc32fast::hash(&json(self))
+    }
+
+    /// Which settings differ from `wanted`, for people; empty where none does.
+    #[must_use]
+    pub fn differing(&self, wanted: &Settings) -> String {
+        let mut names: Vec<&str> = Vec::new();
+        if self.meniscus != env!("CARGO_PKG_VERSION") {
+            names.push("version");
+        }
+        let keys = self.settings.keys().chain(wanted.keys().filter(|key| !self.settings.contains_key(*key)));
+        names.extend(keys.filter(|key| self.settings.get(*key) != wanted.get(*key)).map(String::as_str));
+        names.join(", ")
+    }
+}
+
+/// The folder that holds all this.
+#[derive(Debug)]
+pub struct Store {
+    /// Where this process keeps its records.
+    pub log: Log,
+}
+
+impl Store {
+    /// Beside the outputs of a sequence; nothing is created yet.
+    #[must_use]
+    pub fn beside(sequence: &Path) -> Self {
+        let mut name = sequence.as_os_str().to_owned();
+        name.push(".meniscus");
+        Self { log: Log::new(name.into()) }
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        self.log.folder()
+    }
+
+    /// The state's file.
+    #[must_use]
+    pub fn state_path(&self) -> PathBuf {
+        self.folder().join("state.json")
+    }
+
+    /// The state, if there is one.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] and [`SequenceError::State`] where it cannot be read.
+    pub fn load(&self) -> Result<Option<State>, SequenceError> {
+        let path = self.state_path();
+        let bytes = match fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) => return Err(SequenceError::Io { path, fault }),
+        };
+        let state: State = serde_json::from_slice(&bytes)
+            .map_err(|e| SequenceError::State { path: path.clone(), what: e.to_string() })?;
+        match state.frozen.grid() {
+            Ok(_) => Ok(Some(state)),
+            Err(fault) => Err(SequenceError::State { path, what: fault.to_string() }),
+        }
+    }
+
+    /// Keeps a state in place of any other.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`].
+    pub fn save(&self, state: &State) -> Result<(), SequenceError> {
+        let folder = self.folder();
+        fs::create_dir_all(folder).map_err(|fault| SequenceError::Io { path: folder.to_owned(), fault })?;
+        let path = self.state_path();
+        replace_small(&path, &json(state)).map_err(|fault| SequenceError::Io { path, fault })
+    }
+
+    /// Keeps other processes that ask for the same from going on until this is dropped, where the file system has locks.
+    #[must_use]
+    pub fn locked(&self) -> Option<File> {
+        let file = File::open(self.state_path()).ok()?;
+        file.lock().ok()?;
+        Some(file)
+    }
+}
+
+fn json(value: &impl Serialize) -> Vec<u8> {
+    let mut text = serde_json::to_vec_pretty(value).expect("string keys and finite depth");
+    text.push(b'\n');
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::calibration::Calibration;
+    use crate::grid::units::{Isovalue, MeanCount};
+    use crate::simulation::frozen::Stamp;
+
+    fn frozen(calibration: Calibration) -> Frozen {
+        Frozen {
+            frame: 1,
+            input: Stamp { bytes: 1, modified: u64::MAX },
+            spacing: Some(0.1 + 0.2),
+            spacing_source: Some("a test".into()),
+            cell_size: 0.1 + 0.7,
+            origin: [1e-17, -0.1, 1.0 / 3.0],
+            calibration: Some(calibration),
+        }
+    }
+
+    #[test]
+    fn a_state_comes_back_to_the_last_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::beside(&folder.path().join("fluid.ply"));
+        assert_eq!(store.load().unwrap(), None);
+        for theta in [2, 3, 7, 12_345, 32_767, 65_533] {
+            let (mean, iso) = (MeanCount::new(7.0 / 3.0).ok(), Isovalue::of_plateau(theta));
+            for calibration in [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
+            {
+                let state = State::new(Settings::new(), frozen(calibration));
+                store.save(&state).unwrap();
+                let loaded = store.load().unwrap().unwrap();
+                assert_eq!(loaded, state);
+                assert_eq!(loaded.fingerprint(), state.fingerprint());
+            }
+        }
+        fs::write(store.state_path(), "{").unwrap();
+        assert!(matches!(store.load(), Err(SequenceError::State { .. })));
+    }
+}

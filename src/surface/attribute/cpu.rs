@@ -1,0 +1,118 @@
+//! See the room's `mod.rs` for the formulas.
+
+use std::io;
+
+use glam::IVec3;
+
+use crate::brick::{Bins, Block};
+use crate::field::blur::{Filter, Smoothing};
+use crate::grid::{BIN, CellBox, MortonKey};
+use crate::surface::dual_mc::Crossings;
+use crate::surface::mesh::BlockMesh;
+
+/// The step to which values are rounded before they are added.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct FixedPoint {
+    steps_per_unit: f64,
+}
+
+impl FixedPoint {
+    /// The finest step at which magnitudes up to `greatest` take no more than 30 bits.
+    fn for_magnitude(greatest: f32) -> Self {
+        let exponent = if greatest > 0.0 { 29 - f64::from(greatest).log2().floor() as i32 } else { 0 };
+        Self { steps_per_unit: 2f64.powi(exponent) }
+    }
+
+    fn steps(self, value: f32) -> i64 {
+        (f64::from(value) * self.steps_per_unit).round() as i64
+    }
+
+    fn value(self, steps: i64) -> f64 {
+        steps as f64 / self.steps_per_unit
+    }
+}
+
+/// An attribute of the particles on the vertices of a block, all components of one vertex after the other.
+///
+/// # Errors
+/// Where particles are in a scratch file that cannot be read.
+pub fn vertex_values(
+    bins: &Bins,
+    (attribute, components): (usize, usize),
+    smoothing: &Smoothing,
+    mesh: &BlockMesh,
+    crossings: Crossings,
+    walls: Option<CellBox>,
+) -> io::Result<Vec<f32>> {
+    let edges: Vec<_> = mesh.edges().map(|(cell, axis)| [cell, cell + IVec3::AXES[axis]]).collect();
+    let used = edges
+        .iter()
+        .flatten()
+        .fold(CellBox::EMPTY, |used, &cell| used.union(&CellBox { lo: cell, hi: cell + 1 }));
+    if used.is_empty() {
+        return Ok(Vec::new());
+    }
+    let reach = smoothing.halo();
+    let sums = sums(bins, attribute, components, used.grown(reach, reach))?;
+    let smooth = |mut sum: Block<f64>| {
+        if let Some(walls) = walls {
+            sum.repeat_edges(walls);
+        }
+        smoothing.apply(sum, walls)
+    };
+    let sums: Vec<_> = sums.into_iter().map(smooth).collect();
+    let (weight, sums) = sums.split_last().expect("the weights come last");
+
+    let mut values = Vec::with_capacity(edges.len() * components);
+    for (cells, &ends) in edges.iter().zip(&mesh.ends) {
+        let upper_share = crossings.fraction(ends);
+        let index = cells.map(|cell| weight.index(cell));
+        let weights = index.map(|i| weight.samples()[i]);
+        // An end that no particle reaches has no value to give.
+        let shares = match weights.map(|w| w > 0.0) {
+            [true, true] => [(1.0 - upper_share) / weights[0], upper_share / weights[1]],
+            [true, false] => [1.0 / weights[0], 0.0],
+            [false, true] => [0.0, 1.0 / weights[1]],
+            [false, false] => [0.0, 0.0],
+        };
+        let mean = |sum: &Block<f64>| {
+            (sum.samples()[index[0]] * shares[0] + sum.samples()[index[1]] * shares[1]) as f32
+        };
+        values.extend(sums.iter().map(mean));
+    }
+    Ok(values)
+}
+
+/// Per cell the sum of each component over its particles, and last the number of particles.
+fn sums(bins: &Bins, attribute: usize, components: usize, cells: CellBox) -> io::Result<Vec<Block<f64>>> {
+    let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); components + 1];
+    let mut seen: Vec<usize> = Vec::new();
+    let mut values: Vec<f32> = Vec::new();
+    for coord in cells.cubes(BIN) {
+        let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
+        let contents = bins.contents(bin)?;
+        let tuples = contents.attributes[attribute].chunks_exact(components);
+        for ((local, _), tuple) in contents.particles().zip(tuples) {
+            let local = local as i32;
+            let cell = coord * BIN + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
+            if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
+                seen.push(sums[0].index(cell));
+                values.extend_from_slice(tuple);
+            }
+        }
+    }
+    let fixed = FixedPoint::for_magnitude(values.iter().fold(0.0, |greatest, x| x.abs().max(greatest)));
+    for (&index, tuple) in seen.iter().zip(values.chunks_exact(components)) {
+        for (sum, steps) in sums.iter_mut().zip(tuple.iter().map(|&x| fixed.steps(x)).chain([1])) {
+            sum.samples_mut()[index] += steps;
+        }
+    }
+    let real = |(component, sum): (usize, Block<i64>)| {
+        let mut block = Block::zero(cells);
+        for (to, &sum) in block.samples_mut().iter_mut().zip(sum.samples()) {
+            *to = if component < components { fixed.value(sum) } else { sum as f64 };
+        }
+        block
+    };
+    Ok(sums.into_iter().enumerate().map(real).collect())
+}

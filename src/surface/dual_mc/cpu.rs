@@ -1,0 +1,212 @@
+//! See the room's `mod.rs` for the formulas.
+
+use glam::{DVec3, IVec3};
+use multiversion::multiversion;
+
+use crate::brick::Block;
+use crate::grid::{BLOCK, CellBox, TILE, local_morton};
+use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
+
+use super::table::TABLE;
+use super::{Crossings, Level, Normals};
+
+/// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.
+///
+/// Cells outside of `walls` are ghost points, and must repeat the edge cells. Every tile with a dual cell of mixed
+/// signs is there, even when all its vertices are owned by its neighbours.
+///
+/// # Panics
+/// If `field` does not cover the region's tiles and one cell beyond their upper faces.
+#[must_use]
+pub fn contour<L: Level>(
+    field: &Block<L::Sample>,
+    region: CellBox,
+    level: L,
+    walls: Option<CellBox>,
+) -> BlockMesh {
+    let region = region.tiled();
+    let block = region.lo.div_euclid(IVec3::splat(BLOCK));
+    let signs = Signs::of(field, region, level, walls);
+    let (samples, strides) = (field.samples(), field.strides());
+    let mixed = signs.mixed_tiles();
+    let mut tiles = Vec::with_capacity(mixed.iter().map(|tiles| tiles.count_ones() as usize).sum());
+    let (mut vertices, mut triangle_count) = (0, 0);
+    for index in
+        (0..).step_by(64).zip(mixed).flat_map(|(first, mixed)| bits(mixed).map(move |bit| first + bit))
+    {
+        let mut tile = Tile { index, first_vertex: vertices, corners: [0; 8] };
+        tile.corners = signs.corners(tile.corner(block));
+        vertices += (0..3).map(|axis| tile.crossed(axis).count_ones()).sum::<u32>();
+        triangle_count += bits(tile.mixed()).map(|bit| TABLE[tile.case(bit)].len()).sum::<usize>();
+        tiles.push(tile);
+    }
+    let mut ends = Vec::with_capacity(vertices as usize);
+    for tile in &tiles {
+        let first = field.index(tile.corner(block));
+        for (axis, step) in strides.into_iter().enumerate() {
+            ends.extend(bits(tile.crossed(axis)).map(|bit| {
+                // Beyond a wall the field repeats the edge cell, so a ghost's end reads like its mirror image.
+                let cell = cell_of_bit(bit).as_usizevec3();
+                let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
+                level.ends(samples[lower], samples[lower + step])
+            }));
+        }
+    }
+    BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
+}
+
+/// The surface through a region of a field on the cells that it [needs](Normals::cells), as [`contour`] has it, with the normals
+/// that are asked for; `None` where there is none.
+///
+/// # Panics
+/// If `field` does not cover those cells.
+#[must_use]
+pub fn block_mesh<L: Level + Into<Crossings>>(
+    field: &Block<L::Sample>,
+    region: CellBox,
+    level: L,
+    with: Normals,
+    walls: Option<CellBox>,
+) -> Option<BlockMesh>
+where
+    L::Sample: Into<f64>,
+{
+    let mut mesh = contour(field, region, level, walls);
+    if with == Normals::Gradient {
+        mesh.normals = normals(field, &mesh, level.into(), walls);
+    }
+    (!mesh.tiles.is_empty()).then_some(mesh)
+}
+
+/// Outward unit normals: the field's falling gradient by central differences at both ends of a vertex's
+/// edge, interpolated. On a wall it is the wall's.
+fn normals<T: Copy + Default + Into<f64>>(
+    field: &Block<T>,
+    mesh: &BlockMesh,
+    crossings: Crossings,
+    walls: Option<CellBox>,
+) -> Vec<[f32; 3]> {
+    let strides = field.strides();
+    let sample = |index: usize| -> f64 { field.samples()[index].into() };
+    let falling = |index: usize| DVec3::from(strides.map(|s| sample(index - s) - sample(index + s)));
+    let mut normals = Vec::with_capacity(mesh.ends.len());
+    normals.extend(mesh.edges().zip(&mesh.ends).map(|((cell, axis), &ends)| {
+        let at = field.index(cell);
+        let at = [at, at + strides[axis]];
+        let falls_up = sample(at[0]) > sample(at[1]);
+        normal((cell, axis), crossings.fraction(ends), falls_up, at.map(falling), walls)
+    }));
+    normals
+}
+
+/// The normal of one vertex, given its edge, how far along it lies, whether the field falls along it, and by how much
+/// the field falls along each axis around both ends.
+#[must_use]
+pub fn normal(
+    (cell, axis): (IVec3, usize),
+    fraction: f64,
+    falls_up: bool,
+    [lower, upper]: [DVec3; 2],
+    walls: Option<CellBox>,
+) -> [f32; 3] {
+    let along = DVec3::AXES[axis];
+    if let Some(walls) = walls {
+        if !walls.contains(cell) {
+            return (-along).as_vec3().to_array();
+        }
+        if !walls.contains(cell + IVec3::AXES[axis]) {
+            return along.as_vec3().to_array();
+        }
+    }
+    let normal = lower * (1.0 - fraction) + upper * fraction;
+    // Where the gradient vanishes, the edge itself tells outside from inside.
+    let fallback = if falls_up { along } else { -along };
+    normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
+}
+
+/// Cells along each axis that a tile's dual cells join.
+const ROWS: usize = TILE as usize + 1;
+
+/// Tiles along a block's edge.
+const TILES: i32 = BLOCK / TILE;
+
+/// The signs of a region's cells and of those one beyond its upper faces: a word for each row along x, y fastest.
+struct Signs {
+    region: CellBox,
+    rows: Vec<u64>,
+}
+
+impl Signs {
+    fn of<L: Level>(field: &Block<L::Sample>, region: CellBox, level: L, walls: Option<CellBox>) -> Self {
+        let cells = region.grown(0, 1);
+        let size = cells.size().as_usizevec3();
+        let mut signs = Self { region, rows: vec![0; size.y * size.z] };
+        let inside_walls = walls.map_or(cells, |walls| cells.intersection(&walls));
+        if !inside_walls.is_empty() {
+            let shift = inside_walls.lo.x - cells.lo.x;
+            field.rows(inside_walls).for_each(|([y, z], row)| {
+                let index = signs.index(y, z);
+                signs.rows[index] = row_signs(row, level) << shift;
+            });
+        }
+        signs
+    }
+
+    /// Where the word of a row is.
+    fn index(&self, y: i32, z: i32) -> usize {
+        let CellBox { lo, hi } = self.region;
+        ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
+    }
+
+    /// The words of the rows that the dual cells of the tiles at (y, z) join: of each z those of all y.
+    fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
+        std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
+    }
+
+    /// A bit for each tile of the block, in Morton order, that has dual cells of mixed signs.
+    fn mixed_tiles(&self) -> [u64; TILES.pow(3) as usize / 64] {
+        let CellBox { lo, hi } = self.region;
+        let block = lo.div_euclid(IVec3::splat(BLOCK));
+        let tiles = 0x1111_1111 >> (BLOCK - (hi.x - lo.x));
+        let mut mixed = [0; TILES.pow(3) as usize / 64];
+        for z in (lo.z..hi.z).step_by(TILE as usize) {
+            for y in (lo.y..hi.y).step_by(TILE as usize) {
+                let rows = self.rows(y, z);
+                let (any, all) = rows.into_iter().flatten().fold((0, !0), |(a, b), row| (a | row, b & row));
+                let (any, all) = (1..ROWS).fold((any, all), |(a, b), x| (a | any >> x, b & all >> x));
+                for x in bits(any & !all & tiles) {
+                    let index = local_morton(IVec3::new(lo.x + x as i32, y, z) / TILE - block * TILES);
+                    mixed[index / 64] |= 1 << (index % 64);
+                }
+            }
+        }
+        mixed
+    }
+
+    /// The signs of the cells of the tile at `corner`, and of their neighbours one cell up along the axes
+    /// in a corner's number.
+    fn corners(&self, corner: IVec3) -> [TileMask; 8] {
+        let rows = self.rows(corner.y, corner.z);
+        let x = corner.x - self.region.lo.x;
+        // The rows of a layer one after the other, four cells of each.
+        let layer = |up_x: i32, z: usize| {
+            (0..ROWS).fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))
+        };
+        let layers: [[u64; ROWS]; 2] = [0, 1].map(|up_x| std::array::from_fn(|z| layer(up_x, z)));
+        std::array::from_fn(|k| {
+            let [up_x, up_y, up_z] = [k & 1, k >> 1 & 1, k >> 2];
+            (0..4).fold(0, |word, z| word | (layers[up_x][z + up_z] >> (4 * up_y) & 0xffff) << (16 * z))
+        })
+    }
+}
+
+/// Bit i is set where sample i is inside.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn row_signs<L: Level>(row: &[L::Sample], level: L) -> u64 {
+    let (words, rest) = row.as_chunks::<16>();
+    let rest = (0..).zip(rest).fold(0, |signs, (i, &sample)| signs | u64::from(level.is_inside(sample)) << i);
+    words.iter().rev().fold(rest, |all, word| {
+        let bit = |i: usize| if level.is_inside(word[i]) { 1_u16 << i } else { 0 };
+        all << 16 | u64::from(std::array::from_fn::<u16, 16, _>(bit).iter().fold(0, |a, b| a | b))
+    })
+}

@@ -1,0 +1,207 @@
+//! See the room's `mod.rs` for the formulas.
+
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+
+use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, wall_bounds};
+use crate::grid::units::Isovalue;
+use crate::grid::{BLOCK, CellBox, TILE};
+use crate::surface::mesh::Tile;
+use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+
+use super::table::TABLE;
+
+/// Tiles of a block and one layer of its upper neighbours: those whose signs are needed.
+pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / TILE + 1)) as u32;
+/// Words of a tile.
+pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
+
+push_block! {
+    /// Of [`SIGNS`].
+    struct SignsPush {
+        walls_lo: [i32; 3],
+        threshold: u32,
+        walls_hi: [i32; 3],
+    }
+}
+
+push_block! {
+    /// Of [`BASES`].
+    struct BasesPush {
+        blocks: u32,
+        room: u32,
+        width: u32,
+    }
+}
+
+push_block! {
+    /// Of [`EMIT`].
+    struct EmitPush {
+        walls_lo: [i32; 3],
+        blocks: u32,
+        walls_hi: [i32; 3],
+        normals: u32,
+    }
+}
+
+/// Signs of all cells, tile by tile.
+pub const SIGNS: Program = Program {
+    name: "signs",
+    code: include_bytes!("../../../spirv/signs.spv"),
+    buffers: &["blocks", "field", "masks"],
+    push: SignsPush::FIELDS,
+    group: [64, 1, 1],
+};
+
+/// What each block will have, and where each of its tiles begins.
+pub const TILES: Program = Program {
+    name: "tiles",
+    code: include_bytes!("../../../spirv/tiles.spv"),
+    buffers: &["blocks", "signs", "lengths", "slots", "tallies"],
+    push: &[],
+    group: [256, 1, 1],
+};
+
+/// Where each block begins, and how many work groups write all of them.
+pub const BASES: Program = Program {
+    name: "bases",
+    code: include_bytes!("../../../spirv/bases.spv"),
+    buffers: &["tallies", "groups"],
+    push: BasesPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Tiles and vertices.
+pub const EMIT: Program = Program {
+    name: "emit",
+    code: include_bytes!("../../../spirv/emit.spv"),
+    buffers: &["blocks", "field", "signs", "slots", "tallies", "tiles", "ends", "falls"],
+    push: EmitPush::FIELDS,
+    group: [64, 1, 1],
+};
+
+/// What a block has; after [`BASES`], where it begins in the batch.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Tally {
+    /// Tiles that the surface passes through.
+    pub tiles: u32,
+    /// Crossed edges.
+    pub vertices: u32,
+    /// Of the dual cells that the block owns.
+    pub triangles: u32,
+    spare: u32,
+}
+
+impl Tally {
+    /// What lies between a begin and this one.
+    #[must_use]
+    pub fn since(&self, begin: &Self) -> Self {
+        Self {
+            tiles: self.tiles - begin.tiles,
+            vertices: self.vertices - begin.vertices,
+            triangles: self.triangles - begin.triangles,
+            spare: 0,
+        }
+    }
+}
+
+/// A tile among those of its block.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Slot {
+    /// Its Morton index in the block.
+    pub index: u32,
+    /// The number of its first vertex in the block.
+    pub vertex: u32,
+    /// The number of its first triangle in the block.
+    pub triangle: u32,
+    spare: u32,
+}
+
+/// The kernels of this stage.
+#[derive(Debug)]
+pub struct Kernels {
+    /// [`SIGNS`].
+    pub signs: Arc<Kernel>,
+    /// [`TILES`].
+    pub tiles: Arc<Kernel>,
+    /// [`BASES`].
+    pub bases: Arc<Kernel>,
+    /// [`EMIT`].
+    pub emit: Arc<Kernel>,
+}
+
+/// What the stage writes.
+#[derive(Debug, Clone)]
+pub struct Outputs {
+    /// [`SIGN_TILES`] words of 64 bits a block.
+    pub signs: View,
+    /// Triangles by case.
+    pub lengths: View,
+    /// [`BLOCK_TILES`](crate::grid::BLOCK_TILES) of [`Slot`] a block.
+    pub slots: View,
+    /// A [`Tally`] for each block, and one for the totals.
+    pub tallies: View,
+    /// Work groups that write tiles: 12 bytes.
+    pub groups: View,
+    /// A [`Tile`] each, as many as there can be.
+    pub tiles: View,
+    /// For every vertex the field at the lower and the upper end of its edge.
+    pub ends: View,
+    /// [`Falls`] for every vertex, if there are to be normals.
+    pub falls: View,
+    /// Vertices that there is room for; nothing is written of more than that.
+    pub room: u32,
+}
+
+/// By how much the field falls from one cell below to one cell above along each axis, around the lower and the upper
+/// end of a vertex's edge.
+pub type Falls = [[i32; 3]; 2];
+
+/// Triangles by case, as the kernels take them.
+#[must_use]
+pub fn lengths() -> Vec<u32> {
+    TABLE.iter().map(|triangles| triangles.len() as u32).collect()
+}
+
+/// Counts, orders and writes the surface through all blocks.
+///
+/// # Errors
+/// Those of the device.
+#[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
+pub fn contour(
+    batch: &mut Batch,
+    kernels: &Kernels,
+    blocks: &DeviceBlocks,
+    field: &View,
+    iso: Isovalue,
+    walls: Option<CellBox>,
+    normals: bool,
+    outputs: &Outputs,
+) -> Result<(), VulkanError> {
+    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let Outputs { signs, lengths, slots, tallies, groups, tiles, ends, falls, room } = outputs;
+    let all = |views: &[&View]| views.iter().copied().cloned().collect::<Vec<_>>();
+    batch.dispatch(
+        &kernels.signs,
+        &all(&[&blocks.blocks, field, signs]),
+        &SignsPush { walls_lo, threshold: iso.threshold().into(), walls_hi },
+        [SIGN_TILES.div_ceil(SIGNS.group[0]), blocks.count, 1],
+    )?;
+    batch.dispatch(
+        &kernels.tiles,
+        &all(&[&blocks.blocks, signs, lengths, slots, tallies]),
+        &(),
+        [blocks.count, 1, 1],
+    )?;
+    let push = BasesPush { blocks: blocks.count, room: *room, width: GROUP_ROW };
+    batch.dispatch(&kernels.bases, &all(&[tallies, groups]), &push, [1, 1, 1])?;
+    batch.dispatch_as(
+        &kernels.emit,
+        &all(&[&blocks.blocks, field, signs, slots, tallies, tiles, ends, falls]),
+        &EmitPush { walls_lo, blocks: blocks.count, walls_hi, normals: normals.into() },
+        groups,
+    )
+}

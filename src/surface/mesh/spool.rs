@@ -1,0 +1,265 @@
+//! The surfaces of all blocks, in Morton order: in memory while they are few, in a scratch file when not.
+
+use std::borrow::Cow;
+use std::io;
+use std::path::Path;
+
+use glam::IVec3;
+
+use crate::grid::{BLOCK_TILES, MortonKey};
+use crate::system::scratch::Scratch;
+
+use super::{BlockMesh, Tile};
+
+/// Where a block's surface is, and where it stands in the whole mesh.
+#[derive(Debug, Clone, Copy)]
+struct Entry {
+    block: IVec3,
+    first_vertex: u64,
+    first_triangle: u64,
+    tiles: u32,
+    vertices: u32,
+    triangles: u32,
+    /// Of its first byte in the scratch file, if it is there.
+    at: u64,
+}
+
+/// Block surfaces in the order in which they were pushed, which must be Morton order.
+#[derive(Debug)]
+pub struct Spool {
+    index: Vec<Entry>,
+    store: Store,
+    /// Components of each attribute on the vertices.
+    components: Vec<usize>,
+    normals: bool,
+    /// Of all surfaces.
+    bytes: u64,
+}
+
+#[derive(Debug)]
+enum Store {
+    Memory(Vec<BlockMesh>),
+    File(Scratch),
+}
+
+/// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so many components.
+#[must_use]
+pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
+    let normal = if normals { size_of::<[f32; 3]>() } else { 0 };
+    let attributes = components.iter().sum::<usize>() * size_of::<f32>();
+    (size_of::<[u16; 2]>() + normal + attributes) as u64
+}
+
+/// Bytes of a vertex's share of a tile.
+pub const TILE_SHARE: u64 = 4;
+
+/// Bytes of a block's surface of so many vertices, each of so many bytes without its tile.
+#[must_use]
+pub fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
+    vertices * vertex_bytes + u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
+}
+
+impl Spool {
+    /// For surfaces with or without normals, and attributes of so many components each.
+    #[must_use]
+    pub fn in_memory(normals: bool, components: Vec<usize>) -> Self {
+        Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
+    }
+
+    /// Bytes of all surfaces, in memory or in the file.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Bytes of the surfaces that are in memory.
+    #[must_use]
+    pub fn bytes_in_memory(&self) -> u64 {
+        match self.store {
+            Store::Memory(_) => self.bytes,
+            Store::File(_) => 0,
+        }
+    }
+
+    /// Bytes of a vertex, without its tile.
+    #[must_use]
+    pub fn vertex_bytes(&self) -> u64 {
+        vertex_bytes(self.normals, &self.components)
+    }
+
+    /// From now on keeps surfaces in a scratch file in `folder`.
+    ///
+    /// # Errors
+    /// Where that file cannot be created or written.
+    pub fn move_to_file(&mut self, folder: &Path) -> io::Result<()> {
+        let Store::Memory(blocks) = &mut self.store else { return Ok(()) };
+        let blocks = std::mem::take(blocks);
+        let scratch = Scratch::in_folder(folder)?;
+        for (entry, block) in self.index.iter_mut().zip(blocks) {
+            entry.at = scratch.append(&block.to_bytes())?;
+        }
+        self.store = Store::File(scratch);
+        Ok(())
+    }
+
+    /// Adds the next block's surface.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be written.
+    pub fn push(&mut self, block: BlockMesh) -> io::Result<()> {
+        let entry = Entry {
+            block: block.block,
+            first_vertex: self.vertices(),
+            first_triangle: self.triangles(),
+            tiles: block.tiles.len() as u32,
+            vertices: block.ends.len() as u32,
+            triangles: block.triangle_count as u32,
+            at: 0,
+        };
+        self.bytes += block.bytes();
+        let at = match &mut self.store {
+            Store::Memory(blocks) => {
+                blocks.push(block);
+                0
+            }
+            Store::File(scratch) => scratch.append(&block.to_bytes())?,
+        };
+        self.index.push(Entry { at, ..entry });
+        Ok(())
+    }
+
+    /// Number of blocks.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.index.len()
+    }
+
+    /// Whether there is no surface.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.index.is_empty()
+    }
+
+    /// Vertices of all blocks.
+    #[must_use]
+    pub fn vertices(&self) -> u64 {
+        self.index.last().map_or(0, |e| e.first_vertex + u64::from(e.vertices))
+    }
+
+    /// Triangles of all blocks.
+    #[must_use]
+    pub fn triangles(&self) -> u64 {
+        self.index.last().map_or(0, |e| e.first_triangle + u64::from(e.triangles))
+    }
+
+    /// Whether vertices have normals.
+    #[must_use]
+    pub fn has_normals(&self) -> bool {
+        self.normals
+    }
+
+    /// The coordinates of every block, counted in blocks.
+    pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
+        self.index.iter().map(|entry| entry.block)
+    }
+
+    /// The coordinates of block number `i`.
+    #[must_use]
+    pub fn block(&self, i: usize) -> IVec3 {
+        self.index[i].block
+    }
+
+    /// The number in the whole mesh of the first vertex of block number `i`.
+    #[must_use]
+    pub fn first_vertex(&self, i: usize) -> u64 {
+        self.index[i].first_vertex
+    }
+
+    /// The number of the block that has a vertex of the whole mesh.
+    #[must_use]
+    pub fn piece_of(&self, vertex: u64) -> usize {
+        self.index.partition_point(|entry| entry.first_vertex <= vertex) - 1
+    }
+
+    /// How many vertices and triangles block number `i` has.
+    #[must_use]
+    pub fn counts(&self, i: usize) -> [usize; 2] {
+        [self.index[i].vertices as usize, self.index[i].triangles as usize]
+    }
+
+    /// The number of the block at `coord`, if the surface passes through it.
+    #[must_use]
+    pub fn find(&self, coord: IVec3) -> Option<usize> {
+        let key = MortonKey::of(coord);
+        self.index.binary_search_by_key(&key, |entry| MortonKey::of(entry.block)).ok()
+    }
+
+    /// The tiles of block number `i`.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn tiles(&self, i: usize) -> io::Result<Cow<'_, [Tile]>> {
+        match &self.store {
+            Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i].tiles)),
+            Store::File(scratch) => {
+                let mut tiles = vec![bytemuck::Zeroable::zeroed(); self.index[i].tiles as usize];
+                scratch.read_at(self.index[i].at, bytemuck::cast_slice_mut(&mut tiles))?;
+                Ok(Cow::Owned(tiles))
+            }
+        }
+    }
+
+    /// The surface of block number `i`.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn get(&self, i: usize) -> io::Result<Cow<'_, BlockMesh>> {
+        match &self.store {
+            Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i])),
+            Store::File(scratch) => self.read(scratch, &self.index[i]).map(Cow::Owned),
+        }
+    }
+
+    fn read(&self, scratch: &Scratch, entry: &Entry) -> io::Result<BlockMesh> {
+        let mut at = entry.at;
+        let vertices = entry.vertices as usize;
+        let tiles = read_array(scratch, &mut at, entry.tiles as usize)?;
+        let ends = read_array(scratch, &mut at, vertices)?;
+        let normals = read_array(scratch, &mut at, if self.normals { vertices } else { 0 })?;
+        let attributes = self.components.iter().map(|n| read_array(scratch, &mut at, n * vertices));
+        Ok(BlockMesh {
+            block: entry.block,
+            tiles,
+            ends,
+            normals,
+            attributes: attributes.collect::<io::Result<_>>()?,
+            triangle_count: entry.triangles as usize,
+        })
+    }
+}
+
+fn read_array<T: bytemuck::Pod>(scratch: &Scratch, at: &mut u64, len: usize) -> io::Result<Vec<T>> {
+    let mut array = vec![T::zeroed(); len];
+    scratch.read_at(*at, bytemuck::cast_slice_mut(&mut array))?;
+    *at += size_of_val(&array[..]) as u64;
+    Ok(array)
+}
+
+impl BlockMesh {
+    /// All arrays one after the other, as [`Spool::get`] reads them.
+    fn to_bytes(&self) -> Vec<u8> {
+        let mut bytes = Vec::with_capacity(self.bytes() as usize);
+        bytes.extend_from_slice(bytemuck::cast_slice(&self.tiles));
+        bytes.extend_from_slice(bytemuck::cast_slice(&self.ends));
+        bytes.extend_from_slice(bytemuck::cast_slice(&self.normals));
+        self.attributes.iter().for_each(|values| bytes.extend_from_slice(bytemuck::cast_slice(values)));
+        bytes
+    }
+
+    /// Of all arrays together.
+    fn bytes(&self) -> u64 {
+        let attributes: usize = self.attributes.iter().map(|values| size_of_val(&values[..])).sum();
+        let own = size_of_val(&self.tiles[..]) + size_of_val(&self.ends[..]) + size_of_val(&self.normals[..]);
+        (own + attributes) as u64
+    }
+}

@@ -1,0 +1,227 @@
+//! Whole components below a volume, and drops of few particles.
+//!
+//! Each block's triangles fall into parts; parts that share a vertex are one component. A block's triangles name
+//! vertices of its own and of blocks that come later, so one pass in order sees every vertex that two blocks share.
+//! By the divergence theorem a part's share of the volume is a sum over its triangles, seen from a corner of
+//! its block, and moves to another corner by the sum of its areas.
+
+use std::collections::BTreeMap;
+use std::io;
+
+use glam::DVec3;
+use hashbrown::HashMap;
+use rayon::prelude::*;
+
+use crate::grid::BLOCK;
+use crate::surface::mesh::source::MeshSource;
+use crate::surface::stitch::Stitched;
+
+use super::vertex_set::VertexSet;
+
+/// How many components are left out of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Dropped {
+    /// Those of too little volume, fluid or air.
+    pub components: u64,
+    /// Drops of too few particles, and not of too little volume.
+    pub drops: u64,
+}
+
+impl Dropped {
+    /// All of them.
+    #[must_use]
+    pub fn total(self) -> u64 {
+        self.components + self.drops
+    }
+
+    /// The options that left them out.
+    #[must_use]
+    pub fn limits(self) -> &'static str {
+        match (self.components, self.drops) {
+            (_, 0) => "--drop-smaller",
+            (0, _) => "--smallest-drop",
+            _ => "--drop-smaller and --smallest-drop",
+        }
+    }
+}
+
+/// The components of `surface` whose volume is less than so many cells, air enclosed by fluid included, and the drops of less than
+/// `drop`: their vertices, and how many there are.
+///
+/// # Errors
+/// Where scratch files cannot be read.
+pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(VertexSet, Dropped)> {
+    let pieces = surface.pieces();
+    let mut components = Components::default();
+    let mut firsts = Vec::with_capacity(pieces);
+    // Vertices that were named before their own block, with the component that did.
+    let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
+    in_batches(
+        pieces,
+        |piece| Parts::of(surface, piece),
+        |piece, parts| {
+            let base = components.parents.len() as u32;
+            firsts.push(base);
+            for &part in &parts.parts {
+                components.push(part);
+            }
+            let first = surface.first_vertex(piece);
+            let own = first..first + parts.part_of.len() as u64;
+            let named: Vec<(u64, u32)> =
+                awaited.range(own).map(|(&vertex, &component)| (vertex, component)).collect();
+            for (vertex, component) in named {
+                awaited.remove(&vertex);
+                components.join(component, base + parts.part_of[(vertex - first) as usize]);
+            }
+            for &(vertex, part) in &parts.beyond {
+                if let Some(other) = awaited.insert(vertex, base + part) {
+                    components.join(other, base + part);
+                }
+            }
+        },
+    )?;
+    let mut dropped = Dropped::default();
+    let mut small = Vec::with_capacity(firsts.len());
+    for part in 0..components.parents.len() as u32 {
+        let own = components.volume(part);
+        let (too_small, drop) = (own.abs() < volume, (0.0..drop).contains(&own));
+        small.push(too_small || drop);
+        if components.parents[part as usize] == part {
+            dropped.components += u64::from(too_small);
+            dropped.drops += u64::from(drop && !too_small);
+        }
+    }
+    let mut vertices = VertexSet::none_of(surface.vertex_count());
+    in_batches(
+        pieces,
+        |piece| Parts::of(surface, piece),
+        |piece, parts| {
+            for (vertex, part) in (surface.first_vertex(piece)..).zip(&parts.part_of) {
+                if small[(firsts[piece] + part) as usize] {
+                    vertices.insert(vertex);
+                }
+            }
+        },
+    )?;
+    Ok((vertices, dropped))
+}
+
+/// Makes something of all pieces on all threads, and takes it in order.
+fn in_batches<T: Send>(
+    pieces: usize,
+    make: impl Fn(usize) -> io::Result<T> + Sync,
+    mut take: impl FnMut(usize, T),
+) -> io::Result<()> {
+    let batch = 4 * rayon::current_num_threads();
+    for first in (0..pieces).step_by(batch) {
+        let range = first..(first + batch).min(pieces);
+        let made: Vec<T> = range.clone().into_par_iter().map(&make).collect::<io::Result<_>>()?;
+        range.zip(made).for_each(|(piece, made)| take(piece, made));
+    }
+    Ok(())
+}
+
+/// What adds up over triangles, seen from a point.
+#[derive(Clone, Copy)]
+struct Part {
+    from: DVec3,
+    volume: f64,
+    area: DVec3,
+}
+
+/// The triangles of one piece.
+struct Parts {
+    parts: Vec<Part>,
+    /// For each of the piece's vertices.
+    part_of: Vec<u32>,
+    /// Vertices of other pieces, and a part that names them.
+    beyond: Vec<(u64, u32)>,
+}
+
+impl Parts {
+    fn of(surface: &Stitched, piece: usize) -> io::Result<Self> {
+        let first = surface.first_vertex(piece);
+        let mut triangles = Vec::new();
+        surface.cell_triangles(piece, |_, triangle| triangles.push(triangle))?;
+        let mut places: Vec<DVec3> = surface.places(piece)?.into_iter().map(|(_, place)| place).collect();
+        let own = places.len();
+        let mut beyond: Vec<u64> =
+            triangles.iter().flatten().copied().filter(|&vertex| vertex >= first + own as u64).collect();
+        beyond.sort_unstable();
+        beyond.dedup();
+        for vertices in beyond.chunk_by(|&a, &b| surface.piece_of(a) == surface.piece_of(b)) {
+            let other = surface.piece_of(vertices[0]);
+            let theirs = surface.places(other)?;
+            let of = |vertex: &u64| theirs[(vertex - surface.first_vertex(other)) as usize].1;
+            places.extend(vertices.iter().map(of));
+        }
+        let ranks: HashMap<u64, usize> = beyond.iter().copied().zip(own..).collect();
+        let local = |vertex: u64| ranks.get(&vertex).copied().unwrap_or((vertex - first) as usize);
+
+        let mut lesser: Vec<u32> = (0..places.len() as u32).collect();
+        for triangle in &triangles {
+            let roots = triangle.map(|vertex| root(&mut lesser, local(vertex) as u32));
+            let least = roots.into_iter().min().expect("there are three");
+            roots.into_iter().for_each(|root| lesser[root as usize] = least);
+        }
+        let mut numbers = HashMap::new();
+        let part_of: Vec<u32> = (0..places.len() as u32)
+            .map(|vertex| {
+                let next = numbers.len() as u32;
+                *numbers.entry(root(&mut lesser, vertex)).or_insert(next)
+            })
+            .collect();
+        let from = (surface.block(piece) * BLOCK).as_dvec3();
+        let mut parts = vec![Part { from, volume: 0.0, area: DVec3::ZERO }; numbers.len()];
+        for triangle in triangles {
+            let corners = triangle.map(local);
+            let [a, b, c] = corners.map(|corner| places[corner] - from);
+            let area = (b - a).cross(c - a) / 2.0;
+            let part = &mut parts[part_of[corners[0]] as usize];
+            part.volume += a.dot(area) / 3.0;
+            part.area += area;
+        }
+        let beyond = beyond.into_iter().zip(part_of[own..].iter().copied()).collect();
+        Ok(Self { parts, part_of: part_of[..own].to_vec(), beyond })
+    }
+}
+
+/// Parts, joined.
+#[derive(Default)]
+struct Components {
+    parents: Vec<u32>,
+    sums: Vec<Part>,
+}
+
+impl Components {
+    fn push(&mut self, part: Part) {
+        self.parents.push(self.parents.len() as u32);
+        self.sums.push(part);
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let [a, b] = [a, b].map(|part| root(&mut self.parents, part));
+        let [kept, other] = [a.min(b), a.max(b)];
+        if kept != other {
+            let added = self.sums[other as usize];
+            let sum = &mut self.sums[kept as usize];
+            sum.volume += added.volume - (sum.from - added.from).dot(added.area) / 3.0;
+            sum.area += added.area;
+            self.parents[other as usize] = kept;
+        }
+    }
+
+    /// Of the component of a part.
+    fn volume(&mut self, part: u32) -> f64 {
+        let root = root(&mut self.parents, part);
+        self.sums[root as usize].volume
+    }
+}
+
+pub(super) fn root(lesser: &mut [u32], mut member: u32) -> u32 {
+    while lesser[member as usize] != member {
+        lesser[member as usize] = lesser[lesser[member as usize] as usize];
+        member = lesser[member as usize];
+    }
+    member
+}

@@ -1,0 +1,530 @@
+//! Fewer triangles within a distance that is asked for, chunk by chunk, seams included.
+//!
+//! A chunk is a cube of 2^3 blocks. What lies wholly in one is simplified with its border locked; then the same is
+//! done once more with chunks that are shifted by half, for what was border before and what is next to it. Both passes
+//! measure against the surface as it was before either, so the distance asked for is kept by both together:
+//! no sample of the result lies farther from the surface, and no vertex of the surface farther from the result.
+//!
+//! The vertices that are left are vertices of the surface as it was, and keep their positions, normals and attributes.
+//! Chunks know nothing of threads or memory, and nothing is held but the chunks in work, a bit a vertex, and
+//! what the budget allows of the triangles.
+
+mod collapse;
+mod drops;
+mod patch;
+mod surface;
+mod topology;
+mod vertex_set;
+
+use std::borrow::Cow;
+use std::io;
+use std::path::Path;
+
+use glam::{DVec3, IVec3, Vec3A};
+use hashbrown::HashSet;
+use rayon::prelude::*;
+
+use crate::grid::units::Tolerance;
+use crate::grid::{BLOCK, CellBox, MortonKey};
+use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
+use crate::surface::stitch::Stitched;
+use crate::system::scratch::Lists;
+
+pub use drops::Dropped;
+use drops::smaller_than;
+use patch::Patch;
+use surface::NONE;
+use topology::Outside;
+use vertex_set::VertexSet;
+
+/// Edge of a chunk in blocks.
+const CHUNK: i32 = 2;
+/// In the first pass a vertex stays in about every square of so many cells: without them triangles on flat ground would
+/// reach from a seam beyond the chunk that is to simplify it in the second.
+const PIN_SPACING: i32 = 16;
+/// The second pass simplifies triangles that come within so many cells of a seam of the first.
+const BAND: i32 = 4;
+/// Edge of the boxes by which it is found what lies near them, in cells.
+const BOX: i32 = 4;
+
+/// Triangles by the numbers of their vertices in the whole mesh.
+type Triangles = Vec<[u64; 3]>;
+
+/// A surface with fewer triangles. Its pieces are the chunks of the second pass.
+#[derive(Debug)]
+pub struct Simplified {
+    whole: Stitched,
+    /// By their numbers in `whole`.
+    triangles: Lists<[u64; 3]>,
+    kept: VertexSet,
+    /// The pieces of `whole` in each chunk.
+    chunks: Vec<Vec<usize>>,
+    /// For each piece of `whole` the new number of its first vertex that is kept.
+    firsts: Vec<u64>,
+    counts: [u64; 2],
+    dropped: Dropped,
+}
+
+/// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled surface.
+pub const BYTES_A_THREAD: u64 = 28 << 20;
+
+/// What is to be left out of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Reduction {
+    /// Triangles, as long as the surface stays this near.
+    pub tolerance: Option<Tolerance>,
+    /// Components that enclose less, fluid or air.
+    pub least_volume_cells: Option<f64>,
+    /// Drops of fewer particles, as told by their volume.
+    pub smallest_drop: Option<u32>,
+}
+
+/// The share of its particles' volume that a small drop holds: of one particle 0.6 to 1.1, of two 0.7 to 1.1, of eight 0.8 to 1.1.
+const HELD: f64 = 0.85;
+
+impl Reduction {
+    /// Whether nothing is to be left out.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Reduces `surface`, a particle of which fills so many cells, with so many bytes of triangles in memory; those beyond go to a
+/// scratch file in `folder`.
+///
+/// # Errors
+/// Where scratch files cannot be read or written.
+pub fn simplify(
+    surface: Stitched,
+    reduction: &Reduction,
+    particle_cells: f64,
+    bytes: u64,
+    folder: &Path,
+) -> io::Result<Simplified> {
+    let Reduction { least_volume_cells, smallest_drop, .. } = *reduction;
+    let (left_out, dropped) = if least_volume_cells.is_some() || smallest_drop.is_some() {
+        let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
+        let volume = least_volume_cells.unwrap_or(0.0);
+        let (vertices, dropped) = smaller_than(&surface, volume, particles * particle_cells)?;
+        (Some(vertices), dropped)
+    } else {
+        (None, Dropped::default())
+    };
+    let passes = Passes { surface: &surface, dropped: left_out, tolerance: reduction.tolerance };
+    let blocks: Vec<IVec3> = surface.blocks().collect();
+    let aligned = grouped(&blocks, aligned_chunk);
+    let shifted = grouped(&blocks, shifted_chunk);
+    let batch = 2 * rayon::current_num_threads();
+
+    let mut between = Lists::in_memory();
+    // For each list its shifted chunk, and what is to be done with it.
+    let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
+    for chunks in aligned.chunks(batch) {
+        let done: Vec<_> =
+            chunks.par_iter().map(|(_, pieces)| passes.first(pieces)).collect::<io::Result<_>>()?;
+        for ((home, fate), list) in done.into_iter().flatten() {
+            homes.push((home, fate, between.len()));
+            between.push(list)?;
+        }
+        if between.bytes() > bytes / 2 {
+            between.move_to_file(folder)?;
+        }
+    }
+    homes.sort_unstable();
+
+    let mut triangles = Lists::in_memory();
+    let mut kept = VertexSet::none_of(surface.vertex_count());
+    let mut triangle_count = 0;
+    for chunks in shifted.chunks(batch) {
+        let done: Vec<Triangles> = chunks
+            .par_iter()
+            .map(|(home, pieces)| {
+                let start = homes.partition_point(|(other, ..)| other < home);
+                let lists = homes[start..].iter().take_while(|(other, ..)| other == home);
+                passes.second(pieces, &between, lists.map(|&(_, fate, list)| (fate, list)))
+            })
+            .collect::<io::Result<_>>()?;
+        for list in done {
+            list.as_flattened().iter().for_each(|&vertex| kept.insert(vertex));
+            triangle_count += list.len() as u64;
+            triangles.push(list)?;
+        }
+        if triangles.bytes() > bytes / 2 {
+            triangles.move_to_file(folder)?;
+        }
+    }
+    kept.count();
+    let mut firsts = vec![0; blocks.len()];
+    let mut vertex_count = 0;
+    let chunks: Vec<Vec<usize>> = shifted.into_iter().map(|(_, pieces)| pieces).collect();
+    for &piece in chunks.iter().flatten() {
+        firsts[piece] = vertex_count;
+        let first = surface.first_vertex(piece);
+        vertex_count += kept.rank(first + surface.piece_vertices(piece) as u64) - kept.rank(first);
+    }
+    Ok(Simplified {
+        whole: surface,
+        triangles,
+        kept,
+        chunks,
+        firsts,
+        counts: [vertex_count, triangle_count],
+        dropped,
+    })
+}
+
+fn aligned_chunk(block: IVec3) -> IVec3 {
+    block >> CHUNK.ilog2()
+}
+
+fn shifted_chunk(block: IVec3) -> IVec3 {
+    aligned_chunk(block + CHUNK / 2)
+}
+
+/// The pieces of each chunk, in Morton order.
+fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, Vec<usize>)> {
+    let mut pieces: Vec<(MortonKey, usize)> =
+        blocks.iter().enumerate().map(|(piece, &block)| (MortonKey::of(chunk(block)), piece)).collect();
+    pieces.sort_unstable();
+    let groups = pieces.chunk_by(|a, b| a.0 == b.0);
+    groups.map(|group| (group[0].0, group.iter().map(|&(_, piece)| piece).collect())).collect()
+}
+
+/// What the second pass is to do with a triangle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Fate {
+    Simplify,
+    /// It crosses the border of its chunk.
+    Keep,
+}
+
+struct Passes<'a> {
+    surface: &'a Stitched,
+    dropped: Option<VertexSet>,
+    /// Where there is none, all triangles stay.
+    tolerance: Option<Tolerance>,
+}
+
+impl Passes<'_> {
+    /// Calls `put` with each triangle of a piece that is not dropped, and its dual cell.
+    fn triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
+        self.surface.cell_triangles(piece, |cell, triangle| {
+            if self.dropped.as_ref().is_none_or(|dropped| !dropped.contains(triangle[0])) {
+                put(cell, triangle);
+            }
+        })
+    }
+
+    fn simplified(&self, patch: Patch) -> Vec<[u32; 3]> {
+        match self.tolerance {
+            Some(tolerance) => patch.simplified(tolerance.cells() as f32),
+            None => patch.triangles.to_vec(),
+        }
+    }
+
+    /// Simplifies what lies wholly in the given pieces, and says where in the second pass everything goes.
+    fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
+        let chunk = Chunk::load(self.surface, pieces)?;
+        let mut sorted = Sorted::default();
+        let mut inside = Vec::new();
+        for &piece in pieces {
+            self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
+                Some(local) => inside.push(local),
+                // Its vertices' cells are those of the dual cell's corners.
+                None => sorted.push(self.home([cell, cell + 1]), triangle),
+            })?;
+        }
+        let patch = Patch {
+            positions: &chunk.positions,
+            reference: &inside,
+            triangles: &inside,
+            pinned: &chunk.pins(),
+            outside: Outside::DualCells,
+        };
+        for triangle in self.simplified(patch) {
+            let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
+            sorted.push(self.home(cells), chunk.global(triangle));
+        }
+        Ok(sorted.lists)
+    }
+
+    /// How many cells from a triangle's vertices the surface within the tolerance of it may lie.
+    fn reach(&self) -> i32 {
+        self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + 1
+    }
+
+    /// The shifted chunk of a triangle whose vertices have these cells, and what is to be done with it there:
+    /// all that is simplified lies so far inside that the surface within the tolerance of it is in the chunk.
+    fn home<const N: usize>(&self, cells: [IVec3; N]) -> (MortonKey, Fate) {
+        let block = cells[0] >> BLOCK.ilog2();
+        let chunk = shifted_chunk(block);
+        let lo = (chunk * CHUNK - CHUNK / 2) * BLOCK;
+        let reach = self.reach();
+        let inner = CellBox { lo, hi: lo + CHUNK * BLOCK }.grown(-reach, -reach);
+        let is_beside = |x: i32| (x + BAND).rem_euclid(CHUNK * BLOCK) < 2 * BAND;
+        let is_near_seam = cells.iter().any(|cell| cell.to_array().into_iter().any(is_beside));
+        let is_inside = cells.iter().all(|&cell| inner.contains(cell));
+        let fate = if is_near_seam && is_inside { Fate::Simplify } else { Fate::Keep };
+        (MortonKey::of(chunk), fate)
+    }
+
+    /// Simplifies once more what the first pass left of a shifted chunk.
+    fn second(
+        &self,
+        pieces: &[usize],
+        between: &Lists<[u64; 3]>,
+        lists: impl Iterator<Item = (Fate, usize)>,
+    ) -> io::Result<Triangles> {
+        let mut result = Triangles::new();
+        let mut left = Vec::new();
+        let chunk = Chunk::load(self.surface, pieces)?;
+        for (fate, list) in lists {
+            let list = between.get(list)?;
+            match fate {
+                Fate::Keep => result.extend_from_slice(&list),
+                Fate::Simplify => left.extend(list.iter().map(|&triangle| {
+                    chunk.local(triangle).expect("a triangle inside of a chunk has its vertices there")
+                })),
+            }
+        }
+        if left.is_empty() {
+            return Ok(result);
+        }
+        let near = Boxes::around(&left, &chunk.cells, self.reach());
+        let mut reference = Vec::new();
+        for &piece in pieces {
+            self.triangles(piece, |cell, triangle| {
+                if near.contains(cell) {
+                    reference.extend(chunk.local(triangle));
+                }
+            })?;
+        }
+        let mut used = Used::of(chunk.positions.len());
+        reference.iter_mut().chain(&mut left).for_each(|triangle| used.renumber(triangle));
+        let positions: Vec<Vec3A> = used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
+        let patch = Patch {
+            positions: &positions,
+            reference: &reference,
+            triangles: &left,
+            pinned: &[],
+            outside: Outside::Simplified,
+        };
+        let simplified = self.simplified(patch).into_iter();
+        result.extend(simplified.map(|triangle| chunk.global(triangle.map(|at| used.vertices[at as usize]))));
+        Ok(result)
+    }
+}
+
+/// Lists by where their triangles go.
+#[derive(Default)]
+struct Sorted {
+    lists: Vec<((MortonKey, Fate), Triangles)>,
+}
+
+impl Sorted {
+    fn push(&mut self, home: (MortonKey, Fate), triangle: [u64; 3]) {
+        match self.lists.iter_mut().find(|(key, _)| *key == home) {
+            Some((_, list)) => list.push(triangle),
+            None => self.lists.push((home, vec![triangle])),
+        }
+    }
+}
+
+/// Boxes of cells that triangles come near to.
+struct Boxes {
+    lo: IVec3,
+    size: IVec3,
+    is_near: Vec<bool>,
+}
+
+impl Boxes {
+    /// Those within `reach` cells of triangles whose vertices have these cells.
+    fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
+        let bounds = |vertices: &[u32]| {
+            let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
+            let bounds =
+                cells.map(|cell| [cell, cell]).reduce(|[lo, hi], [cell, _]| [lo.min(cell), hi.max(cell)]);
+            let [lo, hi] = bounds.unwrap_or_default();
+            [lo - reach, hi + reach].map(|cell| cell >> BOX.ilog2())
+        };
+        let [lo, hi] = bounds(triangles.as_flattened());
+        let size = hi - lo + 1;
+        let mut boxes = Self { lo, size, is_near: vec![false; size.as_usizevec3().element_product()] };
+        for triangle in triangles {
+            let [lo, hi] = bounds(triangle);
+            for z in lo.z..=hi.z {
+                for y in lo.y..=hi.y {
+                    for x in lo.x..=hi.x {
+                        let rank = boxes.rank(IVec3::new(x, y, z));
+                        boxes.is_near[rank] = true;
+                    }
+                }
+            }
+        }
+        boxes
+    }
+
+    fn rank(&self, at: IVec3) -> usize {
+        let at = at - self.lo;
+        (at.x + self.size.x * (at.y + self.size.y * at.z)) as usize
+    }
+
+    fn contains(&self, cell: IVec3) -> bool {
+        let at = cell >> BOX.ilog2();
+        at.cmpge(self.lo).all() && at.cmplt(self.lo + self.size).all() && self.is_near[self.rank(at)]
+    }
+}
+
+/// Those of a chunk's vertices that triangles use, in the order in which they do.
+struct Used {
+    vertices: Vec<u32>,
+    /// For each of the chunk's, or `NONE`.
+    ranks: Vec<u32>,
+}
+
+impl Used {
+    fn of(vertices: usize) -> Self {
+        Self { vertices: Vec::new(), ranks: vec![NONE; vertices] }
+    }
+
+    fn renumber(&mut self, triangle: &mut [u32; 3]) {
+        for vertex in triangle {
+            let rank = &mut self.ranks[*vertex as usize];
+            if *rank == NONE {
+                *rank = self.vertices.len() as u32;
+                self.vertices.push(*vertex);
+            }
+            *vertex = *rank;
+        }
+    }
+}
+
+/// The vertices of a chunk.
+struct Chunk {
+    /// For pieces that follow one another the number of their first vertex, in the whole mesh and in the chunk, and how
+    /// many there are.
+    ranges: Vec<[u64; 3]>,
+    /// The lower cell of each vertex's edge.
+    cells: Vec<IVec3>,
+    /// In cells from the chunk's corner, no two alike.
+    positions: Vec<Vec3A>,
+}
+
+impl Chunk {
+    fn load(surface: &Stitched, pieces: &[usize]) -> io::Result<Self> {
+        let vertices = pieces.iter().map(|&piece| surface.piece_vertices(piece)).sum();
+        let mut chunk = Self {
+            ranges: Vec::with_capacity(pieces.len()),
+            cells: Vec::with_capacity(vertices),
+            positions: Vec::with_capacity(vertices),
+        };
+        let mut corner = None;
+        let mut taken = HashSet::with_capacity(vertices);
+        for &piece in pieces {
+            let places = surface.places(piece)?;
+            let (first, count) = (surface.first_vertex(piece), places.len() as u64);
+            match chunk.ranges.last_mut() {
+                Some(range) if range[0] + range[2] == first => range[2] += count,
+                _ => chunk.ranges.push([first, chunk.cells.len() as u64, count]),
+            }
+            for (cell, place) in places {
+                let corner: DVec3 = *corner.get_or_insert(place.floor());
+                let mut position = (place - corner).as_vec3a();
+                // Triangles with vertices at the same place would face nowhere.
+                while !taken.insert(position.to_array().map(f32::to_bits)) {
+                    position.x = position.x.next_up();
+                }
+                chunk.cells.push(cell);
+                chunk.positions.push(position);
+            }
+        }
+        Ok(chunk)
+    }
+
+    /// Vertices on the lines of a coarse lattice.
+    fn pins(&self) -> Vec<u32> {
+        let on_line = |cell: &IVec3| {
+            cell.to_array().into_iter().filter(|x| x.rem_euclid(PIN_SPACING) == PIN_SPACING / 2).count() >= 2
+        };
+        (0..).zip(&self.cells).filter(|(_, cell)| on_line(cell)).map(|(vertex, _)| vertex).collect()
+    }
+
+    fn local(&self, triangle: [u64; 3]) -> Option<[u32; 3]> {
+        let mut local = [0; 3];
+        for (to, vertex) in local.iter_mut().zip(triangle) {
+            let own = |range: &&[u64; 3]| vertex.checked_sub(range[0]).is_some_and(|rank| rank < range[2]);
+            let [first, base, _] = self.ranges.iter().find(own)?;
+            *to = (vertex - first + base) as u32;
+        }
+        Some(local)
+    }
+
+    fn global(&self, triangle: [u32; 3]) -> [u64; 3] {
+        triangle.map(|vertex| {
+            let vertex = u64::from(vertex);
+            let own = self.ranges.iter().rfind(|range| range[1] <= vertex && vertex < range[1] + range[2]);
+            let [first, base, _] = own.expect("every vertex is in a range");
+            vertex - base + first
+        })
+    }
+}
+
+impl Simplified {
+    /// The surface as it was.
+    #[must_use]
+    pub fn whole(&self) -> &Stitched {
+        &self.whole
+    }
+
+    /// What was left out.
+    #[must_use]
+    pub fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    fn renumbered(&self, vertex: u64) -> u64 {
+        let piece = self.whole.piece_of(vertex);
+        self.firsts[piece] + self.kept.rank(vertex) - self.kept.rank(self.whole.first_vertex(piece))
+    }
+}
+
+impl MeshSource for Simplified {
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.counts[0],
+            triangles: self.counts[1],
+            normals: self.whole.has_normals(),
+            attributes: self.whole.attributes(),
+            pieces: self.chunks.len(),
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let attributes = self.attributes();
+        let (mut positions, mut normals) = (Vec::new(), Vec::new());
+        let mut values = vec![Vec::new(); attributes.len()];
+        for &part in &self.chunks[piece] {
+            let first = self.whole.first_vertex(part);
+            let vertices = self.whole.vertices(part)?;
+            let kept = (0..vertices.positions.len()).filter(|&rank| self.kept.contains(first + rank as u64));
+            for rank in kept {
+                positions.push(vertices.positions[rank]);
+                normals.extend(vertices.normals.get(rank));
+                for ((to, from), info) in values.iter_mut().zip(&vertices.attributes).zip(&attributes) {
+                    to.extend_from_slice(&from[rank * info.components..][..info.components]);
+                }
+            }
+        }
+        Ok(Vertices {
+            positions: Cow::Owned(positions),
+            normals: Cow::Owned(normals),
+            attributes: values.into_iter().map(Cow::Owned).collect(),
+        })
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let triangles = self.triangles.get(piece)?;
+        Ok(triangles.iter().map(|triangle| triangle.map(|vertex| self.renumbered(vertex))).collect())
+    }
+}

@@ -1,0 +1,315 @@
+//! One mesh from the surfaces of all blocks, by the identity of dual edges.
+//!
+//! A vertex's number is its block's base, plus its tile's, plus its rank among the tile's crossed edges: it follows
+//! from their order. Nothing is searched for by position and nothing depends on distance. Order is that of tiles along the
+//! Morton curve. Positions and triangles are made when they are asked for, block by block, and never kept.
+
+mod numbers;
+pub mod vulkan;
+
+use std::borrow::Cow;
+use std::cell::Cell;
+use std::io;
+
+use bytemuck::Zeroable;
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use thiserror::Error;
+
+use crate::grid::{BLOCK, CellBox, Domain, Grid};
+use crate::particles::AttributeInfo;
+use crate::surface::dual_mc::Crossings;
+use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
+use crate::surface::mesh::spool::Spool;
+use crate::surface::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
+use crate::system::memory::zeroed_in_huge_pages;
+
+use numbers::Numbers;
+pub use numbers::writing_bytes;
+
+/// Why a surface cannot be brought into memory as one indexed mesh.
+#[derive(Debug, Error)]
+pub enum WholeMeshError {
+    /// 32 bits cannot number its vertices.
+    #[error(
+        "the surface has {0} vertices, more than an indexed mesh in memory holds; use a larger cell size"
+    )]
+    TooManyVertices(u64),
+    /// Surfaces were spooled to a file that cannot be read.
+    #[error("scratch file: {0}")]
+    Scratch(#[from] io::Error),
+}
+
+/// The surfaces of all blocks as one shared, indexed mesh.
+#[derive(Debug)]
+pub struct Stitched {
+    spool: Spool,
+    grid: Grid,
+    domain: Option<Domain>,
+    crossings: Crossings,
+    attributes: Vec<AttributeInfo>,
+}
+
+impl Stitched {
+    /// Joins the surfaces in `spool`, whose vertices carry `attributes`.
+    #[must_use]
+    pub fn new(
+        spool: Spool,
+        grid: Grid,
+        domain: Option<Domain>,
+        crossings: impl Into<Crossings>,
+        attributes: Vec<AttributeInfo>,
+    ) -> Self {
+        Self { spool, grid, domain, crossings: crossings.into(), attributes }
+    }
+
+    /// A corner of the mesh's blocks that is farthest from the origin, as its greatest coordinate.
+    #[must_use]
+    pub fn farthest_coordinate(&self) -> f64 {
+        let corners = |block: IVec3| {
+            let CellBox { lo, hi } = CellBox::cube(block, BLOCK);
+            [lo, hi].map(|cells| self.grid.world_from_cells(cells.as_dvec3()).abs().max_element())
+        };
+        self.spool.blocks().flat_map(corners).fold(0.0, f64::max)
+    }
+
+    /// All of it in memory.
+    ///
+    /// # Errors
+    /// [`WholeMeshError`].
+    pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
+        if u32::try_from(self.vertex_count()).is_err() {
+            return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
+        }
+        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
+        let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
+            let values =
+                self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
+            Ok(VertexAttribute { name: name.clone(), components: *components, values })
+        };
+        let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
+        split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
+        Ok(Mesh {
+            positions,
+            triangles,
+            normals: self.has_normals().then(normals).transpose()?,
+            attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
+        })
+    }
+
+    /// So many numbers of every vertex, put where they belong block by block.
+    fn of_vertices<T: Zeroable + Send>(
+        &self,
+        width: usize,
+        put: impl Fn(&BlockMesh, &mut [T]) + Sync,
+    ) -> io::Result<Vec<T>> {
+        let mut all = zeroed_in_huge_pages(width * self.vertex_count() as usize);
+        split(&mut all, (0..self.pieces()).map(|i| width * self.spool.counts(i)[0]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| self.spool.get(i).map(|block| put(&block, to)))?;
+        Ok(all)
+    }
+
+    /// The grid that the surface was made on.
+    #[must_use]
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Bytes of all block surfaces.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.spool.bytes()
+    }
+
+    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's own, but for what the surface
+    /// bends within a cell.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn volume(&self) -> io::Result<f64> {
+        let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block));
+        let columns: Vec<f64> =
+            (0..self.pieces()).into_par_iter().map(of_piece).collect::<io::Result<_>>()?;
+        Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
+    }
+
+    /// What a block adds to the lengths of all columns along x, in cells.
+    fn block_columns(&self, block: &BlockMesh) -> f64 {
+        let of_tile = |tile: &Tile| {
+            let first = tile.corner(block.block).x;
+            let ends = &block.ends[tile.first_vertex as usize..];
+            let crossings = bits(tile.crossed(0)).zip(ends).map(|(bit, &ends)| {
+                let x = f64::from(first + cell_of_bit(bit).x) + self.crossings.fraction(ends);
+                if tile.corners[0] >> bit & 1 == 1 { x } else { -x }
+            });
+            crossings.sum::<f64>()
+        };
+        block.tiles.iter().map(of_tile).sum()
+    }
+
+    /// The block of each piece, in Morton order.
+    pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
+        self.spool.blocks()
+    }
+
+    /// The tiles of a piece.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn tiles(&self, piece: usize) -> io::Result<Cow<'_, [Tile]>> {
+        self.spool.tiles(piece)
+    }
+
+    /// The block of a piece.
+    #[must_use]
+    pub fn block(&self, piece: usize) -> IVec3 {
+        self.spool.block(piece)
+    }
+
+    /// The number of the first vertex of a piece.
+    #[must_use]
+    pub fn first_vertex(&self, piece: usize) -> u64 {
+        self.spool.first_vertex(piece)
+    }
+
+    /// The piece of a vertex.
+    #[must_use]
+    pub fn piece_of(&self, vertex: u64) -> usize {
+        self.spool.piece_of(vertex)
+    }
+
+    /// How many vertices a piece has.
+    #[must_use]
+    pub fn piece_vertices(&self, piece: usize) -> usize {
+        self.spool.counts(piece)[0]
+    }
+
+    /// For each vertex of a piece the lower cell of its edge, and its position in cells.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn places(&self, piece: usize) -> io::Result<Vec<(IVec3, DVec3)>> {
+        let block = self.spool.get(piece)?;
+        let positions = self.positions(&block);
+        let mut places = Vec::with_capacity(positions.len());
+        block.edges().for_each(|(cell, _)| {
+            places.push((cell, self.grid.cells_from_world(positions[places.len()]).into()));
+        });
+        Ok(places)
+    }
+
+    /// Calls `put` with each triangle of a piece, and the lowest corner of the dual cell that it lies in.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn cell_triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
+        self.emit(piece, |_, cell, triangle| put(cell, triangle))
+    }
+
+    /// The one place where floating point enters: v = (1 - a) p_i + a p_j, or a point of the wall.
+    fn place(&self, block: &BlockMesh, positions: &mut [[f64; 3]]) {
+        let place = |cell: IVec3, axis: usize, ends: [u16; 2]| {
+            let mut cells = cell.as_dvec3() + 0.5;
+            cells[axis] += self.crossings.fraction(ends);
+            let mut world = self.grid.world_from_cells(cells);
+            if let Some(domain) = &self.domain {
+                let [lower, upper] = domain.walls();
+                if cell[axis] < domain.cells().lo[axis] {
+                    world[axis] = lower[axis];
+                } else if cell[axis] + 1 == domain.cells().hi[axis] {
+                    world[axis] = upper[axis];
+                }
+                world = DVec3::clamp(world, lower, upper);
+            }
+            world.to_array()
+        };
+        let mut places = positions.iter_mut().zip(&block.ends);
+        block.edges().for_each(|(cell, axis)| {
+            let (position, &ends) = places.next().expect("a place for every edge");
+            *position = place(cell, axis, ends);
+        });
+    }
+
+    fn positions(&self, block: &BlockMesh) -> Vec<[f64; 3]> {
+        let mut positions = vec![[0.0; 3]; block.ends.len()];
+        self.place(block, &mut positions);
+        positions
+    }
+
+    /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
+    /// the block's own vertices and to those of its neighbours further up along the axes.
+    fn emit(&self, i: usize, mut put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
+        thread_local! {
+            static NUMBERS: Cell<Option<Numbers>> = const { Cell::new(None) };
+        }
+        let mut numbers = NUMBERS.take().unwrap_or_else(Numbers::new);
+        let (block, own) = (self.spool.block(i), self.spool.tiles(i)?);
+        for neighbour in 0..8 {
+            let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
+            let Some(found) = self.spool.find(coord) else { continue };
+            let first = self.spool.first_vertex(found);
+            let tiles = if found == i { Cow::Borrowed(&*own) } else { self.spool.tiles(found)? };
+            for tile in tiles.iter() {
+                let corner = tile.corner(coord) - block * BLOCK;
+                if corner.max_element() <= BLOCK {
+                    numbers.enter(tile, corner, first + u64::from(tile.first_vertex));
+                }
+            }
+        }
+        numbers.triangles(block, &own, &mut put);
+        NUMBERS.set(Some(numbers));
+        Ok(())
+    }
+}
+
+impl MeshSource for Stitched {
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.spool.vertices(),
+            triangles: self.spool.triangles(),
+            normals: self.spool.has_normals(),
+            attributes: self.attributes.clone(),
+            pieces: self.spool.len(),
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let block = self.spool.get(piece)?;
+        let positions = self.positions(&block).into();
+        Ok(match block {
+            Cow::Borrowed(block) => Vertices {
+                positions,
+                normals: (&block.normals).into(),
+                attributes: block.attributes.iter().map(Into::into).collect(),
+            },
+            Cow::Owned(block) => Vertices {
+                positions,
+                normals: block.normals.into(),
+                attributes: block.attributes.into_iter().map(Into::into).collect(),
+            },
+        })
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let mut triangles = Vec::with_capacity(self.spool.counts(piece)[1]);
+        self.emit(piece, |_, _, triangle| triangles.push(triangle))?;
+        Ok(triangles)
+    }
+}
+
+/// Consecutive pieces of the given lengths.
+fn split<T>(mut rest: &mut [T], lengths: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    lengths
+        .map(|length| {
+            let (piece, tail) = std::mem::take(&mut rest).split_at_mut(length);
+            rest = tail;
+            piece
+        })
+        .collect()
+}

@@ -1,0 +1,89 @@
+//! Which vertex lies on which dual edge of a block, and the triangles that join them.
+
+use std::sync::LazyLock;
+
+use glam::IVec3;
+use multiversion::multiversion;
+
+use crate::grid::BLOCK;
+use crate::surface::dual_mc::table::{Edge, TABLE};
+use crate::surface::mesh::{Tile, bits, cell_of_bit};
+
+/// Cells along each axis: a block's, and one layer of the blocks above.
+const EDGE: usize = BLOCK as usize + 1;
+
+/// Triangles of a closed surface, nearly.
+const TRIANGLES_A_VERTEX: u64 = 2;
+/// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
+const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
+
+/// Bytes that each thread takes while the triangles of a block of so many vertices are numbered and written.
+#[must_use]
+pub fn writing_bytes(vertices: u64) -> u64 {
+    let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
+    numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
+}
+
+/// The numbers of the vertices on the edges that a block's triangles join. Of edges without a vertex nothing is known.
+pub(super) struct Numbers {
+    /// Three of each cell, by the axis of the edge whose lower cell it is; x fastest.
+    numbers: Vec<u64>,
+}
+
+impl Numbers {
+    pub(super) fn new() -> Self {
+        Self { numbers: vec![0; 3 * EDGE.pow(3)] }
+    }
+
+    /// Enters the vertices of tiles whose lowest cells are at `corner`, counted from the block's, and the tile's first
+    /// vertex has this number.
+    pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: u64) {
+        for axis in 0..3 {
+            for bit in bits(tile.crossed(axis)) {
+                let cell = corner + cell_of_bit(bit);
+                if cell.max_element() < EDGE as i32 {
+                    self.numbers[index(cell) + axis] = number;
+                }
+                number += 1;
+            }
+        }
+    }
+
+    /// Calls `put` with the rank, the dual cell and the vertices of each triangle of a block.
+    pub(super) fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(
+        &self,
+        block: IVec3,
+        tiles: &[Tile],
+        put: &mut F,
+    ) {
+        triangles(&self.numbers, block, tiles, put);
+    }
+}
+
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2", "x86_64+sse4.2"))]
+fn triangles<F: FnMut(usize, IVec3, [u64; 3])>(numbers: &[u64], block: IVec3, tiles: &[Tile], put: &mut F) {
+    let (fans, mut rank) = (&*FANS, 0);
+    for tile in tiles {
+        let corner = tile.corner(block);
+        for bit in bits(tile.mixed()) {
+            let cell = corner + cell_of_bit(bit);
+            let numbers = &numbers[index(cell - block * BLOCK)..];
+            for edges in &fans[tile.case(bit)] {
+                put(rank, cell, edges.map(|edge| numbers[usize::from(edge)]));
+                rank += 1;
+            }
+        }
+    }
+}
+
+/// Where the numbers of a cell begin.
+fn index(cell: IVec3) -> usize {
+    let cell = cell.as_usizevec3();
+    3 * (cell.x + EDGE * (cell.y + EDGE * cell.z))
+}
+
+/// [`TABLE`], with each edge as where its number is among those from the dual cell's lowest corner on.
+static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
+    let place = |edge: Edge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
+    std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
+});

@@ -1,0 +1,323 @@
+//! The whole mesh on a device: positions in f32 and triangles, in the order of [`Stitched`](super::Stitched), and to
+//! the bit what its positions round to.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use glam::IVec3;
+
+use crate::grid::units::Isovalue;
+use crate::grid::{BLOCK, MortonKey, TILE};
+use crate::surface::dual_mc::table::{Edge, TABLE};
+use crate::surface::dual_mc::vulkan::{TILE_WORDS, Tally};
+use crate::vulkan::{Batch, Device, Kernel, Program, Ticket, View, VulkanError, push_block};
+
+/// Tiles along a block's edge.
+pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
+/// Words of a combination of signs in the table: how many triangles, and each.
+pub const CASE_WORDS: u32 = 6;
+/// Bits of an edge: corner + 8 axis.
+pub const EDGE_BITS: u32 = 5;
+/// The number of a block that is not there.
+pub const NO_BLOCK: u32 = u32::MAX;
+/// Bytes of a position, and of a triangle.
+const ROW: u64 = 12;
+/// Vertices or triangles of a submission, at the most.
+const ROWS_AT_ONCE: u64 = 4 << 20;
+
+push_block! {
+    /// Of [`STARTS`].
+    struct StartsPush {
+        blocks: u32,
+    }
+}
+
+push_block! {
+    /// Of [`VERTICES`].
+    struct VerticesPush {
+        first_tile: u32,
+        tiles: u32,
+        first_vertex: u32,
+        first_word: u32,
+        threshold: u32,
+    }
+}
+
+push_block! {
+    /// Of [`TRIANGLES`].
+    struct TrianglesPush {
+        first_tile: u32,
+        tiles: u32,
+        first_triangle: u32,
+        first_word: u32,
+    }
+}
+
+/// Where each tile's triangles begin.
+pub const STARTS: Program = Program {
+    name: "starts",
+    code: include_bytes!("../../../spirv/starts.spv"),
+    buffers: &["blocks", "tiles", "table", "begins"],
+    push: StartsPush::FIELDS,
+    group: [256, 1, 1],
+};
+
+/// Positions.
+pub const VERTICES: Program = Program {
+    name: "vertices",
+    code: include_bytes!("../../../spirv/vertices.spv"),
+    buffers: &["grid", "blocks", "tiles", "begins", "ends", "positions"],
+    push: VerticesPush::FIELDS,
+    group: [64, 1, 1],
+};
+
+/// Triangles.
+pub const TRIANGLES: Program = Program {
+    name: "triangles",
+    code: include_bytes!("../../../spirv/triangles.spv"),
+    buffers: &["blocks", "tiles", "begins", "table", "indices"],
+    push: TrianglesPush::FIELDS,
+    group: [64, 1, 1],
+};
+
+/// The kernels of stitching.
+#[derive(Debug)]
+pub struct StitchKernels {
+    starts: Arc<Kernel>,
+    vertices: Arc<Kernel>,
+    triangles: Arc<Kernel>,
+}
+
+impl StitchKernels {
+    /// Compiles them.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn new(device: &Device) -> Result<Self, VulkanError> {
+        let [starts, vertices, triangles] = device.kernels([&STARTS, &VERTICES, &TRIANGLES])?;
+        Ok(Self { starts, vertices, triangles })
+    }
+}
+
+/// A block's surface among all, as `surface.wgsl` has it.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct MeshBlock {
+    coord: [i32; 3],
+    first_tile: u32,
+    tiles: u32,
+    first_vertex: u32,
+    first_triangle: u32,
+    spare: u32,
+    above: [u32; 8],
+}
+
+/// Where all blocks begin in the whole mesh.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeshLayout {
+    blocks: Vec<MeshBlock>,
+    tiles: u32,
+    vertices: u32,
+    triangles: u32,
+}
+
+impl MeshLayout {
+    /// Of blocks in Morton order, counted in blocks, and what each has; `None` where 32 bits cannot number it all.
+    ///
+    /// # Panics
+    /// If the blocks are in another order.
+    #[must_use]
+    pub fn new(blocks: &[(IVec3, Tally)]) -> Option<Self> {
+        let keys: Vec<_> = blocks.iter().map(|&(block, _)| MortonKey::of(block)).collect();
+        assert!(keys.is_sorted_by(|a, b| a < b), "blocks are in Morton order");
+        let number = |coord| keys.binary_search(&MortonKey::of(coord)).map_or(NO_BLOCK, |i| i as u32);
+        let mut layout =
+            Self { blocks: Vec::with_capacity(blocks.len()), tiles: 0, vertices: 0, triangles: 0 };
+        for &(block, Tally { tiles, vertices, triangles, .. }) in blocks {
+            let above = |k: i32| number(block + IVec3::new(k & 1, k >> 1 & 1, k >> 2));
+            layout.blocks.push(MeshBlock {
+                coord: block.to_array(),
+                first_tile: layout.tiles,
+                tiles,
+                first_vertex: layout.vertices,
+                first_triangle: layout.triangles,
+                spare: 0,
+                above: [0, 1, 2, 3, 4, 5, 6, 7].map(above),
+            });
+            layout.tiles = layout.tiles.checked_add(tiles)?;
+            layout.vertices = layout.vertices.checked_add(vertices)?;
+            layout.triangles = layout.triangles.checked_add(triangles)?;
+        }
+        Some(layout)
+    }
+
+    /// As kernels take them.
+    #[must_use]
+    pub fn blocks(&self) -> &[MeshBlock] {
+        &self.blocks
+    }
+
+    /// Of all blocks.
+    #[must_use]
+    pub fn tiles(&self) -> u32 {
+        self.tiles
+    }
+
+    /// Of all blocks.
+    #[must_use]
+    pub fn vertices(&self) -> u32 {
+        self.vertices
+    }
+
+    /// Of all blocks.
+    #[must_use]
+    pub fn triangles(&self) -> u32 {
+        self.triangles
+    }
+
+    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a kernel can see at once.
+    fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<Run> {
+        let begin = |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
+        let mut runs: Vec<Run> = Vec::new();
+        for i in 0..self.blocks.len() {
+            let ((tile, row), (next_tile, next_row)) = (begin(i), begin(i + 1));
+            match runs.last_mut() {
+                Some(run) if u64::from(next_row - run.rows.start) * ROW <= range => {
+                    run.tiles.end = next_tile;
+                    run.rows.end = next_row;
+                }
+                _ => runs.push(Run { tiles: tile..next_tile, rows: row..next_row }),
+            }
+        }
+        runs.retain(|run| !run.rows.is_empty());
+        runs
+    }
+}
+
+/// Tiles, and what they own.
+struct Run {
+    tiles: Range<u32>,
+    rows: Range<u32>,
+}
+
+impl Run {
+    /// A work group a tile, in rows that every device allows.
+    fn groups(&self) -> [u32; 3] {
+        let tiles = self.tiles.len() as u32;
+        let width = tiles.clamp(1, 1 << 15);
+        [width, tiles.div_ceil(width), 1]
+    }
+
+    /// Its part of a buffer, and the words before it.
+    fn view(&self, all: &View, alignment: u64) -> (View, u32) {
+        all.aligned(u64::from(self.rows.start) * ROW, self.rows.len() as u64 * ROW, alignment)
+    }
+}
+
+/// The table of marching cubes as kernels take it: [`CASE_WORDS`] for each combination of signs.
+#[must_use]
+pub fn table() -> Vec<u32> {
+    let bits = |edge: Edge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
+    let pack = |[a, b, c]: [Edge; 3]| bits(a) | bits(b) << EDGE_BITS | bits(c) << (2 * EDGE_BITS);
+    let mut words = vec![0; TABLE.len() * CASE_WORDS as usize];
+    for (row, triangles) in words.chunks_exact_mut(CASE_WORDS as usize).zip(TABLE.iter()) {
+        row[0] = triangles.len() as u32;
+        row[1..].iter_mut().zip(triangles).for_each(|(word, &triangle)| *word = pack(triangle));
+    }
+    words
+}
+
+/// What stitching reads and writes.
+#[derive(Debug, Clone)]
+pub struct StitchBuffers {
+    /// A [`DeviceGrid`](crate::brick::vulkan::DeviceGrid).
+    pub grid: View,
+    /// [`MeshLayout::blocks`].
+    pub blocks: View,
+    /// A [`Tile`](crate::surface::mesh::Tile) each: those of all blocks, in order.
+    pub tiles: View,
+    /// For every vertex the field at the lower and the upper end of its edge, 16 bits each, in order.
+    pub ends: View,
+    /// [`table`].
+    pub table: View,
+    /// Two words a tile, to work with.
+    pub begins: View,
+    /// Three f32 a vertex, to be written.
+    pub positions: View,
+    /// Three u32 a triangle, to be written.
+    pub indices: View,
+}
+
+/// Writes the positions and the triangles of the whole mesh, after some tickets, in submissions that are each short enough for any
+/// driver; the last is left for the caller to submit.
+///
+/// # Errors
+/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a kernel can see
+/// at once.
+///
+/// # Panics
+/// If a buffer is smaller than what it is to hold.
+pub fn stitch(
+    device: &Device,
+    (batch, after): (&mut Batch, &[Ticket]),
+    kernels: &StitchKernels,
+    layout: &MeshLayout,
+    iso: Isovalue,
+    buffers: &StitchBuffers,
+) -> Result<(), VulkanError> {
+    let StitchBuffers { grid, blocks, tiles, ends, table, begins, positions, indices } = buffers;
+    let all = |views: &[&View]| views.iter().copied().cloned().collect::<Vec<_>>();
+    assert!(
+        tiles.bytes() >= u64::from(layout.tiles) * u64::from(TILE_WORDS) * 4
+            && begins.bytes() >= u64::from(layout.tiles) * 8
+    );
+    batch.stage("stitch", tiles.bytes());
+    let count = layout.blocks.len() as u32;
+    let width = count.clamp(1, 1 << 15);
+    batch.dispatch(
+        &kernels.starts,
+        &all(&[blocks, tiles, table, begins]),
+        &StartsPush { blocks: count },
+        [width, count.div_ceil(width), 1],
+    )?;
+    let limits = device.limits();
+    // What alignment adds in front of a run must fit as well.
+    let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW);
+    for run in layout.runs(|block| block.first_vertex, layout.vertices, range) {
+        let (positions, first_word) = run.view(positions, limits.alignment);
+        let push = VerticesPush {
+            first_tile: run.tiles.start,
+            tiles: run.tiles.len() as u32,
+            first_vertex: run.rows.start,
+            first_word,
+            threshold: iso.threshold().into(),
+        };
+        let views = all(&[grid, blocks, tiles, begins, ends, &positions]);
+        batch.dispatch(&kernels.vertices, &views, &push, run.groups())?;
+        batch.submit(after)?;
+        batch.begin()?;
+        batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
+    }
+    for run in layout.runs(|block| block.first_triangle, layout.triangles, range) {
+        let (indices, first_word) = run.view(indices, limits.alignment);
+        let push = TrianglesPush {
+            first_tile: run.tiles.start,
+            tiles: run.tiles.len() as u32,
+            first_triangle: run.rows.start,
+            first_word,
+        };
+        batch.dispatch(
+            &kernels.triangles,
+            &all(&[blocks, tiles, begins, table, &indices]),
+            &push,
+            run.groups(),
+        )?;
+        if run.rows.end < layout.triangles {
+            batch.submit(&[])?;
+            batch.begin()?;
+            batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
+        }
+    }
+    Ok(())
+}

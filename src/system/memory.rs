@@ -1,0 +1,96 @@
+//! How much memory this process may take, and has taken.
+
+use std::fs::read_to_string;
+
+use bytemuck::Zeroable;
+use bytemuck::allocation::zeroed_vec;
+
+use crate::grid::units::MemoryBudget;
+
+/// Three quarters of what is available: the system's own estimate, and no more than a control group or `ulimit` allows.
+///
+/// Where the system tells nothing, there is no limit.
+#[must_use]
+pub fn default_budget() -> MemoryBudget {
+    let available = [system_available(), group_available(), limit_available()].into_iter().flatten().min();
+    MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
+}
+
+fn system_available() -> Option<u64> {
+    kib_field(&read_to_string("/proc/meminfo").ok()?, "MemAvailable:")
+}
+
+/// Limit less use, of this process's control group (version 2, else 1).
+fn group_available() -> Option<u64> {
+    let number = |path: &str| read_to_string(path).ok()?.trim().parse::<u64>().ok();
+    let left = |limit: &str, used: &str| Some(number(limit)?.saturating_sub(number(used)?));
+    let group = read_to_string("/proc/self/cgroup").ok()?;
+    let own = group.lines().find_map(|line| line.strip_prefix("0::"));
+    let own = own.map(|group| format!("/sys/fs/cgroup{}", group.trim_end_matches('/')));
+    let v2 = own
+        .iter()
+        .map(String::as_str)
+        .chain(["/sys/fs/cgroup"])
+        .find_map(|dir| left(&format!("{dir}/memory.max"), &format!("{dir}/memory.current")));
+    v2.or_else(|| {
+        let v1 = "/sys/fs/cgroup/memory/memory";
+        left(&format!("{v1}.limit_in_bytes"), &format!("{v1}.usage_in_bytes"))
+    })
+}
+
+/// What this process's limits on data and on addresses leave of it: files that are mapped later take of the addresses too.
+fn limit_available() -> Option<u64> {
+    let limits = read_to_string("/proc/self/limits").ok()?;
+    let left = |limit: &str, used: &str| {
+        let line = limits.lines().find_map(|line| line.strip_prefix(limit))?;
+        let limit: u64 = line.split_whitespace().next()?.parse().ok()?;
+        Some(limit.saturating_sub(kib_field(&read_to_string("/proc/self/status").ok()?, used)?))
+    };
+    let all = [left("Max data size", "VmData:"), left("Max address space", "VmSize:")];
+    all.into_iter().flatten().min()
+}
+
+/// The most memory that this process ever had resident, in bytes, mapped files included.
+#[must_use]
+pub fn peak_resident() -> Option<u64> {
+    kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
+}
+
+/// A vector of zeros, in huge pages where the system has them: whoever writes all over it looks up fewer pages, and the
+/// system hands out fewer.
+pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
+    let zeros = zeroed_vec(len);
+    advise_huge_pages(&zeros);
+    zeros
+}
+
+/// The same with nothing in it yet.
+pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
+    let mut empty = Vec::with_capacity(capacity);
+    advise_huge_pages(empty.spare_capacity_mut());
+    empty
+}
+
+/// Before anything is written: what has its pages keeps them.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn advise_huge_pages<T>(memory: &[T]) {
+    /// What huge pages begin at multiples of, on most machines; on others less of the memory lies in them.
+    const HUGE: usize = 2 << 20;
+    let bytes = memory.as_ptr().cast::<u8>();
+    let first = bytes.align_offset(HUGE).min(size_of_val(memory));
+    let whole = (size_of_val(memory) - first) / HUGE * HUGE;
+    if whole > 0 {
+        // SAFETY: the pages are all within the memory, whose contents stay as they are. Where there are no huge pages, it
+        // refuses, and all stays as it was.
+        unsafe { libc::madvise(bytes.add(first).cast_mut().cast(), whole, libc::MADV_HUGEPAGE) };
+    }
+}
+
+/// Other systems decide for themselves.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn advise_huge_pages<T>(_: &[T]) {}
+
+fn kib_field(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}
