@@ -45,71 +45,25 @@ struct Circle {
 }
 
 /// The circles that are still there.
-const CIRCLES: [Circle; 8] = [
-    Circle {
-        files: &[
-            "bin/meniscus/devices.rs",
-            "bin/meniscus/info.rs",
-            "bin/meniscus/inspect.rs",
-            "bin/meniscus/main.rs",
-            "bin/meniscus/method.rs",
-            "bin/meniscus/pack.rs",
-            "bin/meniscus/reconstruct.rs",
-            "bin/meniscus/report.rs",
-            "bin/meniscus/sequence.rs",
-            "bin/meniscus/sequence/conversion.rs",
-            "bin/meniscus/sequence/freeze.rs",
-            "bin/meniscus/sequence/one_frame.rs",
-            "bin/meniscus/sequence/tally.rs",
-        ],
-        why: "the options of `reconstruct` are completed all over the program, and commands print through main.rs",
-        until: "2027-01-31",
-    },
-    Circle {
-        files: &["brick/page.rs", "brick/samples.rs"],
-        why: "a page is made with its samples, which are kept by its shape",
-        until: "2027-02-28",
-    },
-    Circle {
-        files: &["io/bytes.rs", "io/columns.rs", "io/mod.rs"],
-        why: "faults and the particles of a file are both in mod.rs",
-        until: "2027-02-28",
-    },
-    Circle {
-        files: &["io/glb/document.rs", "io/glb/write.rs"],
-        why: "how lengths are rounded up is in write.rs",
-        until: "2027-02-28",
-    },
-    Circle {
-        files: &["io/output.rs", "io/stl.rs"],
-        why: "the writer of .stl names its format when it refuses",
-        until: "2027-02-28",
-    },
-    Circle {
-        files: &[
-            "baselines/mod.rs",
-            "baselines/mueller.rs",
-            "baselines/yu_turk.rs",
-            "baselines/zhu_bridson.rs",
-        ],
-        why: "what the methods share is in the file that chooses one",
-        until: "2027-01-31",
-    },
-    Circle {
-        files: &["simulation/inputs.rs", "simulation/mod.rs"],
-        why: "the error is in mod.rs, and names families of inputs",
-        until: "2027-02-28",
-    },
-    Circle {
-        files: &[
-            "surface/simplify/collapse.rs",
-            "surface/simplify/surface.rs",
-            "surface/simplify/topology.rs",
-        ],
-        why: "the surface lends collapses their adjacency by a type of theirs",
-        until: "2027-01-31",
-    },
-];
+const CIRCLES: [Circle; 1] = [Circle {
+    files: &[
+        "bin/meniscus/devices.rs",
+        "bin/meniscus/info.rs",
+        "bin/meniscus/inspect.rs",
+        "bin/meniscus/main.rs",
+        "bin/meniscus/method.rs",
+        "bin/meniscus/pack.rs",
+        "bin/meniscus/reconstruct.rs",
+        "bin/meniscus/report.rs",
+        "bin/meniscus/sequence.rs",
+        "bin/meniscus/sequence/conversion.rs",
+        "bin/meniscus/sequence/freeze.rs",
+        "bin/meniscus/sequence/one_frame.rs",
+        "bin/meniscus/sequence/tally.rs",
+    ],
+    why: "the options of `reconstruct` are completed all over the program, and commands print through main.rs",
+    until: "2027-01-31",
+}];
 
 /// From which file to which, and by what names.
 type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;

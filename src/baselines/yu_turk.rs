@@ -20,7 +20,7 @@ use glamx::DSymmetricEigen3;
 
 use super::mueller::density;
 use super::neighbours::Neighbours;
-use super::{Scheme, Spacing, weight};
+use super::scheme::{Scheme, Spacing, weight};
 
 /// How far a centre moves towards the mean of its neighbours.
 const LAMBDA: f64 = 0.5;

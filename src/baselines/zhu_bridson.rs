@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::neighbours::Neighbours;
-use super::{Scheme, Spacing, weight};
+use super::scheme::{Scheme, Spacing, weight};
 
 /// The field is -phi.
 #[derive(Debug)]

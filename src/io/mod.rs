@@ -6,6 +6,7 @@ pub mod bytes;
 pub mod columns;
 pub mod cursor;
 pub mod encode;
+mod error;
 pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod h5;
@@ -30,11 +31,9 @@ pub mod vtp;
 pub mod whole;
 pub mod xyz;
 
-use std::path::{Path, PathBuf};
-
-use thiserror::Error;
-
 use columns::ColumnStore;
+use error::malformed;
+pub use error::{ReadError, ReadFault, WriteError, WriteFault};
 pub use up::UpAxis;
 
 /// A particle file, its header understood and its counts checked against its size.
@@ -57,118 +56,4 @@ pub enum CoordinateWidth {
     F32,
     /// For surfaces so far from the origin that f32 would crumple them.
     F64,
-}
-
-/// A file that could not be read.
-#[derive(Debug, Error)]
-#[error("{}: {fault}", path.display())]
-pub struct ReadError {
-    /// Which file.
-    pub path: PathBuf,
-    /// What is wrong with it.
-    pub fault: ReadFault,
-}
-
-impl ReadError {
-    /// Names the file.
-    pub fn new(path: impl Into<PathBuf>, fault: ReadFault) -> Self {
-        Self { path: path.into(), fault }
-    }
-}
-
-/// What can be wrong with an input file.
-#[derive(Debug, Error)]
-pub enum ReadFault {
-    /// The system's own refusal: missing, forbidden, a folder.
-    #[error("{0}")]
-    Io(#[from] std::io::Error),
-    /// No bytes at all.
-    #[error("the file is empty")]
-    Empty,
-    /// It is unpacked or decoded into a scratch file, which failed.
-    #[error("scratch file for its contents: {0}")]
-    Scratch(#[source] std::io::Error),
-    /// A compressed stream that does not unpack.
-    #[error("damaged compressed data: {0}")]
-    Compression(String),
-    /// The file ends before its header says that it should.
-    #[error("truncated: {what} needs {needed} bytes, the file has {have}")]
-    Truncated {
-        /// What was being read.
-        what: String,
-        /// Where it would end, in bytes from the start of the (unpacked) file.
-        needed: u64,
-        /// Where the file ends.
-        have: u64,
-    },
-    /// Something that the format does not allow.
-    #[error("at byte {at}: {what}")]
-    Malformed {
-        /// In bytes from the start of the (unpacked) file.
-        at: u64,
-        /// What was found, and what was expected.
-        what: String,
-    },
-    /// A line of a text file that does not parse.
-    #[error("line {line}: {what}")]
-    Line {
-        /// Counted from 1.
-        line: u64,
-        /// What was found, and what was expected.
-        what: String,
-    },
-    /// Valid perhaps, but not something that we read; says what to do instead.
-    #[error("{0}")]
-    Unsupported(String),
-    /// The extension names no format that we read.
-    #[error("unknown extension; known are {known}")]
-    UnknownExtension {
-        /// Those that would do.
-        known: &'static str,
-    },
-}
-
-/// A fault at byte `at`.
-fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
-    ReadFault::Malformed { at: at as u64, what: what.into() }
-}
-
-/// A file that could not be written. Nothing is left of it.
-#[derive(Debug, Error)]
-#[error("{}: {fault}", path.display())]
-pub struct WriteError {
-    /// Which file.
-    pub path: PathBuf,
-    /// What prevented it.
-    pub fault: WriteFault,
-}
-
-impl WriteError {
-    /// Names the file.
-    pub fn new(path: &Path, fault: impl Into<WriteFault>) -> Self {
-        Self { path: path.to_owned(), fault: fault.into() }
-    }
-}
-
-/// What can prevent an output.
-#[derive(Debug, Error)]
-pub enum WriteFault {
-    /// The system's own refusal.
-    #[error("{0}")]
-    Io(#[from] std::io::Error),
-    /// It is there already, and may not be replaced.
-    #[error("exists already; --overwrite replaces it")]
-    Exists,
-    /// The output of a frame is there already, and may not be replaced.
-    #[error("exists already; --resume goes on with the frames, --overwrite replaces them")]
-    ExistsInSequence,
-    /// The extension names no format that we write.
-    #[error("unknown extension; known are {known}")]
-    UnknownExtension {
-        /// Those that would do.
-        known: &'static str,
-    },
-    /// The format has no place for something that was asked for, or for so much.
-    #[error("{0}")]
-    Unsupported(String),
 }

@@ -25,7 +25,7 @@ const IGNORED: [&[u8]; 14] = [
 /// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`](super::output::MeshFormat::write).
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
     if mesh.vertex_count() == 0 {
         // A file of no bytes is rather one that was not written.

@@ -164,6 +164,7 @@ impl MeshFormat {
     /// If normals or attributes are not of the vertices' number, the pieces not of the mesh's, or a triangle names
     /// a missing vertex.
     pub fn write(self, out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+        self.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
         match self {
             Self::Ply => ply::write_mesh(out, mesh, width),
             Self::Obj => obj::write_mesh(out, mesh, width),

@@ -19,7 +19,6 @@ use crate::surface::mesh::source::MeshSource;
 
 use super::encode::{in_order, write_triangles};
 use super::obj::vector;
-use super::output::MeshFormat;
 use super::scan::Scanner;
 use super::{CoordinateWidth, ReadFault, malformed};
 
@@ -35,13 +34,12 @@ const RECORD: usize = 50;
 /// Writes the triangles in binary, with their normals (zero where there is no area). The width is always f32.
 ///
 /// # Errors
-/// Those of `mesh` and `out`; before anything is written those of [`MeshFormat::check_counts`], and
+/// Those of `mesh` and `out`; before anything is written
 /// [`io::ErrorKind::OutOfMemory`] where there is no room for the positions.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, _width: CoordinateWidth) -> io::Result<()> {
-    MeshFormat::Stl.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     let positions =
         mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
     out.write_all(TITLE)?;

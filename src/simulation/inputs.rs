@@ -166,7 +166,9 @@ impl Inputs {
         let mut frames = self.found()?;
         let families = self.families(&frames);
         if families.len() > 1 {
-            return Err(SequenceError::several(&self.describe(), &families));
+            let each = families.iter().map(|(family, files)| format!("{family} ({})", files.len()));
+            let families = each.collect::<Vec<_>>().join(", ");
+            return Err(SequenceError::Several { from: self.describe(), families });
         }
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
         if let Some(family) = families.keys().next() {

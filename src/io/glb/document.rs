@@ -5,7 +5,6 @@ use serde_json::{Map, Value, json};
 use crate::io::UpAxis;
 
 use super::view::{BYTE, Space, View, What};
-use super::write::aligned;
 use super::{Compression, Layout};
 
 const ARRAY_BUFFER: u32 = 34962;
@@ -149,4 +148,9 @@ fn node(up: UpAxis, space: Space) -> Value {
         node["scale"] = json!(scale);
     }
     node
+}
+
+/// Where what follows so many bytes begins.
+pub fn aligned(bytes: u64) -> u64 {
+    bytes.next_multiple_of(4)
 }

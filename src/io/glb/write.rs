@@ -5,11 +5,10 @@ use std::io::{self, Write};
 use serde_json::Value;
 
 use crate::io::CoordinateWidth;
-use crate::io::output::MeshFormat;
 use crate::surface::mesh::ordered::Ordered;
 use crate::surface::mesh::source::MeshSource;
 
-use super::document::{document, empty_document};
+use super::document::{aligned, document, empty_document};
 use super::view::{Space, View, views};
 use super::{Compression, Layout, grid_step};
 
@@ -20,18 +19,17 @@ use super::{Compression, Layout, grid_step};
 /// components have no place.
 ///
 /// # Errors
-/// Those of `mesh` and `out`; before anything is written those of [`MeshFormat::check_counts`], and
+/// Those of `mesh` and `out`; before anything is written
 /// [`io::ErrorKind::InvalidInput`] for more than 4 GiB.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(
     out: &mut dyn Write,
     mesh: &dyn MeshSource,
     width: CoordinateWidth,
     layout: Layout,
 ) -> io::Result<()> {
-    MeshFormat::Glb(layout).check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     if mesh.triangle_count() == 0 {
         return write_header(out, &empty_document(), 0);
     }
@@ -92,9 +90,4 @@ fn write_header(out: &mut dyn Write, document: &Value, stored: u64) -> io::Resul
         out.write_all(b"BIN\0")?;
     }
     Ok(())
-}
-
-/// Where what follows so many bytes begins.
-pub fn aligned(bytes: u64) -> u64 {
-    bytes.next_multiple_of(4)
 }

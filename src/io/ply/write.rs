@@ -4,7 +4,6 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
-use crate::io::output::MeshFormat;
 use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
@@ -19,12 +18,11 @@ const FACE: usize = 1 + 3 * size_of::<u32>();
 /// A name that the format has no room for (white space, or one that is taken) is altered by underscores.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
+/// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
-    MeshFormat::Ply.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     out.write_all(header(mesh, width).as_bytes())?;
     let components: Vec<_> = mesh.attributes().iter().map(|attribute| attribute.components).collect();
     write_vertices(out, mesh, |vertices, out| {

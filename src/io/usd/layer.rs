@@ -5,7 +5,6 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::io::UpAxis;
 use crate::io::encode::{write_floats, write_pieces, write_triangles, write_vertices};
-use crate::io::output::MeshFormat;
 use crate::surface::mesh::source::MeshSource;
 
 use super::crate_file::{FLOAT, HEADER, INT, Tail, VEC3F, Value, header};
@@ -20,12 +19,11 @@ const COUNTS: u64 = 1 << 16;
 /// `up` is stated, and nothing turned. No unit is known here but metres: 1 unit is 1 m.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
+/// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io::Result<()> {
-    MeshFormat::Usdc(up).check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     let properties = properties(mesh.has_normals(), &mesh.attributes());
     let arrays = arrays(mesh, properties.len());
     let mut end = HEADER;

@@ -4,7 +4,6 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_triangles, write_vertices};
-use crate::io::output::MeshFormat;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
@@ -13,12 +12,11 @@ use crate::surface::mesh::source::{MeshSource, Vertices};
 /// as FIELD, as programs show but the first of several SCALARS.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
+/// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
-    MeshFormat::Vtk.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     write_points(out, mesh, width)?;
     write_polygons(out, mesh)?;
     let attributes = mesh.attributes();

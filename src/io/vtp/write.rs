@@ -4,7 +4,6 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
-use crate::io::output::MeshFormat;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 
@@ -19,12 +18,11 @@ const ENDS: u64 = 1 << 14;
 /// A control character in a name, for which XML has no room, is written as U+FFFD.
 ///
 /// # Errors
-/// Those of `mesh` and `out`, and those of [`MeshFormat::check_counts`] before anything is written.
+/// Those of `mesh` and `out`.
 ///
 /// # Panics
-/// As [`MeshFormat::write`].
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
-    MeshFormat::Vtp.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
     let mut offset = 0;
     let mut element = |array: &Array| {
         let xml = array.element(offset);

@@ -10,7 +10,7 @@
 
 use glam::{Vec3A, Vec4};
 
-use super::surface::{Edge, Leaving, NONE, Spot, Surface, scaled_normal, squared_near};
+use super::surface::{Edge, Incident, NONE, Outgoing, Spot, Surface, scaled_normal, squared_near};
 use super::topology::Topology;
 
 /// Of the distance, what a sample may take: the rest is for what lies between samples.
@@ -47,7 +47,7 @@ pub struct Measure<'a> {
     /// What it must not leave.
     pub reference: &'a Surface<'a>,
     /// Its edges.
-    pub leaving: &'a Leaving,
+    pub outgoing: &'a Outgoing,
     /// Of the reference, for all vertices.
     pub normals: &'a [Vec3A],
     pub distance: f32,
@@ -151,7 +151,7 @@ struct Work<'a, 'b> {
     /// Vertices whose neighbourhood has changed.
     changed: Vec<u32>,
     is_changed: Vec<bool>,
-    ring: Vec<Spoke>,
+    ring: Vec<Incident>,
     order: Vec<(f32, u32)>,
     /// The triangles that are to be, and their normals.
     parts: Vec<([Vec3A; 3], Vec3A)>,
@@ -161,14 +161,6 @@ struct Work<'a, 'b> {
     /// For each vertex the last mark that it got, to be told from others without clearing.
     marks: Vec<u32>,
     mark: u32,
-}
-
-/// A triangle around a vertex, its first corner after that, and its normal.
-#[derive(Clone, Copy)]
-pub struct Spoke {
-    pub triangle: u32,
-    pub rim: u32,
-    pub normal: Vec3A,
 }
 
 /// A vertex that is gone, and its home before and after.
@@ -224,7 +216,7 @@ impl<'a> Measure<'a> {
     fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &Edge| edge.to == to || edge.before == to;
-        if self.leaving.at(from).iter().any(is_next)
+        if self.outgoing.at(from).iter().any(is_next)
             || reference.leads(from, to, normal, SAMPLE_SHARE * distance)
         {
             return false;
@@ -287,7 +279,8 @@ impl Work<'_, '_> {
 
     /// The least error of a vertex, and where to.
     fn best_of(&self, vertex: u32) -> (f32, u32) {
-        let rim = self.surface.spokes(vertex).map(|spoke| (self.error(vertex, spoke.rim), spoke.rim));
+        let rim =
+            self.surface.incident(vertex).map(|incident| (self.error(vertex, incident.rim), incident.rim));
         rim.fold((f32::INFINITY, NONE), |least, other| if other.0 < least.0 { other } else { least })
     }
 
@@ -295,18 +288,18 @@ impl Work<'_, '_> {
     fn try_vertex(&mut self, vertex: u32, limit: f32) {
         let mut ring = std::mem::take(&mut self.ring);
         ring.clear();
-        ring.extend(self.surface.spokes(vertex));
+        ring.extend(self.surface.incident(vertex));
         let best = self.best[vertex as usize].1;
-        let turn = ring.iter().position(|spoke| spoke.rim == best).unwrap_or_default();
+        let turn = ring.iter().position(|incident| incident.rim == best).unwrap_or_default();
         ring.rotate_left(turn);
         let mut is_done = self.try_edge(vertex, &ring);
         if !is_done {
             let mut order = std::mem::take(&mut self.order);
-            order.extend(ring.iter().map(|spoke| (self.error(vertex, spoke.rim), spoke.rim)));
+            order.extend(ring.iter().map(|incident| (self.error(vertex, incident.rim), incident.rim)));
             order.retain(|&(error, rim)| error <= limit && rim != best);
             order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             is_done = order.drain(..).any(|(_, rim)| {
-                let turn = ring.iter().position(|spoke| spoke.rim == rim).unwrap_or_default();
+                let turn = ring.iter().position(|incident| incident.rim == rim).unwrap_or_default();
                 ring.rotate_left(turn);
                 self.try_edge(vertex, &ring)
             });
@@ -319,9 +312,9 @@ impl Work<'_, '_> {
     }
 
     /// Sees to what a collapse means for the vertices around it.
-    fn note_changes(&mut self, gone: u32, ring: &[Spoke]) {
+    fn note_changes(&mut self, gone: u32, ring: &[Incident]) {
         let target = ring[0].rim;
-        for &Spoke { rim, .. } in ring {
+        for &Incident { rim, .. } in ring {
             if !std::mem::replace(&mut self.is_changed[rim as usize], true) {
                 self.changed.push(rim);
             }
@@ -338,7 +331,7 @@ impl Work<'_, '_> {
     }
 
     /// Moves a vertex onto the first of its ring, if it can be.
-    fn try_edge(&mut self, vertex: u32, ring: &[Spoke]) -> bool {
+    fn try_edge(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         let target = ring[0].rim;
         if !self.may_turn(target, ring)
             || !self.may_join(vertex, target, ring)
@@ -359,8 +352,8 @@ impl Work<'_, '_> {
             self.surface.restore(vertex, ring);
             return false;
         }
-        for spoke in ring {
-            self.first[spoke.triangle as usize] = NONE;
+        for incident in ring {
+            self.first[incident.triangle as usize] = NONE;
         }
         for i in 0..self.moved.len() {
             let Moved { vertex, to, calm, .. } = self.moved[i];
@@ -382,24 +375,24 @@ impl Work<'_, '_> {
     }
 
     /// Whether no triangle turns over, folds back or becomes a worse sliver than there were.
-    fn may_turn(&mut self, target: u32, ring: &[Spoke]) -> bool {
+    fn may_turn(&mut self, target: u32, ring: &[Incident]) -> bool {
         let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD;
         let (place, mut from) = (self.position(target), self.position(ring[1].rim));
         let mut worst = f32::INFINITY;
         self.parts.clear();
-        for (spoke, next) in ring[1..].iter().zip(&ring[2..]) {
+        for (incident, next) in ring[1..].iter().zip(&ring[2..]) {
             let corners = [place, from, self.position(next.rim)];
             let scaled = scaled_normal(corners);
             let normal = scaled.normalize_or_zero();
-            if normal.dot(spoke.normal) < TURN {
+            if normal.dot(incident.normal) < TURN {
                 return false;
             }
             worst = worst.min(shape(corners, scaled));
             self.parts.push((corners, normal));
             from = corners[2];
         }
-        let is_folded = |(spoke, &(_, normal)): (&Spoke, &(_, Vec3A))| {
-            let outer = self.surface.across_from(spoke.triangle, spoke.rim);
+        let is_folded = |(incident, &(_, normal)): (&Incident, &(_, Vec3A))| {
+            let outer = self.surface.across_from(incident.triangle, incident.rim);
             outer != NONE && fold(normal, self.surface.normal(outer))
         };
         if ring[1..].iter().zip(&self.parts).any(is_folded)
@@ -407,8 +400,8 @@ impl Work<'_, '_> {
         {
             return false;
         }
-        let mut shapes = ring.iter().map(|spoke| {
-            let corners = self.surface.corners(spoke.triangle);
+        let mut shapes = ring.iter().map(|incident| {
+            let corners = self.surface.corners(incident.triangle);
             shape(corners, scaled_normal(corners))
         });
         if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
@@ -425,24 +418,24 @@ impl Work<'_, '_> {
     }
 
     /// Whether the mesh stays a 2-manifold.
-    fn may_join(&mut self, vertex: u32, target: u32, ring: &[Spoke]) -> bool {
+    fn may_join(&mut self, vertex: u32, target: u32, ring: &[Incident]) -> bool {
         let topology = self.by.topology;
         let inner = &ring[2..ring.len() - 1];
         if topology.is_pinched(target)
             || topology.border[target as usize]
-                && inner.iter().any(|spoke| topology.is_chord(&self.surface, target, spoke.rim))
+                && inner.iter().any(|incident| topology.is_chord(&self.surface, target, incident.rim))
         {
             return false;
         }
         // Of a part whose triangles elsewhere may have come to one, too, more than one must stay.
         if ring.len() == 3
-            && ring.iter().all(|spoke| self.surface.across_from(spoke.triangle, spoke.rim) == NONE)
+            && ring.iter().all(|incident| self.surface.across_from(incident.triangle, incident.rim) == NONE)
         {
             return false;
         }
         self.mark += 1;
-        for spoke in inner {
-            self.marks[spoke.rim as usize] = self.mark;
+        for incident in inner {
+            self.marks[incident.rim as usize] = self.mark;
         }
         let beside = [ring[1].rim, ring[ring.len() - 1].rim];
         self.surface.star(target).all(|triangle| {
@@ -490,7 +483,7 @@ impl Work<'_, '_> {
     }
 
     /// Finds homes among the triangles that are to be for all whose home changes.
-    fn find_new_homes(&mut self, vertex: u32, ring: &[Spoke]) -> bool {
+    fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
         let within = (SAMPLE_SHARE * self.by.distance).powi(2);
@@ -519,8 +512,8 @@ impl Work<'_, '_> {
         let Some(to) = home(vertex, 0) else { return false };
         self.moved.push(Moved { vertex, from: Spot::NOWHERE, to, calm: Vec3A::ZERO });
         self.marks[vertex as usize] = self.mark;
-        for (turn, spoke) in ring.iter().enumerate() {
-            let mut gone = self.first[spoke.triangle as usize];
+        for (turn, incident) in ring.iter().enumerate() {
+            let mut gone = self.first[incident.triangle as usize];
             while gone != NONE {
                 let Some(to) = home(gone, turn.clamp(1, last) - 1) else { return false };
                 self.moved.push(Moved { vertex: gone, from: self.surface.spot(gone), to, calm: Vec3A::ZERO });
@@ -532,10 +525,10 @@ impl Work<'_, '_> {
     }
 
     /// Whether new edges are near the reference.
-    fn are_edges_near(&self, target: u32, ring: &[Spoke]) -> bool {
-        self.parts.windows(2).zip(&ring[2..]).all(|(parts, spoke)| {
+    fn are_edges_near(&self, target: u32, ring: &[Incident]) -> bool {
+        self.parts.windows(2).zip(&ring[2..]).all(|(parts, incident)| {
             let normal = parts[0].1 + parts[1].1;
-            !self.by.is_stray(target, spoke.rim, normal)
+            !self.by.is_stray(target, incident.rim, normal)
         })
     }
 
@@ -552,7 +545,7 @@ impl Work<'_, '_> {
                 return true;
             }
             let mut is_calm = is_close;
-            let is_near = self.by.leaving.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
+            let is_near = self.by.outgoing.at(moved.vertex).iter().all(|&Edge { to: other, .. }| {
                 let spot = self.surface.spot(other);
                 // Without branches, for none could be foreseen.
                 let facing = self.surface.normal_of(spot);

@@ -3,7 +3,7 @@
 use glam::Vec3A;
 
 use super::collapse::{Measure, find_homes};
-use super::surface::{Leaving, NONE, Surface};
+use super::surface::{NONE, Outgoing, Surface};
 use super::topology::{Outside, Topology};
 
 /// A part of a surface. Its border, where other parts go on, stays as it is.
@@ -27,13 +27,13 @@ impl<'a> Patch<'a> {
     #[inline(never)]
     pub fn simplified(&self, distance: f32) -> Vec<[u32; 3]> {
         let vertices = self.positions.len();
-        let leaving = Leaving::of(vertices, self.reference);
-        let reference = Surface::new(self.positions, self.reference.to_vec(), &leaving);
+        let outgoing = Outgoing::of(vertices, self.reference);
+        let reference = Surface::new(self.positions, self.reference.to_vec(), &outgoing);
         let normals = reference.vertex_normals();
         let surface = if self.reference == self.triangles {
             reference.clone()
         } else {
-            let own = Leaving::of(vertices, self.triangles);
+            let own = Outgoing::of(vertices, self.triangles);
             let mut surface = Surface::new(self.positions, self.triangles.to_vec(), &own);
             find_homes(&reference, &mut surface, &normals, distance);
             surface
@@ -41,8 +41,8 @@ impl<'a> Patch<'a> {
         let topology = Topology::of(&surface, self.outside);
         let mut locked = topology.border.clone();
         self.pinned.iter().for_each(|&vertex| locked[vertex as usize] = true);
-        let (reference, leaving) = (&reference, &leaving);
-        let measure = Measure { topology: &topology, reference, leaving, normals: &normals, distance };
+        let (reference, outgoing) = (&reference, &outgoing);
+        let measure = Measure { topology: &topology, reference, outgoing, normals: &normals, distance };
         let triangles = measure.collapse(surface, &locked).triangles;
         triangles.into_iter().filter(|corners| corners[0] != NONE).collect()
     }

@@ -4,8 +4,6 @@
 
 use glam::Vec3A;
 
-use super::collapse::Spoke;
-
 /// No triangle.
 pub const NONE: u32 = u32::MAX;
 /// A triangle's corners, and the sides that leave them, in turn.
@@ -63,8 +61,16 @@ impl Spot {
     }
 }
 
+/// A triangle around a vertex, its first corner after that, and its normal.
+#[derive(Clone, Copy)]
+pub struct Incident {
+    pub triangle: u32,
+    pub rim: u32,
+    pub normal: Vec3A,
+}
+
 /// The edges of a surface by the vertices that they leave.
-pub struct Leaving {
+pub struct Outgoing {
     /// For each vertex where its edges end.
     ends: Vec<u32>,
     edges: Vec<Edge>,
@@ -80,7 +86,7 @@ pub struct Edge {
     side: u32,
 }
 
-impl Leaving {
+impl Outgoing {
     /// Of all triangles.
     pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let mut ends = vec![0_u32; vertices];
@@ -91,7 +97,7 @@ impl Leaving {
         for end in &mut ends {
             total += std::mem::replace(end, total);
         }
-        let mut leaving = vec![Edge::default(); 3 * triangles.len()];
+        let mut outgoing = vec![Edge::default(); 3 * triangles.len()];
         for (side, [a, b, c]) in (0..).step_by(3).zip(triangles.iter().copied()) {
             for (from, edge) in [
                 (a, Edge { to: b, before: c, side }),
@@ -99,11 +105,11 @@ impl Leaving {
                 (c, Edge { to: a, before: b, side: side + 2 }),
             ] {
                 let end = &mut ends[from as usize];
-                leaving[*end as usize] = edge;
+                outgoing[*end as usize] = edge;
                 *end += 1;
             }
         }
-        Self { ends, edges: leaving }
+        Self { ends, edges: outgoing }
     }
 
     /// Those of a vertex.
@@ -115,7 +121,7 @@ impl Leaving {
 
 impl<'a> Surface<'a> {
     /// By edges that leave their vertices once each.
-    pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, leaving: &Leaving) -> Self {
+    pub fn new(positions: &'a [Vec3A], triangles: Vec<[u32; 3]>, outgoing: &Outgoing) -> Self {
         let normals =
             triangles.iter().map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero()).collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
@@ -123,7 +129,7 @@ impl<'a> Surface<'a> {
         // For each vertex the last one that an edge comes to from it, and the triangle of that edge.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
-            let edges = leaving.at(vertex);
+            let edges = outgoing.at(vertex);
             edges.iter().for_each(|edge| slots[edge.before as usize] = (vertex, edge.side / 3));
             let mut first = edges.first();
             for edge in edges {
@@ -183,7 +189,7 @@ impl<'a> Surface<'a> {
 
     /// The triangles around a vertex, all of one fan, counterclockwise.
     pub fn star(&self, vertex: u32) -> impl Iterator<Item = u32> {
-        self.spokes(vertex).map(|spoke| spoke.triangle)
+        self.incident(vertex).map(|incident| incident.triangle)
     }
 
     /// The triangle around a vertex that lies towards `point`, if one does, or else any.
@@ -307,7 +313,7 @@ impl<'a> Surface<'a> {
     }
 
     /// The triangles around a vertex inside of the patch, counterclockwise.
-    pub fn spokes(&self, vertex: u32) -> impl Iterator<Item = Spoke> {
+    pub fn incident(&self, vertex: u32) -> impl Iterator<Item = Incident> {
         let spot = self.spot(vertex);
         let start = if spot.is_gone() { NONE } else { spot.triangle() };
         let mut next = start;
@@ -319,7 +325,7 @@ impl<'a> Surface<'a> {
                 next = NONE;
             }
             let rim = self.triangles[triangle as usize][NEXT[corner]];
-            Some(Spoke { triangle, rim, normal: self.normals[triangle as usize] })
+            Some(Incident { triangle, rim, normal: self.normals[triangle as usize] })
         })
     }
 
@@ -349,23 +355,23 @@ impl<'a> Surface<'a> {
 
     /// Moves a vertex onto the first one of the ring around it. The ring's first and last triangle vanish, the others get
     /// these normals.
-    pub fn collapse(&mut self, vertex: u32, ring: &[Spoke], normals: impl Iterator<Item = Vec3A>) {
+    pub fn collapse(&mut self, vertex: u32, ring: &[Incident], normals: impl Iterator<Item = Vec3A>) {
         let last = ring.len() - 1;
         let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
         let beyond_left = self.across_from(ring[last].triangle, left);
         let beyond_right = self.across_from(ring[0].triangle, target);
-        for (spoke, normal) in ring[1..last].iter().zip(normals) {
-            let corner = self.corner(spoke.triangle, vertex);
-            self.triangles[spoke.triangle as usize][corner] = target;
-            self.normals[spoke.triangle as usize] = normal;
+        for (incident, normal) in ring[1..last].iter().zip(normals) {
+            let corner = self.corner(incident.triangle, vertex);
+            self.triangles[incident.triangle as usize][corner] = target;
+            self.normals[incident.triangle as usize] = normal;
         }
         let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
         self.set_across(rightmost, target, beyond_right);
         self.set_across(beyond_right, right, rightmost);
         self.set_across(leftmost, left, beyond_left);
         self.set_across(beyond_left, target, leftmost);
-        for spoke in [ring[0], ring[last]] {
-            self.triangles[spoke.triangle as usize] = [NONE; 3];
+        for incident in [ring[0], ring[last]] {
+            self.triangles[incident.triangle as usize] = [NONE; 3];
         }
         // What was first on a border still is, or what takes its place.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
@@ -376,7 +382,7 @@ impl<'a> Surface<'a> {
     }
 
     /// Undoes what `collapse` did.
-    pub fn restore(&mut self, vertex: u32, ring: &[Spoke]) {
+    pub fn restore(&mut self, vertex: u32, ring: &[Incident]) {
         let last = ring.len() - 1;
         let (target, [left, right]) = (ring[0].rim, [ring[last].rim, ring[1].rim]);
         let [rightmost, leftmost] = [ring[1].triangle, ring[last - 1].triangle];
@@ -386,10 +392,10 @@ impl<'a> Surface<'a> {
         self.set_across(beyond_left, target, ring[last].triangle);
         self.set_across(rightmost, target, ring[0].triangle);
         self.set_across(leftmost, left, ring[last].triangle);
-        for spoke in &ring[1..last] {
-            let corner = self.corner(spoke.triangle, target);
-            self.triangles[spoke.triangle as usize][corner] = vertex;
-            self.normals[spoke.triangle as usize] = spoke.normal;
+        for incident in &ring[1..last] {
+            let corner = self.corner(incident.triangle, target);
+            self.triangles[incident.triangle as usize][corner] = vertex;
+            self.normals[incident.triangle as usize] = incident.normal;
         }
         self.put(ring[0].triangle, [vertex, target, right], [ring[last].triangle, beyond_right, rightmost]);
         self.put(ring[last].triangle, [vertex, left, target], [leftmost, beyond_left, ring[0].triangle]);

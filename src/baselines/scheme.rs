@@ -1,0 +1,77 @@
+//! What kernel methods have in common, and how wide their kernels are.
+
+use std::fmt::Debug;
+
+use bytemuck::Pod;
+use glam::DVec3;
+use thiserror::Error;
+
+use super::neighbours::Neighbours;
+
+/// The particles' spacing in cells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spacing(f64);
+
+/// A spacing that is too large for the cells.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error("{0} cells a spacing are more than the {max} that kernel methods take; use larger cells", max = Spacing::MAX)]
+pub struct TooManyCells(pub f64);
+
+impl Spacing {
+    /// Kernels of more cells would take more memory than a thread has.
+    pub const MAX: f64 = 16.0;
+
+    /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
+    pub const SUPPORT: f64 = 2.0;
+
+    /// # Errors
+    /// [`TooManyCells`] above [`MAX`](Self::MAX).
+    pub fn new(cells: f64) -> Result<Self, TooManyCells> {
+        if cells <= Self::MAX { Ok(Self(cells)) } else { Err(TooManyCells(cells)) }
+    }
+
+    /// In cells.
+    #[must_use]
+    pub fn cells(self) -> f64 {
+        self.0
+    }
+
+    /// How far an isotropic kernel reaches.
+    pub(super) fn support(self) -> f64 {
+        Self::SUPPORT * self.0
+    }
+
+    pub(super) fn radius(self) -> f64 {
+        self.0 / 2.0
+    }
+}
+
+/// w of eq. 3, from the square of its argument.
+#[inline]
+pub(super) fn weight(squared: f64) -> f64 {
+    let left = (1.0 - squared).max(0.0);
+    left * left * left
+}
+
+/// How a method makes a field of particles.
+pub(super) trait Scheme: Debug + Send + Sync {
+    /// What a particle adds; places are relative to its bin's corner.
+    type Kernel: Pod + Send + Sync + Debug;
+    /// What is summed up.
+    type Sum: Copy + Default;
+
+    /// How far from a particle others tell in its kernel.
+    fn neighbourhood(&self) -> f64;
+
+    /// The kernel of a particle.
+    fn kernel(&self, place: DVec3, neighbours: &Neighbours) -> Self::Kernel;
+
+    /// Where it is, and how far it reaches along each axis.
+    fn extent(&self, kernel: &Self::Kernel) -> [DVec3; 2];
+
+    /// Adds what it adds at a point, given as seen from its place.
+    fn add(&self, kernel: &Self::Kernel, point: DVec3, sum: &mut Self::Sum);
+
+    /// The field where so much was summed up.
+    fn field(&self, sum: Self::Sum) -> f64;
+}

@@ -1,0 +1,119 @@
+//! What can be wrong with files that are read and written.
+
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+/// A file that could not be read.
+#[derive(Debug, Error)]
+#[error("{}: {fault}", path.display())]
+pub struct ReadError {
+    /// Which file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub fault: ReadFault,
+}
+
+impl ReadError {
+    /// Names the file.
+    pub fn new(path: impl Into<PathBuf>, fault: ReadFault) -> Self {
+        Self { path: path.into(), fault }
+    }
+}
+
+/// What can be wrong with an input file.
+#[derive(Debug, Error)]
+pub enum ReadFault {
+    /// The system's own refusal: missing, forbidden, a folder.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// No bytes at all.
+    #[error("the file is empty")]
+    Empty,
+    /// It is unpacked or decoded into a scratch file, which failed.
+    #[error("scratch file for its contents: {0}")]
+    Scratch(#[source] std::io::Error),
+    /// A compressed stream that does not unpack.
+    #[error("damaged compressed data: {0}")]
+    Compression(String),
+    /// The file ends before its header says that it should.
+    #[error("truncated: {what} needs {needed} bytes, the file has {have}")]
+    Truncated {
+        /// What was being read.
+        what: String,
+        /// Where it would end, in bytes from the start of the (unpacked) file.
+        needed: u64,
+        /// Where the file ends.
+        have: u64,
+    },
+    /// Something that the format does not allow.
+    #[error("at byte {at}: {what}")]
+    Malformed {
+        /// In bytes from the start of the (unpacked) file.
+        at: u64,
+        /// What was found, and what was expected.
+        what: String,
+    },
+    /// A line of a text file that does not parse.
+    #[error("line {line}: {what}")]
+    Line {
+        /// Counted from 1.
+        line: u64,
+        /// What was found, and what was expected.
+        what: String,
+    },
+    /// Valid perhaps, but not something that we read; says what to do instead.
+    #[error("{0}")]
+    Unsupported(String),
+    /// The extension names no format that we read.
+    #[error("unknown extension; known are {known}")]
+    UnknownExtension {
+        /// Those that would do.
+        known: &'static str,
+    },
+}
+
+/// A fault at byte `at`.
+pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
+    ReadFault::Malformed { at: at as u64, what: what.into() }
+}
+
+/// A file that could not be written. Nothing is left of it.
+#[derive(Debug, Error)]
+#[error("{}: {fault}", path.display())]
+pub struct WriteError {
+    /// Which file.
+    pub path: PathBuf,
+    /// What prevented it.
+    pub fault: WriteFault,
+}
+
+impl WriteError {
+    /// Names the file.
+    pub fn new(path: &Path, fault: impl Into<WriteFault>) -> Self {
+        Self { path: path.to_owned(), fault: fault.into() }
+    }
+}
+
+/// What can prevent an output.
+#[derive(Debug, Error)]
+pub enum WriteFault {
+    /// The system's own refusal.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// It is there already, and may not be replaced.
+    #[error("exists already; --overwrite replaces it")]
+    Exists,
+    /// The output of a frame is there already, and may not be replaced.
+    #[error("exists already; --resume goes on with the frames, --overwrite replaces them")]
+    ExistsInSequence,
+    /// The extension names no format that we write.
+    #[error("unknown extension; known are {known}")]
+    UnknownExtension {
+        /// Those that would do.
+        known: &'static str,
+    },
+    /// The format has no place for something that was asked for, or for so much.
+    #[error("{0}")]
+    Unsupported(String),
+}
