@@ -12,31 +12,16 @@
 //! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
 //!
 //! ```
-//! use meniscus::brick::{BrickSide, InvalidParticles};
-//! use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
-//! use meniscus::grid::Grid;
-//! use meniscus::system::timings::Timings;
-//! use meniscus::surface::mesh::check::check;
-//! use meniscus::field::indicator::IndicatorKind;
+//! use meniscus::Reconstruction;
 //!
-//! // A ball of particles, one a cell.
-//! let steps = || (-8..8).map(|i| f64::from(i) + 0.5);
+//! // A ball of particles, one a unit.
+//! let steps = || (-6..=6).map(f64::from);
 //! let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
-//! let particles: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 50.0).collect();
+//! let ball: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 36.0).collect();
 //!
-//! let sampling = Sampling {
-//!     grid: Grid::new([0.0; 3].into(), 1.0)?,
-//!     domain: None,
-//!     field: IndicatorKind::default().into(),
-//!     invalid: InvalidParticles::Refuse,
-//!     side: BrickSide::default(),
-//!     carried: Vec::new(),
-//!     spacing: None,
-//!     resources: Resources::new(meniscus::system::memory::default_budget(), std::env::temp_dir()),
-//! };
-//! let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default())?;
-//! let surface = frame.surface(&Surfacing::PLAIN, &mut Timings::default())?;
-//! assert!(check(&surface.to_mesh()?).is_closed_oriented_manifold());
+//! let surface = Reconstruction::new().spacing(1.0).run(&ball[..])?;
+//! let folder = tempfile::tempdir()?;
+//! surface.write(folder.path().join("ball.ply"))?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -49,7 +34,11 @@ pub mod frame;
 pub mod grid;
 pub mod io;
 pub mod particles;
+pub mod reconstruction;
 pub mod simulation;
 pub mod surface;
 pub mod system;
 pub mod vulkan;
+
+pub use error::Error;
+pub use reconstruction::{Reconstruction, Surface};

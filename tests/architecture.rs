@@ -10,14 +10,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use imports::Import;
-use jiff::Timestamp;
-use jiff::civil::Date;
-use jiff::tz::TimeZone;
 use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 14] = [
+const ROOMS: [&str; 15] = [
     "grid",
     "system",
     "particles",
@@ -29,41 +26,11 @@ const ROOMS: [&str; 14] = [
     "baselines",
     "io",
     "frame",
-    "simulation",
     "error",
+    "reconstruction",
+    "simulation",
     "bin",
 ];
-
-/// Files that import from each other in a circle.
-#[derive(Debug)]
-struct Circle {
-    files: &'static [&'static str],
-    /// The reason: how they are tied together.
-    why: &'static str,
-    /// The day until which it may stay.
-    until: &'static str,
-}
-
-/// The circles that are still there.
-const CIRCLES: [Circle; 1] = [Circle {
-    files: &[
-        "bin/meniscus/devices.rs",
-        "bin/meniscus/info.rs",
-        "bin/meniscus/inspect.rs",
-        "bin/meniscus/main.rs",
-        "bin/meniscus/method.rs",
-        "bin/meniscus/pack.rs",
-        "bin/meniscus/reconstruct.rs",
-        "bin/meniscus/report.rs",
-        "bin/meniscus/sequence.rs",
-        "bin/meniscus/sequence/conversion.rs",
-        "bin/meniscus/sequence/freeze.rs",
-        "bin/meniscus/sequence/one_frame.rs",
-        "bin/meniscus/sequence/tally.rs",
-    ],
-    why: "the options of `reconstruct` are completed all over the program, and commands print through main.rs",
-    until: "2027-01-31",
-}];
 
 /// From which file to which, and by what names.
 type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
@@ -102,36 +69,29 @@ fn no_room_imports_from_one_that_comes_after_it() {
 }
 
 #[test]
-fn no_files_import_from_each_other_in_a_circle_but_those_that_may_for_a_while() {
+fn no_files_import_from_each_other_in_a_circle() {
     let imports = imports::imports(&source());
     let ties = ties(&imports);
     let graph: DiGraphMap<&str, ()> = ties.keys().map(|[from, to]| (*from, *to)).collect();
-    let circles = tarjan_scc(&graph).into_iter().filter(|files| files.len() > 1);
-    let circles: BTreeSet<BTreeSet<&str>> = circles.map(|files| files.into_iter().collect()).collect();
-    let listed: BTreeSet<BTreeSet<&str>> =
-        CIRCLES.iter().map(|circle| circle.files.iter().copied().collect()).collect();
-    let mut differences = String::new();
-    for gone in listed.difference(&circles) {
-        differences += &format!("no longer a circle, to be struck off the list: {gone:?}\n");
-    }
-    for new in circles.difference(&listed) {
-        differences += &format!("a new circle: {new:?}\n");
+    let mut circles = String::new();
+    for circle in tarjan_scc(&graph).into_iter().filter(|files| files.len() > 1) {
+        circles += &format!("a circle: {circle:?}\n");
         for ([from, to], paths) in
-            ties.iter().filter(|(files, _)| files.iter().all(|file| new.contains(file)))
+            ties.iter().filter(|(files, _)| files.iter().all(|file| circle.contains(file)))
         {
-            differences += &format!("    {from} -> {to}: {}\n", paths.join(", "));
+            circles += &format!("    {from} -> {to}: {}\n", paths.join(", "));
         }
     }
-    assert!(differences.is_empty(), "{differences}");
+    assert!(circles.is_empty(), "{circles}");
 }
 
 #[test]
-fn a_listed_circle_has_a_reason_and_a_day_that_has_not_come() {
-    // Where changes are decided on. A version that was released builds and passes for ever.
-    let today = std::env::var_os("CI").map(|_| Timestamp::now().to_zoned(TimeZone::UTC).date());
-    for circle in &CIRCLES {
-        let until: Date = circle.until.parse().unwrap_or_else(|fault| panic!("{circle:?}: {fault}"));
-        assert!(today.is_none_or(|today| until >= today), "its time is over: {circle:?}");
-        assert!(!circle.why.is_empty(), "without a reason: {circle:?}");
-    }
+fn no_message_of_the_library_names_an_option_of_the_program() {
+    let named = imports::texts(&source()).into_iter().filter(|(file, text)| {
+        let option = text
+            .match_indices("--")
+            .any(|(at, _)| text[at + 2..].starts_with(|c: char| c.is_ascii_lowercase()));
+        !file.starts_with("bin/") && option
+    });
+    assert_eq!(named.collect::<Vec<_>>(), []);
 }

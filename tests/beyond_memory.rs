@@ -366,7 +366,7 @@ fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
     let fault = Frame::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
     let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
     assert!(folder == scratch.path() && needed > free);
-    let error = Error::Frame { path: "frame".into(), fault };
+    let error = Error::Frame { path: Some("frame".into()), fault };
     assert_eq!(error.cause(), Cause::Output);
     assert!(error.to_string().contains(&*scratch.path().to_string_lossy()), "{error}");
 }

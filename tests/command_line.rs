@@ -675,7 +675,12 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
     }
     let all = [&ball[..], &["a.ply", "--drop-smaller", "1e9"]].concat();
-    assert_refused(folder.path(), &all, 3, &["all of its 1 components are below --drop-smaller"]);
+    assert_refused(
+        folder.path(),
+        &all,
+        3,
+        &["all of its 1 components are below the least volume; a smaller --drop-smaller"],
+    );
 }
 
 #[test]
@@ -837,4 +842,45 @@ fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
     assert!(estimated == given);
     let (calmer, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
     assert!(estimated != calmer);
+}
+
+#[test]
+fn completions_and_the_manual_know_all_commands_and_options() {
+    let folder = TempDir::new().unwrap();
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let output = meniscus(folder.path(), &["completions", shell]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{shell}");
+        for word in ["reconstruct", "smallest-drop", "completions"] {
+            assert!(text.contains(word), "{shell} does not know {word}");
+        }
+    }
+    assert_eq!(meniscus(folder.path(), &["completions", "teletype"]).status.code(), Some(2));
+    assert_eq!(names(folder.path()), [""; 0]);
+    let pages = folder.path().to_str().unwrap();
+    assert!(meniscus(folder.path(), &["manual", pages]).status.success());
+    let page = fs::read_to_string(folder.path().join("meniscus-reconstruct.1")).unwrap();
+    assert!(page.contains("smallest") && names(folder.path()).len() > 6);
+    assert_eq!(meniscus(folder.path(), &["manual", "there/is/none"]).status.code(), Some(4));
+}
+
+#[test]
+fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
+    let folder = TempDir::new().unwrap();
+    let text = |flag| String::from_utf8(meniscus(folder.path(), &["reconstruct", flag]).stdout).unwrap();
+    let [summary, help] = ["-h", "--help"].map(text);
+    assert!(summary.lines().count() <= 50, "{} lines", summary.lines().count());
+    let headings = help.lines().filter(|line| line.ends_with(':') && !line.starts_with(' '));
+    let headings: Vec<&str> = headings.collect();
+    let expected =
+        ["Arguments:", "Options:", "Input:", "Surface:", "Output:", "Sequences:", "Messages:", "Machine:"];
+    let mut sorted = headings.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, {
+        let mut all = expected;
+        all.sort_unstable();
+        all
+    });
+    let place = |heading: &str| help.find(heading).unwrap();
+    assert!(place("Input:") < place("--spacing") && place("Sequences:") < place("--resume"));
 }

@@ -73,7 +73,7 @@ pub enum InvalidParticles {
 pub enum BinError {
     /// A coordinate is NaN or infinite.
     #[error(
-        "particle {index} has a coordinate that is not finite: ({}, {}, {}); --skip-invalid drops such particles",
+        "particle {index} has a coordinate that is not finite: ({}, {}, {})",
         position[0], position[1], position[2]
     )]
     NotFinite {
@@ -90,8 +90,7 @@ pub enum BinError {
     },
     /// A coordinate is beyond the addressable grid.
     #[error(
-        "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin; \
-         use a larger cell size, move --origin, or drop such particles with --skip-invalid",
+        "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin",
         position[0], position[1], position[2], crate::grid::CELL_LIMIT, crate::grid::units::shown(*cell_size)
     )]
     TooFar {

@@ -27,7 +27,7 @@ impl BrickSide {
         }
     }
 
-    /// How many fill a bin: the bits of [`PageInfo::bricks`] that can be set.
+    /// How many fill a bin: the bits of [`PageInfo::bricks`](super::PageInfo::bricks) that can be set.
     #[must_use]
     pub fn bricks_a_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize

@@ -36,9 +36,7 @@ pub enum FrameError {
     TooFine(#[from] TooFine),
     /// The field exceeds the isovalue nowhere.
     #[error(
-        "the surface is empty: the field is nowhere above the isovalue {:.4}; \
-         --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
-         --sigma; is the --spacing right?",
+        "the surface is empty: the field is nowhere above the isovalue {:.4}",
         iso.value()
     )]
     NoSurface {
@@ -46,9 +44,7 @@ pub enum FrameError {
         iso: Isovalue,
     },
     /// No cell's middle is inside of a surface that was drawn by distances.
-    #[error(
-        "the surface is empty: no cell's centre is inside of it; use smaller cells; is the --spacing right?"
-    )]
+    #[error("the surface is empty: no cell's centre is inside of it")]
     NoDistanceSurface,
     /// What was measured on a frame of another indicator says nothing of this one.
     #[error("it was packed with another indicator than the frame that all are drawn by")]
@@ -60,12 +56,11 @@ pub enum FrameError {
     #[error(transparent)]
     Kernels(#[from] TooManyCells),
     /// The field of a kernel method is positive nowhere.
-    #[error("the surface is empty: no cell's centre is inside of it; use smaller cells, or a lower --iso")]
+    #[error("the surface is empty: no cell's centre is inside of it")]
     NoKernelSurface,
     /// What exceeds the memory budget would not fit into scratch files; nothing was written.
     #[error(
-        "scratch files take at least {} in {}, where {} are free; name another folder with --scratch, or allow more \
-         with --memory",
+        "scratch files take at least {} in {}, where {} are free",
         ByteSize(*needed), folder.display(), ByteSize(*free)
     )]
     NoRoom {

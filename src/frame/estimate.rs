@@ -88,7 +88,7 @@ pub struct Shares {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
     "with a cell size of {cell_size} the tables of bins alone need more than the {} of memory that may be \
-     used; a cell size of {fitting_cell_size} fits; or allow more with --memory",
+     used; a cell size of {fitting_cell_size} fits",
     ByteSize(*budget)
 )]
 pub struct OverBudget {

@@ -20,11 +20,14 @@ pub enum UnitError {
     #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
     MeanCount(f64),
     /// The width of what makes water calm.
-    #[error("--smooth must be from {least} to {most} spacings; {0} is not", least = Smooth::LEAST, most = Smooth::MOST)]
+    #[error("smooth must be from {least} to {most} spacings; {0} is not", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
     /// How far a simplified surface may lie from the one that it replaces.
-    #[error("--simplify must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
+    #[error("the tolerance of simplifying must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
     Tolerance(f64),
+    /// The least volume of what is kept.
+    #[error("the least volume must be a positive volume; {0} is not")]
+    Volume(f64),
     /// A coordinate that must be finite.
     #[error("{what} must be finite numbers; {value} is not")]
     NotFinite {

@@ -11,6 +11,7 @@ pub struct ReadError {
     /// Which file.
     pub path: PathBuf,
     /// What is wrong with it.
+    #[source]
     pub fault: ReadFault,
 }
 
@@ -85,6 +86,7 @@ pub struct WriteError {
     /// Which file.
     pub path: PathBuf,
     /// What prevented it.
+    #[source]
     pub fault: WriteFault,
 }
 
@@ -102,10 +104,10 @@ pub enum WriteFault {
     #[error("{0}")]
     Io(#[from] std::io::Error),
     /// It is there already, and may not be replaced.
-    #[error("exists already; --overwrite replaces it")]
+    #[error("exists already")]
     Exists,
     /// The output of a frame is there already, and may not be replaced.
-    #[error("exists already; --resume goes on with the frames, --overwrite replaces them")]
+    #[error("exists already")]
     ExistsInSequence,
     /// The extension names no format that we write.
     #[error("unknown extension; known are {known}")]

@@ -92,7 +92,7 @@ enum Reader {
 const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = super::h5::read_particles;
 #[cfg(not(feature = "hdf5"))]
 const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = |_, _, _| {
-    Err(ReadFault::Unsupported("HDF5 is read by a meniscus built with `--features hdf5`".to_owned()))
+    Err(ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned()))
 };
 
 fn reader_for(path: &Path) -> Option<Reader> {

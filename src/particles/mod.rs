@@ -92,6 +92,35 @@ impl Particles for [[f32; 3]] {
     }
 }
 
+/// Positions among other numbers, such as the fields of a caller's own structures: x, y and z side by side, particle after particle
+/// at equal distances.
+#[derive(Debug, Clone, Copy)]
+pub struct StridedPositions<'a, T> {
+    numbers: &'a [T],
+    stride: usize,
+}
+
+impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
+    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on. `None` where the stride is less than 3.
+    #[must_use]
+    pub fn new(numbers: &'a [T], first: usize, stride: usize) -> Option<Self> {
+        (stride >= 3).then(|| Self { numbers: numbers.get(first..).unwrap_or_default(), stride })
+    }
+}
+
+impl<T: Copy + Into<f64> + Sync> Particles for StridedPositions<'_, T> {
+    /// What follows the last whole position does not count.
+    fn len(&self) -> usize {
+        (self.numbers.len() + self.stride - 3) / self.stride
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        for (to, at) in out.iter_mut().zip((first * self.stride..).step_by(self.stride)) {
+            *to = std::array::from_fn(|axis| self.numbers[at + axis].into());
+        }
+    }
+}
+
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn widen(to: &mut [f64], from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(to, &from)| *to = from.into());

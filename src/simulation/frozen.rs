@@ -4,17 +4,16 @@ use std::io;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
-use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
 use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
+use crate::grid::Grid;
 use crate::grid::units::UnitError;
-use crate::grid::{Domain, Grid};
 use crate::io::input::file_and_step;
 use crate::particles::Particles;
-use crate::particles::lattice::sound_origin;
+use crate::reconstruction::{moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
 /// What tells an input from what it was before.
@@ -134,7 +133,7 @@ pub enum Trust {
 ///
 /// A first frame often is a lattice, and one that falls on the grid in a way that no later frame will. It is
 /// measured, and with a free origin all frames are sampled, on a grid that holds it as it will hold the fluid in
-/// disorder: see [`sound_origin`]. That does for symmetry; for counting the isovalue has to come from disorder. Clouds are
+/// disorder: see [`sound_origin`](crate::particles::lattice::sound_origin). That does for symmetry; for counting the isovalue has to come from disorder. Clouds are
 /// the same wherever they fall.
 ///
 /// # Errors
@@ -147,7 +146,7 @@ pub fn measure(
 ) -> Result<Measured, FrameError> {
     sampling.refuse_unfit(surfacing)?;
     let given = sampling.grid;
-    let lattice = of_lattice(particles, sampling);
+    let lattice = origin_for_lattice(particles, sampling);
     let sound = lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
     let grid = if origin == Origin::Free { sound.grid } else { given };
     let nothing = Measured { grid, calibration: None, trust: Trust::Sound };
@@ -178,36 +177,6 @@ pub fn measure_sampled(
         (Plateau::Interior { .. }, _) => Trust::Sound,
     };
     Ok(Measured { grid: frame.facts.grid, calibration: Some(calibration), trust })
-}
-
-/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
-/// one and the indicator tells where that lies: see [`sound_origin`].
-#[must_use]
-pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
-    of_lattice(particles, &sampling).and_then(|origin| moved(&sampling, origin)).unwrap_or(sampling)
-}
-
-/// Where the grid should be for a lattice, if there is one and it matters.
-fn of_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
-    match sampling.field.indicator()?.kind {
-        IndicatorKind::Cloud => None,
-        IndicatorKind::Symmetry | IndicatorKind::Counting => {
-            sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
-        }
-    }
-}
-
-/// The same sampling on a grid with another origin; `None` where its walls have no cells.
-fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
-    let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
-    let domain = match &sampling.domain {
-        None => None,
-        Some(domain) => {
-            let [lo, hi] = domain.walls();
-            Some(Domain::new(&grid, lo, hi).ok()?)
-        }
-    };
-    Some(Sampling { grid, domain, ..sampling.clone() })
 }
 
 impl Frozen {

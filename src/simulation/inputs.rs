@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::io::bi4::is_later_piece;
 use crate::io::input::{holds_mesh, is_known, steps};
 
-use super::SequenceError;
+use crate::error::SequenceError;
 
 /// One frame, as found.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -6,11 +6,8 @@
 //! when and where, gets the same bytes. A frame that is done leaves a record beside the state; the record is
 //! written after the output has got its name, so an output with a record is whole.
 
-mod error;
 pub mod frozen;
 pub mod inputs;
 pub mod naming;
 pub mod records;
 pub mod state;
-
-pub use error::SequenceError;

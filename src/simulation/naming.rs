@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use crate::io::input::file_and_step;
 use crate::io::output::MeshFormat;
 
-use super::SequenceError;
 use super::inputs::{FrameFile, Pattern, split_number};
+use crate::error::SequenceError;
 
 /// How outputs are called.
 #[derive(Debug, Clone, PartialEq, Eq)]

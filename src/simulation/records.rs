@@ -17,8 +17,8 @@ use crate::io::WriteError;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
-use super::SequenceError;
 use super::frozen::Stamp;
+use crate::error::SequenceError;
 
 const MERGED: &str = "frames.jsonl";
 

@@ -10,9 +10,9 @@ use serde_json::{Map, Value};
 
 use crate::io::whole::replace_small;
 
-use super::SequenceError;
 use super::frozen::Frozen;
 use super::records::Log;
+use crate::error::SequenceError;
 
 /// What was asked for, by the names of the options.
 pub type Settings = Map<String, Value>;

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use proc_macro2::{TokenStream, TokenTree};
+use proc_macro2::{Delimiter, TokenStream, TokenTree};
 use syn::visit::{self, Visit};
 use syn::{Attribute, Expr, ExprCall, ExprPath, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
 
@@ -41,6 +41,42 @@ pub fn imports(folder: &Path) -> BTreeSet<Import> {
         imports.append(&mut names.imports);
     }
     imports
+}
+
+/// The texts in the code of all files below a folder, with their files: those of messages, but neither of comments nor of tests.
+pub fn texts(folder: &Path) -> Vec<(String, String)> {
+    let mut texts = Vec::new();
+    for path in files(folder) {
+        let tokens: TokenStream = fs::read_to_string(&path).unwrap().parse().unwrap();
+        let name = path.strip_prefix(folder).unwrap().to_str().unwrap();
+        add_texts(tokens, &mut |text| texts.push((name.to_owned(), text)));
+    }
+    texts
+}
+
+fn add_texts(tokens: TokenStream, add: &mut dyn FnMut(String)) {
+    let mut of_test = false;
+    for token in tokens {
+        match token {
+            TokenTree::Group(group) => {
+                let inside = group.stream().to_string();
+                if inside.replace(' ', "") == "cfg(test)" {
+                    of_test = true;
+                } else if of_test {
+                    // What follows, up to the end of its body.
+                    of_test = group.delimiter() != Delimiter::Brace;
+                } else if !inside.starts_with("doc ") {
+                    add_texts(group.stream(), add);
+                }
+            }
+            TokenTree::Literal(literal) => {
+                if let Ok(text) = syn::parse_str::<syn::LitStr>(&literal.to_string()) {
+                    add(text.value());
+                }
+            }
+            TokenTree::Ident(_) | TokenTree::Punct(_) => {}
+        }
+    }
 }
 
 /// The files of Rust below a folder.

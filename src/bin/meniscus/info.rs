@@ -4,13 +4,12 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::Args;
-use glam::{DVec3, IVec3};
+use glam::IVec3;
 use meniscus::brick::InvalidParticles;
 use meniscus::error::Error;
-use meniscus::field::indicator::{IndicatorKind, SampledDif};
+use meniscus::field::indicator::SampledDif;
 use meniscus::field::spacing;
-use meniscus::frame::{Counted, Resources, Sampling};
-use meniscus::grid::Grid;
+use meniscus::frame::{Counted, Resources};
 use meniscus::grid::units::{MeanCount, MemoryBudget, shown};
 use meniscus::io::bytes::Unpacking;
 use meniscus::io::input::{holds_mesh, open_particles};
@@ -18,14 +17,14 @@ use meniscus::io::mnf::open_frame;
 use meniscus::io::output::read_mesh;
 use meniscus::io::scene::spacing_beside;
 use meniscus::particles::{Particles, bounds};
+use meniscus::reconstruction::{Origin, SamplingRequest};
 use meniscus::surface::mesh::VertexAttribute;
 use meniscus::surface::mesh::measure::measure;
 use meniscus::system::memory::default_budget;
 use serde::Serialize;
 
-use crate::reconstruct::is_frame;
-use crate::sampling::CELL;
-use crate::{Verdict, print, print_json};
+use crate::outcome::{Verdict, print, print_json};
+use meniscus::io::mnf::is_packed;
 
 #[derive(Args)]
 pub struct Options {
@@ -98,7 +97,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 fn inspect(path: &Path) -> Result<Info, Error> {
-    if is_frame(path) {
+    if is_packed(path) {
         inspect_frame(path)
     } else if holds_mesh(path)? {
         inspect_mesh(path)
@@ -173,16 +172,15 @@ fn inspect_particles(path: &Path) -> Result<Info, Error> {
 
 /// What reconstructing by default takes, in bytes.
 fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
-    let sampling = Sampling {
-        grid: Grid::new(DVec3::ZERO, CELL * spacing).ok()?,
-        domain: None,
-        field: IndicatorKind::default().into(),
+    let request = SamplingRequest {
+        spacing: Some(spacing),
         invalid: InvalidParticles::Skip,
-        side: IndicatorKind::default().brick_side(),
-        carried: Vec::new(),
-        spacing: None,
-        resources: Resources::new(MemoryBudget(u64::MAX), PathBuf::new()),
+        ..SamplingRequest::default()
     };
+    let cells = request.cells(particles, Origin::default()).ok()?;
+    let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
+    let grid = request.grid(cells.size).ok()?;
+    let sampling = request.sampling_on(grid, request.field, None, Vec::new(), resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

@@ -10,7 +10,7 @@ use meniscus::surface::mesh::compare::{self, Comparison, Distances, Side};
 use meniscus::surface::mesh::measure::{Measures, measure};
 use serde::Serialize;
 
-use crate::{Verdict, print, print_json};
+use crate::outcome::{Verdict, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {

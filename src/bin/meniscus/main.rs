@@ -1,5 +1,6 @@
 //! The command line: sees only the public interface of the library.
 
+mod advice;
 mod allocator;
 mod devices;
 mod identity;
@@ -8,6 +9,8 @@ mod inspect;
 mod interrupt;
 mod lanes;
 mod method;
+mod options;
+mod outcome;
 mod pack;
 mod progress;
 mod reconstruct;
@@ -16,13 +19,16 @@ mod run;
 mod sampling;
 mod say;
 mod sequence;
+mod shells;
 mod stats;
 mod up;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use meniscus::error::{Cause, Error};
+use clap::{CommandFactory, Parser, Subcommand};
+use meniscus::error::Cause;
+
+use outcome::Verdict;
 
 /// Turn particle fluids into watertight surface meshes.
 #[derive(Parser)]
@@ -35,7 +41,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     /// Reconstruct the surface of a frame of particles, or of each frame of a simulation.
-    Reconstruct(Box<reconstruct::Options>),
+    Reconstruct(Box<options::Options>),
     /// Sample a frame once, to be reconstructed later with other filters or isovalues.
     Pack(Box<pack::Options>),
     /// Say what a particle file, a packed frame or a mesh holds.
@@ -46,14 +52,10 @@ enum Command {
     Devices(devices::Options),
     /// Measure how far a mesh lies from a reference.
     Compare(inspect::CompareOptions),
-}
-
-/// What a command that ran to its end found.
-enum Verdict {
-    /// All is well.
-    Good,
-    /// The work was done, and something is not as it should be.
-    Bad,
+    /// Print what a shell needs to complete options.
+    Completions(shells::CompletionOptions),
+    /// Write the manual's pages, for man.
+    Manual(shells::ManualOptions),
 }
 
 fn main() -> ExitCode {
@@ -66,12 +68,14 @@ fn main() -> ExitCode {
         Command::Devices(options) => devices::run(&options),
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),
+        Command::Completions(options) => shells::completions(&options, Arguments::command()),
+        Command::Manual(options) => shells::manual(&options, Arguments::command()),
     };
     match verdict {
         Ok(Verdict::Good) => ExitCode::SUCCESS,
         Ok(Verdict::Bad) => ExitCode::from(1),
         Err(error) => {
-            say::say(&format!("meniscus: {error}"));
+            say::say(&format!("meniscus: {}", advice::told(&error)));
             ExitCode::from(match error.cause() {
                 Cause::Request => 2,
                 Cause::Input => 3,
@@ -80,20 +84,4 @@ fn main() -> ExitCode {
             })
         }
     }
-}
-
-/// Writes results to standard output. A reader that went away is no error.
-fn print(text: &str) -> Result<(), Error> {
-    use std::io::{ErrorKind, Write};
-    match writeln!(std::io::stdout().lock(), "{text}") {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(meniscus::io::WriteError::new("standard output".as_ref(), error).into())
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Prints a result as JSON, for programs.
-fn print_json(value: &impl serde::Serialize) -> Result<(), Error> {
-    print(&serde_json::to_string_pretty(value).expect("results have string keys and finite depth"))
 }

@@ -12,13 +12,13 @@ use meniscus::io::whole::{Replace, WholeFile};
 use meniscus::particles::Particles;
 use meniscus::system::timings::Timings;
 
-use crate::Verdict;
 use crate::identity::refuse_same_file;
 use crate::interrupt;
-use crate::reconstruct::is_frame;
+use crate::outcome::Verdict;
 use crate::report::{LeftOut, report_laps, report_lattice, warnings};
 use crate::run::{RunOptions, bytes_of, unpacking};
-use crate::sampling::SamplingOptions;
+use crate::sampling::{SamplingOptions, sampling};
+use meniscus::io::mnf::is_packed;
 
 #[derive(Args)]
 pub struct Options {
@@ -37,7 +37,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let notes = options.run.notes();
     let request = options.sampling.validate()?;
-    if !is_frame(&options.output) {
+    if !is_packed(&options.output) {
         return Err(Error::Request(format!("{}: packed frames are .mnf files", options.output.display())));
     }
     let resources = options.run.resources(&options.output, || bytes_of([options.input.as_path()]))?;
@@ -50,9 +50,9 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let file = open_particles(&options.input, unpacking(&resources))?;
     timings.done("open");
     notes.say(format!("{}: {} particles, {}", options.input.display(), file.particles.len(), file.format));
-    let sampling = request.sampling(&options.input, &file, Vec::new(), resources, &notes)?;
+    let sampling = sampling(&request, (&options.input, &file), Vec::new(), resources, &notes)?;
     timings.done("spacing");
-    let in_file = |fault: FrameError| Error::Frame { path: options.input.clone(), fault };
+    let in_file = |fault: FrameError| Error::Frame { path: Some(options.input.clone()), fault };
     sampling.refuse_unfit(&Surfacing::PLAIN).map_err(in_file)?;
     let frame = Frame::sample(&file.particles, &sampling, &mut timings).map_err(in_file)?;
     warnings(&frame).iter().for_each(|warning| notes.say(format!("warning: {warning}")));

@@ -12,14 +12,16 @@ use meniscus::field::indicator::IndicatorKind;
 use meniscus::frame::{FieldRequest, Frame};
 use meniscus::grid::units::{FULL, Isovalue, shown};
 use meniscus::io::output::MeshFormat;
-use meniscus::io::{WriteError, stl};
+use meniscus::io::{CoordinateWidth, WriteError, stl};
+use meniscus::reconstruction::SinglePrecision;
 use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::simplify::{Reduction, Simplified};
+use meniscus::surface::simplify::{Dropped, Reduction, Simplified};
+use meniscus::surface::stitch::Stitched;
 use meniscus::system::timings::Timings;
 use meniscus::vulkan::{Counters, Timing};
 
 use crate::method::MethodName;
-use crate::reconstruct::{IsoOption, Options};
+use crate::options::{IsoOption, Options};
 use crate::run::Notes;
 
 /// Particles that are so many times too dense for their spacing are half as far apart.
@@ -127,6 +129,16 @@ pub fn dropped(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 
+/// The options that left out all components of a surface.
+pub fn limits(dropped: Dropped) -> &'static str {
+    match (dropped.components, dropped.drops) {
+        (_, 0) => "--drop-smaller",
+        (0, _) => "--smallest-drop",
+        _ => "--drop-smaller and --smallest-drop",
+    }
+}
+
+/// Says what simplifying left out and how far it went.
 pub fn report_simplified(simplified: &Simplified, reduction: &Reduction, notes: &Notes) {
     if let Some(volume) = reduction.least_volume_cells {
         notes.say(format!(
@@ -226,5 +238,29 @@ pub fn report_device(backend: &dyn Backend, frames: usize, notes: &Notes) {
 pub fn report_laps(timings: &Timings, notes: &Notes) {
     for (stage, seconds) in timings.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
+    }
+}
+
+/// f64 where f32 is too coarse for the surface and the format can hold it.
+pub fn coordinate_width(
+    surface: &Stitched,
+    format: MeshFormat,
+    notes: &Notes,
+) -> Result<CoordinateWidth, Error> {
+    match SinglePrecision::of(surface) {
+        SinglePrecision::Enough => Ok(CoordinateWidth::F32),
+        SinglePrecision::TooCoarse | SinglePrecision::Exceeded if format.holds_f64() => {
+            notes.detail("coordinates are written as f64: f32 is too coarse for them");
+            Ok(CoordinateWidth::F64)
+        }
+        SinglePrecision::TooCoarse => {
+            notes.say(format!(
+                "warning: {format} holds coordinates as f32, too coarse for these; .ply holds f64"
+            ));
+            Ok(CoordinateWidth::F32)
+        }
+        SinglePrecision::Exceeded => {
+            Err(Error::Request(format!("{format} holds coordinates as f32, which these exceed; use .ply")))
+        }
     }
 }

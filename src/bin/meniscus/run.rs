@@ -29,28 +29,30 @@ use crate::say::say;
 #[derive(Args)]
 pub struct RunOptions {
     /// Where the stages run.
-    #[arg(long, value_enum, default_value_t = BackendName::Auto)]
+    #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
     /// The Vulkan device, by its number or a part of its name: see `meniscus devices` [default: the best].
-    #[arg(long, value_name = "DEVICE")]
+    #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
     /// Threads to use [default: all cores].
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = "Machine", hide_short_help = true)]
     threads: Option<usize>,
-    /// Memory to use, as 512MiB or 8GiB [default: three quarters of what is available].
-    #[arg(long, value_name = "SIZE")]
+    /// Memory to use, as 512MiB or 8GiB.
+    ///
+    /// By default three quarters of what is available.
+    #[arg(long, value_name = "SIZE", help_heading = "Machine")]
     memory: Option<ByteSize>,
     /// Folder for scratch files, where a frame exceeds its memory [default: the output's folder].
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
     scratch: Option<PathBuf>,
     /// Replace an output that exists.
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub overwrite: bool,
     /// Say nothing but errors.
-    #[arg(short, long, conflicts_with = "verbose")]
+    #[arg(short, long, conflicts_with = "verbose", help_heading = "Messages")]
     quiet: bool,
     /// Say more.
-    #[arg(short, long)]
+    #[arg(short, long, help_heading = "Messages")]
     verbose: bool,
 }
 

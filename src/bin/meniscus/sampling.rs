@@ -4,48 +4,75 @@ use std::path::Path;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use meniscus::brick::{Census, InvalidParticles};
+use meniscus::brick::InvalidParticles;
 use meniscus::error::Error;
 use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::field::spacing::{self, Spacings};
-use meniscus::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
+use meniscus::frame::{Resources, Sampling};
 use meniscus::grid::units::{MeanCount, positive_length, shown};
-use meniscus::grid::{Domain, DomainError, Grid};
 use meniscus::io::ParticleFile;
-use meniscus::io::scene::spacing_beside;
-use meniscus::particles::Particles;
-use meniscus::simulation::frozen::on_sound_grid;
+use meniscus::reconstruction::{CellSize, Cells, ChosenSampling, Doubt, Origin, SamplingRequest};
 
 use crate::run::Notes;
 
 #[derive(Args)]
 pub struct SamplingOptions {
-    /// Distance between neighbouring particles [default: from the file or the scene beside it, else estimated].
-    #[arg(long, value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true)]
+    /// Distance between neighbouring particles.
+    ///
+    /// By default it is taken from the file or the scene beside it, else estimated.
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        conflicts_with = "radius",
+        allow_negative_numbers = true,
+        help_heading = "Input"
+    )]
     spacing: Option<f64>,
     /// Half of the spacing.
-    #[arg(long, value_name = "LENGTH", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        allow_negative_numbers = true,
+        help_heading = "Input",
+        hide_short_help = true
+    )]
     radius: Option<f64>,
     /// Edge of a cell.
-    #[arg(long, value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "LENGTH",
+        conflicts_with = "cell",
+        allow_negative_numbers = true,
+        help_heading = "Surface",
+        hide_short_help = true
+    )]
     cell_size: Option<f64>,
-    /// Edge of a cell, times the spacing [default: 0.5, for --indicator counting and symmetry 0.6667].
-    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
+    /// Edge of a cell, in spacings [default: 0.5].
+    ///
+    /// For --indicator counting and symmetry 0.6667 is usual.
+    #[arg(long, value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     origin: Option<[f64; 3]>,
-    /// A tank with walls; particles outside are not counted [default: unbounded].
-    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    /// A tank with walls [default: unbounded].
+    ///
+    /// Particles outside are not counted.
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true, help_heading = "Input")]
     domain: Option<[f64; 6]>,
     /// How a cell's share of fluid is told from its particles [default: cloud].
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorName>,
     /// Mean number of particles in a full cell, for counting [default: measured].
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "VALUE",
+        allow_negative_numbers = true,
+        help_heading = "Surface",
+        hide_short_help = true
+    )]
     mu0: Option<f64>,
     /// Drop particles that are not finite or too far away, and count them.
-    #[arg(long)]
+    #[arg(long, help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 }
 
@@ -60,25 +87,6 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     let values = values.map_err(|e| e.to_string())?;
     values.try_into().map_err(|v: Vec<f64>| format!("{N} numbers with commas between, not {}", v.len()))
-}
-
-/// What the options ask for, as far as it can be known without the particles.
-pub struct SamplingRequest {
-    pub field: FieldRequest,
-    invalid: InvalidParticles,
-    /// The grid's origin, where it is given.
-    origin: Option<DVec3>,
-    walls: Option<[DVec3; 2]>,
-    spacing: Option<f64>,
-    cell: Cell,
-}
-
-/// How the edge of a cell is given.
-#[derive(Clone, Copy)]
-enum Cell {
-    Size(f64),
-    /// Times the spacing.
-    Ratio(f64),
 }
 
 impl SamplingOptions {
@@ -153,170 +161,50 @@ impl SamplingOptions {
             (None, Some(radius)) => Some(2.0 * positive_length("--radius", radius)?),
             (None, None) => None,
         };
-        let default_cell = if kind == IndicatorKind::Cloud { CELL } else { PAPER_CELL };
-        let cell = match self.cell_size {
-            Some(size) => Cell::Size(positive_length("--cell-size", size)?),
-            None => Cell::Ratio(positive_length("--cell", self.cell.unwrap_or(default_cell))?),
-        };
+        let size = self.cell_size.map(|size| positive_length("--cell-size", size).map(CellSize::Length));
+        let ratio = self.cell.map(|ratio| positive_length("--cell", ratio).map(CellSize::Spacings));
+        let cell = size.or(ratio).transpose()?;
         let origin = self.origin.map(DVec3::from);
         let walls =
             self.domain.map(|[x0, y0, z0, x1, y1, z1]| [DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)]);
-        // Whether origin and corners are any good does not depend on the cells' size.
-        let unit = Grid::new(origin.unwrap_or_default(), 1.0)?;
-        if let Some([lo, hi]) = walls
-            && let Err(error @ DomainError::Corners) = Domain::new(&unit, lo, hi)
-        {
-            return Err(error.into());
-        }
         let invalid = if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse };
-        Ok(SamplingRequest { field, invalid, origin, walls, spacing, cell })
+        let request = SamplingRequest { field, invalid, origin, walls, spacing, cell };
+        request.validate()?;
+        Ok(request)
     }
 }
 
-/// The edge of a cell, and what it was taken from.
-pub struct Cells {
-    pub size: f64,
-    pub spacing: Option<f64>,
-    /// Where the spacing comes from, where it matters.
-    pub source: Option<String>,
-    /// Why it may be wrong.
-    pub doubt: Option<String>,
+/// Where the particles of a file come from.
+pub fn origin<'a>(path: &'a Path, file: &ParticleFile) -> Origin<'a> {
+    Origin { path: Some(path), spacing: file.spacing }
 }
 
-impl Cells {
-    fn describe(&self) -> String {
-        let size = format!("cell size {}", shown(self.size));
-        match (self.spacing, &self.source) {
-            (Some(spacing), Some(source)) => format!("spacing {} ({source}), {size}", shown(spacing)),
-            _ => format!("spacing not known, taken to be the cell size; {size}"),
-        }
-    }
+/// Warns of a spacing that may be wrong.
+pub fn say_doubt(cells: &Cells, notes: &Notes) {
+    let Some(doubt) = &cells.doubt else { return };
+    notes.say(match doubt {
+        Doubt::TwoResolutions { .. } => format!("warning: {doubt}; --spacing says another"),
+        Doubt::OtherScene { .. } => format!("warning: {doubt}: --spacing says which"),
+    });
 }
 
-/// By how much the spacing of a scene may differ from what its particles look like.
-const DOUBTFUL: f64 = 2.0;
-
-/// Why a spacing may not be that of the particles: a scene that lies beside them need not be theirs, and they may be of two.
-fn doubt_of(spacing: f64, scene: Option<&Path>, found: Spacings) -> Option<String> {
-    let Spacings { mean, two } = found;
-    if let Some([one, other]) = two {
-        return Some(format!(
-            "the particles are of two resolutions, {} and {} apart, and all are taken to be {} apart; --spacing says another",
-            shown(one),
-            shown(other),
-            shown(spacing)
-        ));
+/// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices, with what was chosen said.
+pub fn sampling(
+    request: &SamplingRequest,
+    (path, file): (&Path, &ParticleFile),
+    carried: Vec<usize>,
+    resources: Resources,
+    notes: &Notes,
+) -> Result<Sampling, Error> {
+    let chosen = request.sampling(&file.particles, origin(path, file), carried, resources)?;
+    let ChosenSampling { sampling, cells, moved } = chosen;
+    let indicator = request.field.indicator();
+    let by = indicator.map_or(String::new(), |asked| format!(", indicator {}", asked.kind.name()));
+    notes.say(format!("{cells}{by}"));
+    say_doubt(&cells, notes);
+    if moved {
+        let corner = sampling.grid.origin().to_array().map(shown).join(",");
+        notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
     }
-    let scene = scene.filter(|_| !(1.0 / DOUBTFUL..=DOUBTFUL).contains(&(spacing / mean)))?;
-    Some(format!(
-        "{} says that particles are {} apart, by their density they are {}: --spacing says which",
-        scene.display(),
-        shown(spacing),
-        shown(mean)
-    ))
-}
-
-/// Edge of a cell in spacings. In those of two thirds single drops are angular and hold more or less by where they lie; these take
-/// hardly longer, for the surface is made in the same wide cells. Renders of single drops want half as much.
-pub const CELL: f64 = 0.5;
-/// The same for the paper's indicators, of which symmetry does not bear half of one.
-const PAPER_CELL: f64 = 2.0 / 3.0;
-
-impl SamplingRequest {
-    /// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices. A grid that nobody asked to
-    /// be where it is may be moved to suit a lattice, as for the first frame of a simulation.
-    pub fn sampling(
-        &self,
-        path: &Path,
-        file: &ParticleFile,
-        carried: Vec<usize>,
-        resources: Resources,
-        notes: &Notes,
-    ) -> Result<Sampling, Error> {
-        let cells = self.cells(path, file)?;
-        let indicator = self.field.indicator();
-        let by = indicator.map_or(String::new(), |asked| format!(", indicator {}", asked.kind.name()));
-        notes.say(format!("{}{by}", cells.describe()));
-        cells.doubt.iter().for_each(|doubt| notes.say(format!("warning: {doubt}")));
-        let grid = self.grid(cells.size)?;
-        let sampling = self.sampling_on(grid, self.field, cells.spacing, carried, resources)?;
-        if self.origin.is_some() {
-            return Ok(sampling);
-        }
-        let sound = on_sound_grid(&file.particles, sampling);
-        if sound.grid != grid {
-            let origin = sound.grid.origin().to_array().map(shown).join(",");
-            notes.say(format!("all particles stand on a lattice: the grid's origin is {origin}"));
-        }
-        Ok(sound)
-    }
-
-    /// The same on a grid that is known.
-    pub fn sampling_on(
-        &self,
-        grid: Grid,
-        field: FieldRequest,
-        spacing: Option<f64>,
-        carried: Vec<usize>,
-        resources: Resources,
-    ) -> Result<Sampling, Error> {
-        Ok(Sampling {
-            grid,
-            domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
-            field,
-            invalid: self.invalid,
-            side: field.brick_side(),
-            carried,
-            spacing,
-            resources,
-        })
-    }
-
-    /// The grid that was asked for, with cells of some size.
-    pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
-        Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
-    }
-
-    /// The edge of a cell, the spacing, and where that comes from. Only where cells have a size of their own and no kernels are
-    /// drawn can it be unknown: the filters are then as wide as for particles a cell apart.
-    pub fn cells(&self, path: &Path, file: &ParticleFile) -> Result<Cells, Error> {
-        let mut doubt = None;
-        let (spacing, source) = if let Some(spacing) = self.spacing {
-            (spacing, "as given".to_owned())
-        } else if let Some(spacing) = file.spacing {
-            (spacing, "from the file".to_owned())
-        } else if let Some((spacing, scene)) = spacing_beside(path) {
-            doubt =
-                spacing::spacings(&file.particles).and_then(|found| doubt_of(spacing, Some(&scene), found));
-            (spacing, format!("from {}", scene.display()))
-        } else if file.particles.is_empty() {
-            let fault = FrameError::NoParticles(Census::default());
-            return Err(Error::Frame { path: path.to_owned(), fault });
-        } else {
-            let found = spacing::spacings(&file.particles);
-            let estimate = found.map(|found| found.mean);
-            doubt = found.and_then(|found| doubt_of(found.mean, None, found));
-            let estimate = match (self.cell, self.field) {
-                (Cell::Size(size), FieldRequest::Indicator(asked)) => {
-                    // Nobody asks for cells that are refused: then it was spray that was estimated.
-                    let grid = self.grid(size)?;
-                    let fits = |&spacing: &f64| {
-                        Surfacing::PLAIN.refuse_too_fine(asked, Some(spacing), &grid).is_ok()
-                    };
-                    let Some(spacing) = estimate.filter(fits) else {
-                        return Ok(Cells { size, spacing: None, source: None, doubt: None });
-                    };
-                    Some(spacing)
-                }
-                _ => estimate,
-            };
-            let none = || Error::NoSpacing { path: path.to_owned(), particles: file.particles.len() };
-            (estimate.ok_or_else(none)?, "estimated from the particles".to_owned())
-        };
-        let size = match self.cell {
-            Cell::Size(size) => size,
-            Cell::Ratio(ratio) => positive_length("the cell size", ratio * spacing)?,
-        };
-        Ok(Cells { size, spacing: Some(spacing), source: Some(source), doubt })
-    }
+    Ok(sampling)
 }

@@ -16,7 +16,7 @@ use meniscus::system::memory::peak_resident;
 use meniscus::system::timings::Timings;
 use serde_json::{Value, json};
 
-use crate::reconstruct::Options;
+use crate::options::Options;
 
 impl Options {
     /// What is known of a frame that is done; a DIF was drawn at an isovalue.

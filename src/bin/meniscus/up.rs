@@ -16,10 +16,10 @@ use serde_json::json;
 pub struct UpOptions {
     /// The axis that points up in the mesh, which is turned where the particles have the other one up. In a .glb y does
     /// [default: as in the particles].
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<Axis>,
     /// The axis that points up in the particles [default: z for .bi4, else y].
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Input", hide_short_help = true)]
     particles_up: Option<Axis>,
 }
 

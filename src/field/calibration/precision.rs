@@ -55,8 +55,7 @@ pub enum TooFine {
     },
     /// So fine that even drops need none finer.
     #[error(
-        "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more; is their \
-         --spacing right?",
+        "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more",
         digits(*cell_size), roundly_above(FINEST * spacing)
     )]
     Finest {
@@ -68,7 +67,7 @@ pub enum TooFine {
     /// Too many cells are empty to tell how particles lie in them.
     #[error(
         "cells of {} are too fine for symmetry, which sees particles in one of eight of them at the most: use cells of {} or \
-         more, or another --indicator",
+         more",
         digits(*cell_size), roundly_above(FINEST_OF_SYMMETRY * spacing)
     )]
     Symmetry {
@@ -94,7 +93,7 @@ impl fmt::Display for Remedy {
             Self::Cells(size) => write!(f, "use cells of {size} or more"),
             Self::Origin => write!(
                 f,
-                "its particles lie on corners of cells, where symmetry sees next to nothing: move the --origin"
+                "its particles lie on corners of cells, where symmetry sees next to nothing: move the grid's origin"
             ),
         }
     }

@@ -42,8 +42,16 @@
 mod read;
 mod write;
 
+use std::path::Path;
+
 pub use read::{frame_from_file, open_frame};
 pub use write::{FrameWriter, write_frame};
+
+/// Whether a file is a packed frame, by its name.
+#[must_use]
+pub fn is_packed(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mnf"))
+}
 
 const MAGIC: [u8; 8] = *b"\x89MNF\r\n\x1a\n";
 const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";

@@ -34,13 +34,13 @@ impl Dropped {
         self.components + self.drops
     }
 
-    /// The options that left them out.
+    /// The limits that left them out.
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
-            (_, 0) => "--drop-smaller",
-            (0, _) => "--smallest-drop",
-            _ => "--drop-smaller and --smallest-drop",
+            (_, 0) => "the least volume",
+            (0, _) => "the smallest drop",
+            _ => "the least volume and the smallest drop",
         }
     }
 }

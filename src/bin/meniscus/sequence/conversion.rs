@@ -1,49 +1,28 @@
 //! All frames on their way, in as many lanes as the machine has room for.
 
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use meniscus::error::Error;
 use meniscus::frame::Resources;
 use meniscus::io::ParticleFile;
-use meniscus::io::output::MeshFormat;
 use meniscus::io::series::Series;
 use meniscus::particles::Particles;
 use meniscus::simulation::frozen::Stamp;
 use meniscus::simulation::inputs::FrameFile;
-use meniscus::simulation::records::{Record, Records};
-use meniscus::simulation::state::{State, Store};
+use meniscus::simulation::state::State;
 
-use crate::Verdict;
-use crate::lanes::{Division, Gate};
+use crate::outcome::Verdict;
 use crate::progress::{Progress, ProgressMode};
 use crate::report::report_device;
 use crate::run::Notes;
 
 use super::one_frame::{Done, Filled};
+use super::setup::POLL;
+use super::shared::{Conversion, Settled};
 use super::tally::Tally;
 use super::watch::{Ready, Watch};
-use super::{POLL, Setup};
-
-/// What all lanes share.
-pub struct Conversion<'a> {
-    pub setup: &'a Setup<'a>,
-    pub format: MeshFormat,
-    pub store: Store,
-    /// `None` where it cannot be known.
-    settled: OnceLock<Option<Settled>>,
-    pub division: Division,
-    pub gate: Gate,
-    stop: AtomicBool,
-}
-
-/// What all frames have in common.
-pub struct Settled {
-    pub state: State,
-    pub fingerprint: u32,
-}
 
 /// Settles at last that it cannot be known: whatever happens, nobody waits for ever.
 struct AtLast<'a>(&'a OnceLock<Option<Settled>>);
@@ -69,23 +48,7 @@ struct Outcome<T> {
     result: Result<T, Error>,
 }
 
-impl<'a> Conversion<'a> {
-    pub fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, frames: usize) -> Self {
-        let division = setup.division(frames);
-        let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, rayon::current_num_threads()));
-        Self { setup, format, store, settled, division, gate, stop: AtomicBool::new(false) }
-    }
-
-    pub fn output(&self, frame: &FrameFile) -> PathBuf {
-        self.setup.naming.path(frame)
-    }
-
-    /// The record of a frame that need not be made again, as far as is known.
-    pub fn current<'r>(&self, records: &'r Records, frame: &FrameFile) -> Option<&'r Record> {
-        let settled = self.settled.get()?.as_ref()?;
-        records.current(frame.number, &frame.path, &self.output(frame), settled.fingerprint)
-    }
-
+impl Conversion<'_> {
     /// Settles what all frames have in common, while lanes may hold open frames. The frame that was measured is given on,
     /// if it may stay open.
     fn settle(

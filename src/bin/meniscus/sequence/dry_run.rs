@@ -15,12 +15,12 @@ use meniscus::surface::mesh::source::MeshSource;
 use meniscus::system::timings::Timings;
 use rayon::prelude::*;
 
-use crate::Verdict;
-use crate::reconstruct::is_frame;
+use crate::outcome::Verdict;
 use crate::run::unpacking;
+use meniscus::io::mnf::is_packed;
 
-use super::Setup;
 use super::freeze::describe;
+use super::setup::Setup;
 
 impl Setup<'_> {
     pub(super) fn dry_run(
@@ -62,11 +62,11 @@ impl Setup<'_> {
         // The largest file tells what the budget has to hold, and about what each frame takes.
         let size = |frame: &FrameFile| Stamp::of(&frame.path).map_or(0, |stamp| stamp.bytes);
         let total: u64 = wanted.iter().map(|frame| size(frame)).sum();
-        if let Some(largest) = wanted.iter().max_by_key(|frame| size(frame)).filter(|f| !is_frame(&f.path)) {
+        if let Some(largest) = wanted.iter().max_by_key(|frame| size(frame)).filter(|f| !is_packed(&f.path)) {
             let file = open_particles(&largest.path, unpacking(&self.resources))?;
             let carried = self.options.carried(&largest.path, &file, self.format(largest)?)?;
             let sampling = self.sampling(&frozen, carried, self.resources.clone())?;
-            let in_file = |fault| Error::Frame { path: largest.path.clone(), fault };
+            let in_file = |fault| Error::Frame { path: Some(largest.path.clone()), fault };
             let mut timings = Timings::default();
             let counted =
                 Counted::for_surface(&file.particles, &sampling, &self.surfacing).map_err(in_file)?;
@@ -94,7 +94,7 @@ impl Setup<'_> {
                 (timings.total() * scale).max(begun.elapsed().as_secs_f64()).ceil(),
             );
         }
-        crate::print(&text)?;
+        crate::outcome::print(&text)?;
         Ok(Verdict::Good)
     }
 }

@@ -1,5 +1,6 @@
 //! What is measured once for all frames, on the first that can tell.
 
+use meniscus::error::SequenceError;
 use meniscus::error::{Cause, Error};
 use meniscus::field::calibration::{Calibration, Plateau};
 use meniscus::frame::{FrameError, Resources};
@@ -7,20 +8,36 @@ use meniscus::grid::units::shown;
 use meniscus::io::input::open_particles;
 use meniscus::io::mnf::open_frame;
 use meniscus::io::{ParticleFile, ReadError};
-use meniscus::simulation::SequenceError;
 use meniscus::simulation::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
 use meniscus::simulation::inputs::FrameFile;
+use meniscus::simulation::state::{State, Store};
 
-use crate::reconstruct::is_frame;
+use crate::interrupt;
 use crate::run::{Notes, unpacking};
+use crate::sampling::{origin, say_doubt};
+use meniscus::io::mnf::is_packed;
 
+use super::setup::{POLL, Setup};
 use super::watch::Watch;
-use super::{POLL, Setup};
 
 /// Frames that are looked at for one that is deep enough to measure: of those that are there the first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
 
 impl Setup<'_> {
+    /// Measures what all frames have in common, and keeps it; the frame that it was measured on may still be open.
+    pub fn state(
+        &self,
+        store: &Store,
+        frames: &[FrameFile],
+        resources: &Resources,
+        notes: &Notes,
+    ) -> Result<(State, Option<ParticleFile>), Error> {
+        let (frozen, file) = self.freeze(frames, resources, notes)?;
+        let state = State::new(self.options.settings(), frozen);
+        interrupt::undisturbed(|| store.save(&state))?;
+        Ok((state, file))
+    }
+
     /// Measures what holds for all frames on the first that can tell, whose particles may still be open.
     pub(super) fn freeze(
         &self,
@@ -110,8 +127,8 @@ impl Setup<'_> {
     ) -> Result<(Frozen, Trust, Option<ParticleFile>), Error> {
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
-        let in_file = |fault: FrameError| Error::Frame { path: path.clone(), fault };
-        if is_frame(path) {
+        let in_file = |fault: FrameError| Error::Frame { path: Some(path.clone()), fault };
+        if is_packed(path) {
             self.options.validate_frame_input(path)?;
             let sampled = open_frame(path, resources.budget.0 / 4)?;
             self.options.refuse_of_others(sampled.indicator.kind())?;
@@ -121,17 +138,19 @@ impl Setup<'_> {
             return Ok((frozen, measured.trust, None));
         }
         let file = open_particles(path, unpacking(resources))?;
-        let cells = self.request.cells(path, &file)?;
-        cells.doubt.iter().for_each(|doubt| self.notes.say(format!("warning: {doubt}")));
+        let cells = self.request.cells(&file.particles, origin(path, &file))?;
+        say_doubt(&cells, &self.notes);
         let (grid, field) = match lattice {
             Some((frozen, _)) => (frozen.grid()?, frozen.field(self.request.field)),
             None => (self.request.grid(cells.size)?, self.request.field),
         };
-        let sampling = self.request.sampling_on(grid, field, cells.spacing, Vec::new(), resources.clone())?;
+        let sampling =
+            self.request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
         let settled = lattice.is_some() || self.options.sampling.origin_given();
-        let origin = if settled { Origin::Given } else { Origin::Free };
-        let measured = measure(&file.particles, &sampling, origin, &self.surfacing).map_err(in_file)?;
-        let mut frozen = frozen(frame.number, input, cells.spacing, cells.source, measured);
+        let stays = if settled { Origin::Given } else { Origin::Free };
+        let measured = measure(&file.particles, &sampling, stays, &self.surfacing).map_err(in_file)?;
+        let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
+        let mut frozen = frozen(frame.number, input, cells.spacing(), source, measured);
         if let Some((first, _)) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }

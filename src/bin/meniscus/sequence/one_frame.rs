@@ -26,13 +26,14 @@ use serde_json::{Value, json};
 use crate::identity::refuse_same_file;
 use crate::interrupt::{self, Unfinished};
 use crate::lanes::Permit;
-use crate::reconstruct::{coordinate_width, is_frame};
-use crate::report::{self, LeftOut, advice};
+use crate::report::coordinate_width;
+use crate::report::{self, LeftOut, advice, limits};
 use crate::run::Notes;
 use crate::up::Orientation;
+use meniscus::io::mnf::is_packed;
 
-use super::Setup;
-use super::conversion::{Conversion, Settled};
+use super::setup::Setup;
+use super::shared::{Conversion, Settled};
 
 /// A frame that was converted.
 pub struct Done {
@@ -104,7 +105,7 @@ impl Conversion<'_> {
         let prepare = || MeshOutput::prepare(&target, replace).map(|output| output.with_layout(layout));
         let (output, unfinished) = interrupt::guard(prepare, MeshOutput::temporary)?;
         stage("reading");
-        let particles = if is_frame(path) {
+        let particles = if is_packed(path) {
             options.validate_frame_input(path)?;
             None
         } else {
@@ -229,7 +230,7 @@ impl Conversion<'_> {
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
         let Setup { options, surfacing, resources, .. } = self.setup;
-        let in_file = |fault: FrameError| Error::Frame { path: path.to_owned(), fault };
+        let in_file = |fault: FrameError| Error::Frame { path: Some(path.to_owned()), fault };
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let carried = options.carried(path, &file, self.format)?;
@@ -292,7 +293,7 @@ impl Conversion<'_> {
         let mut warn = |text: String| warnings.push(text);
         let empty = |why: &str| format!("{why}: an empty mesh");
         let binned = sampled.facts().census.binned as u64;
-        let in_file = |fault| Error::Frame { path: path.to_owned(), fault };
+        let in_file = |fault| Error::Frame { path: Some(path.to_owned()), fault };
         let drawn = sampled.calibrate(&self.setup.surfacing, frozen.calibration.as_ref(), timings);
         let surface = match drawn.and_then(|frame| frame.surface(timings)) {
             Err(FrameError::NoSurface { .. }) => {
@@ -311,14 +312,14 @@ impl Conversion<'_> {
         if let Some(shortfall) = sampled.shortfall(&surface).map_err(in_file)? {
             warn(format!("{shortfall}{}", self.advice(frozen)));
         }
-        let width = coordinate_width(&surface, frozen.cell_size, self.format, &Notes::none())?;
+        let width = coordinate_width(&surface, self.format, &Notes::none())?;
         if reduction.is_none() {
             return Ok(Some((Box::new(surface), width)));
         }
         match sampled.simplify(surface, reduction, timings) {
             Err(FrameError::NothingLeft(all)) => {
                 left_out.drops = all.drops;
-                warn(empty(&format!("all components are below {}", all.limits())));
+                warn(empty(&format!("all components are below {}", limits(all))));
                 Ok(None)
             }
             Err(fault) => Err(in_file(fault)),

@@ -9,34 +9,37 @@ use meniscus::simulation::inputs::Selection;
 use crate::progress::ProgressMode;
 
 #[derive(Args)]
-#[command(next_help_heading = "Sequences")]
 pub struct SequenceOptions {
     /// The first frame of the sequence.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = "Sequences", hide_short_help = true)]
     start: Option<u64>,
     /// The last frame of the sequence.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help_heading = "Sequences", hide_short_help = true)]
     end: Option<u64>,
     /// Every Nth frame.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Sequences", hide_short_help = true)]
     step: Option<u64>,
     /// Convert these frames of the sequence only, both ends included, as one of several jobs.
-    #[arg(long, value_name = "A..B", value_parser = range)]
+    #[arg(long, value_name = "A..B", value_parser = range, help_heading = "Sequences", hide_short_help = true)]
     frames: Option<(u64, u64)>,
-    /// Go on: skip what is done, whole, and made with the same settings; make the rest.
-    #[arg(long)]
+    /// Go on with a conversion that was begun.
+    ///
+    /// Skip what is done, whole, and made with the same settings; make the rest.
+    #[arg(long, help_heading = "Sequences")]
     pub resume: bool,
-    /// Follow a simulation that runs, until --end, or until nothing has come for so many seconds.
-    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf")]
+    /// Follow a simulation that runs.
+    ///
+    /// Until --end, or until nothing has come for so many seconds.
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", help_heading = "Sequences")]
     pub watch: Option<f64>,
     /// Frames a second, for times where the files have none.
-    #[arg(long, value_name = "RATE")]
+    #[arg(long, value_name = "RATE", help_heading = "Sequences", hide_short_help = true)]
     pub fps: Option<f64>,
     /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop.
-    #[arg(long, conflicts_with_all = ["watch", "dry_run"])]
+    #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Sequences", hide_short_help = true)]
     pub plan: bool,
     /// Bars on a terminal, or a line for each frame.
-    #[arg(long, value_enum, default_value_t = ProgressMode::Auto)]
+    #[arg(long, value_enum, default_value_t = ProgressMode::Auto, help_heading = "Messages", hide_short_help = true)]
     pub progress: ProgressMode,
 }
 

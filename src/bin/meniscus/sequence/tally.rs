@@ -11,13 +11,14 @@ use meniscus::simulation::records::Records;
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::Verdict;
+use crate::advice::told;
 use crate::interrupt;
+use crate::outcome::Verdict;
 use crate::run::Notes;
 
-use super::Setup;
-use super::conversion::Conversion;
 use super::one_frame::Done;
+use super::setup::Setup;
+use super::shared::Conversion;
 use crate::report::{LeftOut, dropped};
 
 /// Between two writings of what lists all frames, at the least.
@@ -118,13 +119,13 @@ impl<'a> Tally<'a> {
                 }
             }
             Err(error) => {
-                notes.error(format!("meniscus: {error}"));
+                notes.error(format!("meniscus: {}", told(&error)));
                 options.append_stats(&json!({
                     "frame": frame.number,
                     "input": frame.path,
-                    "error": error.to_string(),
+                    "error": told(&error),
                 }))?;
-                self.failed.insert(frame.number, error.to_string());
+                self.failed.insert(frame.number, told(&error));
                 if matches!(error.cause(), Cause::Output | Cause::Device) {
                     self.fatal.get_or_insert(error);
                     return Ok(true);

@@ -30,7 +30,7 @@ pub enum SequenceError {
         fault: std::io::Error,
     },
     /// A state file that is damaged, or of another version.
-    #[error("{}: {what}; --overwrite begins anew", path.display())]
+    #[error("{}: {what}", path.display())]
     State {
         /// The file.
         path: PathBuf,
@@ -38,11 +38,7 @@ pub enum SequenceError {
         what: String,
     },
     /// The state is of a run with other settings.
-    #[error(
-        "{}: the frames there are made with other settings ({differing}); --resume makes them again, --overwrite \
-         begins anew",
-        path.display()
-    )]
+    #[error("{}: the frames there are made with other settings ({differing})", path.display())]
     Settings {
         /// The state file.
         path: PathBuf,

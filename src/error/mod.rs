@@ -1,6 +1,8 @@
 //! Every error of the library, with the file that it concerns, and whose fault it is.
 
-use std::path::PathBuf;
+mod simulation;
+
+use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
@@ -8,9 +10,10 @@ use crate::frame::FrameError;
 use crate::grid::DomainError;
 use crate::grid::units::UnitError;
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
-use crate::simulation::SequenceError;
 use crate::surface::mesh::compare::CompareError;
 use crate::vulkan::VulkanError;
+
+pub use simulation::SequenceError;
 
 /// Anything that can go wrong between a particle file and a mesh file.
 #[derive(Debug, Error)]
@@ -34,11 +37,12 @@ pub enum Error {
     #[error(transparent)]
     Write(#[from] WriteError),
     /// The particles of a file.
-    #[error("{}: {fault}", path.display())]
+    #[error("{}{fault}", file(path.as_deref()))]
     Frame {
-        /// Which file.
-        path: PathBuf,
+        /// Which file, if they are of one.
+        path: Option<PathBuf>,
         /// What is wrong with them.
+        #[source]
         fault: FrameError,
     },
     /// The frames of a simulation, or what is kept of them.
@@ -50,19 +54,39 @@ pub enum Error {
         /// Which file.
         path: PathBuf,
         /// What is wrong with it.
+        #[source]
         fault: CompareError,
     },
+    /// An attribute that the particles do not have.
+    #[error("{}no attribute {name:?}; there are: {}", file(path.as_deref()), listed(known))]
+    NoAttribute {
+        /// Which file, if they are of one.
+        path: Option<PathBuf>,
+        /// The attribute that was asked for.
+        name: String,
+        /// The names of those that there are.
+        known: Vec<String>,
+    },
+    /// Threads that the system does not start.
+    #[error("threads cannot be started: {0}")]
+    Threads(String),
     /// The spacing is not given, not in the file, and cannot be estimated.
-    #[error(
-        "{}: the spacing of {particles} particles cannot be estimated; give --spacing, --radius or --cell-size",
-        path.display()
-    )]
+    #[error("{}the spacing of {particles} particles cannot be estimated", file(path.as_deref()))]
     NoSpacing {
-        /// Which file.
-        path: PathBuf,
+        /// Which file, if they are of one.
+        path: Option<PathBuf>,
         /// How many particles it has.
         particles: usize,
     },
+}
+
+/// The begin of a message on a file, if it is on one.
+fn file(path: Option<&Path>) -> String {
+    path.map_or(String::new(), |path| format!("{}: ", path.display()))
+}
+
+fn listed(names: &[String]) -> String {
+    if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
 /// Whose fault an error is.
@@ -79,11 +103,26 @@ pub enum Cause {
 }
 
 impl Error {
+    /// Names the file that particles are of, where the error does not say it.
+    #[must_use]
+    pub fn of_file(mut self, file: &Path) -> Self {
+        if let Self::Frame { path, .. } | Self::NoSpacing { path, .. } | Self::NoAttribute { path, .. } =
+            &mut self
+        {
+            path.get_or_insert_with(|| file.to_owned());
+        }
+        self
+    }
+
     /// Whose fault it is.
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {
-            Self::Request(_) | Self::Unit(_) | Self::Domain(_) => Cause::Request,
+            Self::Request(_)
+            | Self::Unit(_)
+            | Self::Domain(_)
+            | Self::NoAttribute { .. }
+            | Self::Threads(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame {

@@ -1,0 +1,41 @@
+//! Grids moved to suit particles on a lattice, as those of a simulation's first frame often are.
+
+use glam::DVec3;
+
+use crate::field::indicator::IndicatorKind;
+use crate::frame::Sampling;
+use crate::grid::{Domain, Grid};
+use crate::particles::Particles;
+use crate::particles::lattice::sound_origin;
+
+/// The sampling of a frame on a grid that holds a lattice as it would hold the fluid in disorder, where its particles stand on
+/// one and the indicator tells where that lies: see [`sound_origin`].
+#[must_use]
+pub fn on_sound_grid(particles: &(impl Particles + ?Sized), sampling: Sampling) -> Sampling {
+    origin_for_lattice(particles, &sampling).and_then(|origin| moved(&sampling, origin)).unwrap_or(sampling)
+}
+
+/// The origin that a grid should have for a lattice of particles; `None` where there is no lattice, or it does not matter.
+#[must_use]
+pub fn origin_for_lattice(particles: &(impl Particles + ?Sized), sampling: &Sampling) -> Option<DVec3> {
+    match sampling.field.indicator()?.kind {
+        IndicatorKind::Cloud => None,
+        IndicatorKind::Symmetry | IndicatorKind::Counting => {
+            sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
+        }
+    }
+}
+
+/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there.
+#[must_use]
+pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
+    let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
+    let domain = match &sampling.domain {
+        None => None,
+        Some(domain) => {
+            let [lo, hi] = domain.walls();
+            Some(Domain::new(&grid, lo, hi).ok()?)
+        }
+    };
+    Some(Sampling { grid, domain, ..sampling.clone() })
+}

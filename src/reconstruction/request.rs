@@ -1,0 +1,180 @@
+//! How particles are to be sampled, as far as it can be known without them.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::brick::{Census, InvalidParticles};
+use crate::error::Error;
+use crate::field::indicator::IndicatorKind;
+use crate::field::spacing::spacings;
+use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
+use crate::grid::units::positive_length;
+use crate::grid::{Domain, DomainError, Grid};
+use crate::io::scene::spacing_beside;
+use crate::particles::Particles;
+
+use super::cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
+use super::lattice::on_sound_grid;
+
+/// How particles are to be sampled, whatever they are.
+#[derive(Debug, Clone)]
+pub struct SamplingRequest {
+    /// The way to make a field of them.
+    pub field: FieldRequest,
+    /// Treatment of particles that are not finite or too far away.
+    pub invalid: InvalidParticles,
+    /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a lattice.
+    pub origin: Option<DVec3>,
+    /// The lowest and the highest corner of a tank; particles outside are not counted.
+    pub walls: Option<[DVec3; 2]>,
+    /// The particles' spacing, where the caller knows it.
+    pub spacing: Option<f64>,
+    /// Edge of a cell; the [usual one](CellSize::usual) where it is not given.
+    pub cell: Option<CellSize>,
+}
+
+impl Default for SamplingRequest {
+    fn default() -> Self {
+        Self {
+            field: IndicatorKind::default().into(),
+            invalid: InvalidParticles::Refuse,
+            origin: None,
+            walls: None,
+            spacing: None,
+            cell: None,
+        }
+    }
+}
+
+/// How a frame is sampled, and what was chosen for it.
+#[derive(Debug)]
+pub struct ChosenSampling {
+    /// With its grid where it is best.
+    pub sampling: Sampling,
+    /// Cells and spacing.
+    pub cells: Cells,
+    /// Whether the grid was moved to suit a lattice.
+    pub moved: bool,
+}
+
+impl SamplingRequest {
+    /// Edge of a cell.
+    #[must_use]
+    pub fn cell_size(&self) -> CellSize {
+        self.cell.unwrap_or(CellSize::usual(self.field))
+    }
+
+    /// Refuses an origin or walls that are wrong whatever the cells' size is.
+    ///
+    /// # Errors
+    /// [`Error::Unit`] and [`Error::Domain`].
+    pub fn validate(&self) -> Result<(), Error> {
+        let unit = self.grid(1.0)?;
+        if let Some([lo, hi]) = self.walls
+            && let Err(error @ DomainError::Corners) = Domain::new(&unit, lo, hi)
+        {
+            return Err(error.into());
+        }
+        Ok(())
+    }
+
+    /// The grid that was asked for, with cells of some size.
+    ///
+    /// # Errors
+    /// [`Error::Unit`].
+    pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
+        Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
+    }
+
+    /// Chooses the cells for particles. Only where cells have a size of their own and no kernels are drawn can the spacing be
+    /// unknown: the filters are then as wide as for particles a cell apart.
+    ///
+    /// # Errors
+    /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
+    pub fn cells(&self, particles: &(impl Particles + ?Sized), origin: Origin<'_>) -> Result<Cells, Error> {
+        let path = || origin.path.map(Path::to_owned);
+        let mut doubt = None;
+        let (spacing, source) = if let Some(spacing) = self.spacing {
+            (spacing, SpacingSource::Given)
+        } else if let Some(spacing) = origin.spacing {
+            (spacing, SpacingSource::File)
+        } else if let Some((spacing, scene)) = origin.path.and_then(spacing_beside) {
+            doubt = spacings(particles).and_then(|found| Doubt::of(spacing, Some(&scene), found));
+            (spacing, SpacingSource::Scene(scene))
+        } else if particles.is_empty() {
+            return Err(Error::Frame { path: path(), fault: FrameError::NoParticles(Census::default()) });
+        } else {
+            let found = spacings(particles);
+            let estimate = found.map(|found| found.mean);
+            doubt = found.and_then(|found| Doubt::of(found.mean, None, found));
+            let estimate = match (self.cell_size(), self.field) {
+                (CellSize::Length(size), FieldRequest::Indicator(asked)) => {
+                    // Nobody asks for cells that are refused: then it was spray that was estimated.
+                    let grid = self.grid(size)?;
+                    let fits = |&spacing: &f64| {
+                        Surfacing::PLAIN.refuse_too_fine(asked, Some(spacing), &grid).is_ok()
+                    };
+                    let Some(spacing) = estimate.filter(fits) else {
+                        return Ok(Cells { size, spacing: None, doubt: None });
+                    };
+                    Some(spacing)
+                }
+                _ => estimate,
+            };
+            let none = || Error::NoSpacing { path: path(), particles: particles.len() };
+            (estimate.ok_or_else(none)?, SpacingSource::Estimated)
+        };
+        let size = match self.cell_size() {
+            CellSize::Length(size) => size,
+            CellSize::Spacings(ratio) => positive_length("the cell size", ratio * spacing)?,
+        };
+        Ok(Cells { size, spacing: Some((spacing, source)), doubt })
+    }
+
+    /// Chooses how to sample particles, whose attributes numbered in `carried` go to the vertices.
+    ///
+    /// # Errors
+    /// Those of [`cells`](Self::cells), and [`Error::Domain`].
+    pub fn sampling(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        origin: Origin<'_>,
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<ChosenSampling, Error> {
+        let cells = self.cells(particles, origin)?;
+        let grid = self.grid(cells.size)?;
+        let sampling = self.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
+        if self.origin.is_some() {
+            return Ok(ChosenSampling { sampling, cells, moved: false });
+        }
+        let sampling = on_sound_grid(particles, sampling);
+        let moved = sampling.grid != grid;
+        Ok(ChosenSampling { sampling, cells, moved })
+    }
+
+    /// Samples on a grid that is known, by a field whose mu0 may be known.
+    ///
+    /// # Errors
+    /// [`Error::Domain`].
+    pub fn sampling_on(
+        &self,
+        grid: Grid,
+        field: FieldRequest,
+        spacing: Option<f64>,
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<Sampling, Error> {
+        Ok(Sampling {
+            grid,
+            domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
+            field,
+            invalid: self.invalid,
+            side: field.brick_side(),
+            carried,
+            spacing,
+            resources,
+        })
+    }
+}

@@ -1,0 +1,33 @@
+//! How wide the coordinates of a mesh have to be.
+
+use crate::surface::stitch::Stitched;
+
+/// The share of a cell that rounding to f32 may move a vertex by.
+const COARSEST: f64 = 1.0 / 256.0;
+
+/// What f32 makes of a surface's coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SinglePrecision {
+    /// It moves no vertex by more than 1 / 256 of a cell.
+    Enough,
+    /// It moves some by more.
+    TooCoarse,
+    /// It cannot hold them.
+    Exceeded,
+}
+
+impl SinglePrecision {
+    /// Looks at the farthest vertex of a surface.
+    #[must_use]
+    pub fn of(surface: &Stitched) -> Self {
+        let farthest = surface.farthest_coordinate();
+        let step = surface.grid().cell_size() * COARSEST;
+        if farthest > f64::from(f32::MAX) || step < f64::from(f32::MIN_POSITIVE) {
+            Self::Exceeded
+        } else if farthest * f64::from(f32::EPSILON) <= step {
+            Self::Enough
+        } else {
+            Self::TooCoarse
+        }
+    }
+}

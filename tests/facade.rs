@@ -1,0 +1,205 @@
+//! The facade: what a caller of the library has, beside the program that has the same.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use std::error::Error as _;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use common::{fill, splashes};
+use meniscus::baselines::Method;
+use meniscus::error::{Cause, Error};
+use meniscus::field::indicator::IndicatorKind;
+use meniscus::frame::FrameError;
+use meniscus::grid::units::MemoryBudget;
+use meniscus::io::output::read_mesh;
+use meniscus::particles::{Particles, StridedPositions};
+use meniscus::reconstruction::SpacingSource;
+use meniscus::surface::mesh::check::check;
+use meniscus::{Reconstruction, Surface};
+use tempfile::TempDir;
+
+/// A ball of particles at spacing 0.5.
+fn ball() -> Vec<[f64; 3]> {
+    fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0)
+}
+
+fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
+    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+}
+
+fn bytes(surface: &Surface) -> Vec<u8> {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("mesh.ply");
+    surface.write(&path).unwrap();
+    fs::read(path).unwrap()
+}
+
+#[test]
+fn the_library_and_the_program_write_the_same_bytes() {
+    let usual = Reconstruction::new;
+    let asked: [(&[&str], Reconstruction); 8] = [
+        (&[], usual()),
+        (&["--spacing", "0.5", "--cell", "0.3", "--smooth", "2"], usual().spacing(0.5).cell(0.3).smooth(2.0)),
+        (&["--cell-size", "0.4", "--normals"], usual().cell_size(0.4).normals()),
+        (
+            &["--indicator", "counting", "--detail"],
+            usual().indicator(IndicatorKind::Counting).recover_details(),
+        ),
+        (
+            &["--indicator", "symmetry", "--iso", "0.2", "--cell", "1", "--origin", "0.1,0,0"],
+            usual().indicator(IndicatorKind::Symmetry).iso(0.2).cell(1.0).origin([0.1, 0.0, 0.0]),
+        ),
+        (
+            &["--domain", "-4,-9,-9,9,9,9", "--simplify", "0.5"],
+            usual().walls([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
+        ),
+        (&["--method", "mueller"], usual().baseline(Method::Mueller { iso: Method::HALF })),
+        (
+            &["--memory", "24MiB", "--threads", "1", "--smallest-drop", "5"],
+            usual().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
+        ),
+    ];
+    let folder = TempDir::new().unwrap();
+    let input = folder.path().join("ball.xyz");
+    fs::write(&input, raw(&ball())).unwrap();
+    for (number, (options, reconstruction)) in asked.into_iter().enumerate() {
+        let [program, library] =
+            ["program", "library"].map(|by| folder.path().join(format!("{by}_{number}.ply")));
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+        command.arg("reconstruct").arg(&input).arg("-o").arg(&program).args(["--quiet", "--backend", "cpu"]);
+        assert!(command.args(options).status().unwrap().success(), "{options:?}");
+        let surface = reconstruction.run_file(&input).unwrap();
+        surface.write(&library).unwrap();
+        assert!(fs::read(&program).unwrap() == fs::read(&library).unwrap(), "{options:?}");
+        let mesh = surface.to_mesh().unwrap();
+        assert!(check(&mesh).is_closed_oriented_manifold(), "{options:?}");
+        assert_eq!(read_mesh(&library).unwrap().triangles, mesh.triangles, "{options:?}");
+    }
+}
+
+#[test]
+fn packed_frames_are_drawn_as_their_particles() {
+    let folder = TempDir::new().unwrap();
+    let [input, packed] = ["ball.xyz", "ball.mnf"].map(|name| folder.path().join(name));
+    fs::write(&input, raw(&ball())).unwrap();
+    let mut pack = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    pack.arg("pack").arg(&input).arg("-o").arg(&packed).args(["--quiet", "--backend", "cpu"]);
+    assert!(pack.status().unwrap().success());
+    let request = Reconstruction::new().smooth(1.9);
+    let [whole, packed] = [&input, &packed].map(|path| request.run_file(path).unwrap());
+    assert!(bytes(&whole) == bytes(&packed));
+    assert!(whole.report().cells.is_some() && packed.report().cells.is_none());
+}
+
+#[test]
+fn positions_are_read_where_they_are_however_wide_and_far_apart() {
+    let particles: Vec<[f32; 3]> = ball().iter().map(|p| p.map(|x| x as f32)).collect();
+    let wide: Vec<[f64; 3]> = particles.iter().map(|p| p.map(f64::from)).collect();
+    // A structure of two other numbers before and one behind.
+    let structures: Vec<f32> =
+        particles.iter().flat_map(|&[x, y, z]| [7.0, -1.0, x, y, z, f32::NAN]).collect();
+    let strided = StridedPositions::new(&structures, 2, 6).unwrap();
+    assert_eq!(strided.len(), particles.len());
+    let request = Reconstruction::new().spacing(0.5);
+    let expected = bytes(&request.run(&particles[..]).unwrap());
+    assert!(bytes(&request.run(&wide[..]).unwrap()) == expected);
+    assert!(bytes(&request.run(&strided).unwrap()) == expected);
+    assert!(StridedPositions::new(&structures, 0, 2).is_none());
+    assert_eq!(StridedPositions::new(&structures[..5], 2, 6).unwrap().len(), 1);
+    assert_eq!(StridedPositions::new(&structures[..4], 2, 6).unwrap().len(), 0);
+    assert_eq!(StridedPositions::new(&structures[..4], 9, 6).unwrap().len(), 0);
+}
+
+#[test]
+fn a_report_tells_what_was_chosen_measured_and_left_out() {
+    let mut particles = ball();
+    particles.push([f64::NAN; 3]);
+    let surface = Reconstruction::new().skip_invalid().smallest_drop(3).run(&particles[..]).unwrap();
+    let report = surface.report();
+    let (spacing, source) = report.cells.as_ref().unwrap().spacing.clone().unwrap();
+    assert!((0.45..0.55).contains(&spacing), "{spacing}");
+    assert_eq!(source, SpacingSource::Estimated);
+    assert_eq!(report.grid.cell_size(), spacing / 2.0);
+    assert_eq!((report.census.not_finite, report.census.binned), (1, particles.len() - 1));
+    assert!(report.measured.is_some() && report.dropped.is_some() && report.made_good.is_empty());
+    assert!(report.timings.seconds().iter().any(|(stage, _)| *stage == "mesh"));
+    let again = Reconstruction::new().calibrated(report.measured.unwrap().calibration);
+    let again = again.skip_invalid().smallest_drop(3).run(&particles[..]).unwrap();
+    assert!(again.report().measured.is_none() && bytes(&again) == bytes(&surface));
+}
+
+#[test]
+fn numbers_out_of_range_are_refused_before_any_work() {
+    let asked = Reconstruction::new;
+    for (what, request) in [
+        ("spacing", asked().spacing(0.0)),
+        ("cell size", asked().cell_size(f64::NAN)),
+        ("cell size", asked().cell(-1.0)),
+        ("finite", asked().origin([f64::INFINITY, 0.0, 0.0])),
+        ("smooth", asked().smooth(0.01)),
+        ("sigma", asked().indicator(IndicatorKind::Counting).sigma(-1.0)),
+        ("isovalue", asked().indicator(IndicatorKind::Counting).iso(2.0)),
+        ("mu0", asked().indicator(IndicatorKind::Counting).mean_count(0.0)),
+        ("simplifying", asked().simplify(1e9)),
+        ("least volume", asked().drop_smaller(-2.0)),
+    ] {
+        // There is no such file: nobody looked.
+        let error = request.run_file("there/is/none.bgeo").unwrap_err();
+        assert_eq!(error.cause(), Cause::Request, "{what}: {error}");
+        assert!(error.to_string().contains(what), "{what}: {error}");
+    }
+}
+
+#[test]
+fn errors_name_the_file_and_lead_to_their_source() {
+    let folder = TempDir::new().unwrap();
+    let missing = folder.path().join("missing.bgeo");
+    let error = Reconstruction::new().run_file(&missing).unwrap_err();
+    assert!(error.to_string().starts_with(missing.to_str().unwrap()), "{error}");
+    let chain = std::iter::successors(error.source(), |error| (*error).source());
+    assert!(chain.into_iter().any(|error| error.downcast_ref::<std::io::Error>().is_some()), "{error:?}");
+
+    let none = folder.path().join("none.xyz");
+    fs::write(&none, raw(&[[1.0; 3], [2.0, 9.0, 1.0]])).unwrap();
+    let in_file = Reconstruction::new().run_file(&none).unwrap_err();
+    assert!(in_file.to_string().starts_with(none.to_str().unwrap()), "{in_file}");
+    let in_memory = Reconstruction::new().run(&[[1.0_f64; 3], [2.0, 9.0, 1.0]][..]).unwrap_err();
+    assert!(matches!(in_memory, Error::NoSpacing { path: None, particles: 2 }), "{in_memory}");
+    let missing = Reconstruction::new().spacing(0.5).attributes(["heat"]).run(&ball()[..]).unwrap_err();
+    assert!(matches!(&missing, Error::NoAttribute { name, .. } if name == "heat"), "{missing}");
+    let empty = Reconstruction::new().spacing(1.0).run(&[[f64::NAN; 3]; 0][..]).unwrap_err();
+    assert!(matches!(empty, Error::Frame { path: None, fault: FrameError::NoParticles(_) }), "{empty}");
+}
+
+#[test]
+fn what_is_there_already_is_only_replaced_where_that_is_asked_for() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("mesh.obj");
+    fs::write(&path, "mine").unwrap();
+    let surface = Reconstruction::new().spacing(0.5).run(&ball()[..]).unwrap();
+    assert_eq!(surface.write(&path).unwrap_err().cause(), Cause::Request);
+    assert_eq!(fs::read(&path).unwrap(), b"mine");
+    surface.overwrite(&path).unwrap();
+    assert!(!read_mesh(&path).unwrap().triangles.is_empty());
+    assert_eq!(surface.write(Path::new("mesh.doc")).unwrap_err().cause(), Cause::Request);
+}
+
+#[test]
+fn calls_side_by_side_do_not_disturb_each_other() {
+    let particles = splashes(5);
+    let alone = bytes(&Reconstruction::new().spacing(1.0).threads(1).run(&particles[..]).unwrap());
+    let all: Vec<Vec<u8>> = std::thread::scope(|scope| {
+        let run = |threads: usize| {
+            let particles = &particles;
+            scope.spawn(move || {
+                bytes(&Reconstruction::new().spacing(1.0).threads(threads).run(&particles[..]).unwrap())
+            })
+        };
+        let calls: Vec<_> = [1, 2, 3, 1].map(run).into_iter().collect();
+        calls.into_iter().map(|call| call.join().unwrap()).collect()
+    });
+    assert!(all.iter().all(|bytes| *bytes == alone));
+}
