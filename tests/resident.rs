@@ -116,6 +116,35 @@ fn a_resident_frame_is_the_same_on_one_queue_and_on_one_that_is_used_as_two() {
 }
 
 #[test]
+fn what_one_resident_frame_has_room_for_all_that_follow_have() {
+    let steps = || (-22..22).map(|i| f64::from(i) + 0.5);
+    let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
+    let particles: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 484.0).collect();
+    let mut fitting = 0;
+    for indicator in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
+        let sampling = Sampling { field: indicator.into(), spacing: Some(1.0), ..sampling() };
+        let settings = settings(&sampling, &surfacing());
+        for memory in (8..40).map(|step| step << 18) {
+            let options = DeviceOptions {
+                memory: Some(memory),
+                shares_host_memory: Some(false),
+                ..DeviceOptions::default()
+            };
+            let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else { return };
+            let Ok(pipeline) = Pipeline::new(&device) else { continue };
+            let Ok(view) = device.uploaded(particles.as_flattened()) else { continue };
+            let input = [DevicePositions { view, count: particles.len(), coordinate: Coordinate::Double }];
+            let frames = [0, 1].map(|_| pipeline.surface(&input, &settings).map(|surface| surface.triangles));
+            if frames[0].is_ok() {
+                fitting += 1;
+                assert!(frames.iter().all(Result::is_ok), "{indicator:?}, {memory} bytes: {frames:?}");
+            }
+        }
+    }
+    assert!(fitting > 3, "{fitting} fit");
+}
+
+#[test]
 fn a_resident_frame_that_is_drawn_by_the_calibration_of_another_measures_nothing() {
     let options = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
     let Some((device, _)) = device::open(&options).map_err(device::skip).ok() else { return };

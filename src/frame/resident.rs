@@ -47,7 +47,7 @@ pub struct Settings {
 /// What a call waits for and tells on the device, and where the surface goes. By default nothing, and buffers of its own.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
-    /// When the positions are there.
+    /// When the positions are there. Passed whatever the call returns: one that is made again has nothing to wait for.
     pub wait: &'a [Moment],
     /// What is told when the surface is there: the call does not wait for that. After an error nothing is.
     pub signal: &'a [Moment],
@@ -122,6 +122,17 @@ impl Pipeline {
         self.vulkan.release();
     }
 
+    /// Does something, and again without what is kept for the next frame where there is no memory for it beside that.
+    fn with_room<T, E: Into<FrameError>>(&self, act: impl Fn() -> Result<T, E>) -> Result<T, FrameError> {
+        match act().map_err(E::into) {
+            Err(FrameError::Vulkan(VulkanError::OutOfMemory { .. })) => {
+                self.release();
+                act().map_err(E::into)
+            }
+            done => done,
+        }
+    }
+
     /// The surface of the particles at `positions`, which may be in several buffers and are not changed.
     ///
     /// Returns when the device is done. Nothing else may write the positions during the call.
@@ -139,8 +150,9 @@ impl Pipeline {
         Ok(surface)
     }
 
-    /// The same in the course of what else the device does: on the device it waits for the positions, and tells when the surface is
-    /// there. The host waits meanwhile for what it has to know to go on, but not for the end.
+    /// Draws the surface in the course of what else the device does: on the device it waits for the positions, and tells when the
+    /// surface is there. The host waits meanwhile for what it has to know to go on, but not for the last triangles, some four
+    /// million at the most.
     ///
     /// # Errors
     /// [`FrameError`]; [`FrameError::NoSpace`] where the caller's buffers are too small, and says what is needed.
@@ -165,7 +177,11 @@ impl Pipeline {
         }
         let &Settings { grid, domain, indicator, invalid, spacing, surfacing, calibration } = settings;
         let device = self.vulkan.device();
-        let bins = bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)?;
+        let binned = || {
+            bin(device, &self.bin, positions, &grid, domain.as_ref(), invalid, usize::MAX)
+                .map_err(FrameError::from)
+        };
+        let bins = self.with_room(binned)?;
         let census = bins.census;
         if census.binned == 0 {
             return Err(FrameError::NoParticles(census));
@@ -197,14 +213,17 @@ impl Pipeline {
             return Err(FrameError::no_surface(&recipe));
         }
 
+        let (iso, census) = (recipe.iso, census);
+        // What the field took can be given back.
+        drop((sampled, frame));
         let layout = MeshLayout::new(&parts.blocks).ok_or(FrameError::TooManyVertices)?;
         let written = parts.written().to_vec();
         let (vertices, triangles) = (layout.vertices(), layout.triangles());
         let [position_bytes, index_bytes] = [vertices, triangles].map(|rows| ROW * u64::from(rows));
         let [positions, indices] = match exchange.into {
             None => [
-                device.buffer(Place::Device, position_bytes)?.whole(),
-                device.buffer(Place::Device, index_bytes)?.whole(),
+                self.with_room(|| device.buffer(Place::Device, position_bytes))?.whole(),
+                self.with_room(|| device.buffer(Place::Device, index_bytes))?.whole(),
             ],
             Some([positions, indices]) => {
                 if positions.bytes() < position_bytes || indices.bytes() < index_bytes {
@@ -220,11 +239,11 @@ impl Pipeline {
             tiles: parts.tiles,
             ends: parts.ends,
             table: self.table.clone(),
-            begins: device.buffer(Place::Device, 8 * u64::from(layout.tiles()))?.whole(),
+            begins: self.with_room(|| device.buffer(Place::Device, 8 * u64::from(layout.tiles())))?.whole(),
             positions: positions.clone(),
             indices: indices.clone(),
         };
-        stitch(device, (&mut work, &written), &self.stitch, &layout, recipe.iso, &buffers)?;
+        stitch(device, (&mut work, &written), &self.stitch, &layout, iso, &buffers)?;
         // SAFETY: the caller vouches for the semaphores.
         unsafe { work.submit_between(&[], &[], exchange.signal) }?;
         Ok(ResidentSurface {
@@ -232,7 +251,7 @@ impl Pipeline {
             vertices,
             indices,
             triangles,
-            iso: recipe.iso,
+            iso,
             calibration,
             measured,
             census,

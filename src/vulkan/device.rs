@@ -402,7 +402,16 @@ impl Device {
         &self.shared.faults
     }
 
-    /// What it was asked to do since it was opened.
+    /// What it was asked to do since the last call, or since it was opened.
+    #[must_use]
+    pub fn take_counters(&self) -> Counters {
+        let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;
+        let [submissions, allocations, sent, received] =
+            [submissions, allocations, sent, received].map(|count| count.swap(0, Ordering::Relaxed));
+        Counters { submissions, allocations, sent, received }
+    }
+
+    /// What it was asked to do since its counters were taken, or since it was opened.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;

@@ -123,6 +123,7 @@ fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: Ce
     let padded = |Field { block, level }: Field| {
         let mut all = Block::zero(wide);
         all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
+        walls.into_iter().for_each(|walls| all.repeat_edges(walls));
         Field { block: Rc::new(all), level }
     };
     let fields = WideFields { bulk: padded(bulk), outlying: padded(outlying) };

@@ -47,6 +47,9 @@ impl DeviceFrame {
         let (mut blocks, mut written) = (Vec::new(), None);
         self.each_batch(state, surfaces, regions, &mut |_, lane, batch, begins| {
             let totals = begins[batch.drawn.len()];
+            if totals.tiles == 0 {
+                return Ok(());
+            }
             let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
             let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
             lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
@@ -298,6 +301,10 @@ impl Contouring<'_> {
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
         let totals = begins[batch.drawn.len()];
+        // A lane that has drawn nothing yet has nothing to be read from.
+        if totals.tiles == 0 {
+            return Ok(vec![None; batch.regions.len()]);
+        }
         let tile_bytes = u64::from(totals.tiles) * size_of::<Tile>() as u64;
         let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
         let fall_bytes =

@@ -115,8 +115,10 @@ impl DeviceFrame {
         }
         let known = self.kept().pages.pop_front();
         let fitting = known.filter(|pages| (bytes..=most).contains(&pages.bytes()));
-        let with_headroom = (bytes + bytes / HEADROOM).min(most);
-        match fitting.map_or_else(|| self.device.buffer(Place::Device, with_headroom), Ok) {
+        let with_headroom =
+            (bytes + bytes / HEADROOM).min(most).min(self.device.limits().allocation).max(bytes);
+        let made = |bytes| self.device.buffer(Place::Device, bytes);
+        match fitting.map_or_else(|| made(with_headroom).or_else(|_| made(bytes)), Ok) {
             Ok(pages) => Some(pages),
             Err(error) => {
                 state.warn(format!("{error}; the field is sent anew for every batch"));

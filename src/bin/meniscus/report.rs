@@ -219,7 +219,7 @@ pub fn advice(options: &Options, is_cloud: bool, frame: Option<u64>) -> String {
 /// Says what a device was asked to do for so many frames, and how long it took for each stage.
 pub fn report_device(backend: &dyn Backend, frames: usize, notes: &Notes) {
     let Some(device) = backend.device() else { return };
-    let Counters { submissions, allocations, sent, received } = device.counters();
+    let Counters { submissions, allocations, sent, received } = device.take_counters();
     let each = |count: u64| count as f64 / frames.max(1) as f64;
     notes.detail(format!(
         "{}, a frame: {:.1} submissions, {:.1} buffers made, {} sent, {} received",

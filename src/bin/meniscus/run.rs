@@ -31,7 +31,7 @@ pub struct RunOptions {
     /// Where the stages run.
     #[arg(long, value_enum, default_value_t = BackendName::Auto, help_heading = "Machine")]
     backend: BackendName,
-    /// The Vulkan device, by its number or a part of its name: see `meniscus devices` [default: the best].
+    /// The Vulkan device, by its number, its UUID or a part of its name: see `meniscus devices` [default: the best].
     #[arg(long, value_name = "DEVICE", help_heading = "Machine", hide_short_help = true)]
     device: Option<String>,
     /// Threads to use [default: all cores].
@@ -159,9 +159,17 @@ fn opened(instance: &Arc<Instance>, info: &DeviceInfo) -> Result<Vulkan, VulkanE
     Vulkan::new(Device::open(instance, &choice, &options)?)
 }
 
-/// Bytes of some files, if all of them are there.
+/// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
+const UNTOLD: [&str; 4] = ["gz", "mnf", "npz", "bi4"];
+
+/// Bytes of particles in some files, if all of them are there and tell.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
-    files.into_iter().map(|file| Some(std::fs::metadata(file).ok()?.len())).sum()
+    let bytes = |file: &Path| {
+        let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
+        let told = UNTOLD.iter().all(|untold| extension != *untold);
+        std::fs::metadata(file).ok().filter(|_| told).map(|metadata| metadata.len())
+    };
+    files.into_iter().map(bytes).sum()
 }
 
 /// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.

@@ -292,7 +292,12 @@ pub fn bin(
     if u32::try_from(total).is_err() {
         return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
     }
-    let device_grid = device.uploaded(&[DeviceGrid::new(grid, domain)])?;
+    // Every particle's thread reads it: it lies on the device.
+    let mut batch = device.batch(Queue::Compute)?;
+    batch.begin()?;
+    let device_grid = batch.store(&[DeviceGrid::new(grid, domain)])?;
+    batch.submit(&[])?;
+    batch.wait()?;
     let chunks = chunks(positions, device.limits());
     let binning = Binning { device, kernels, grid: device_grid, chunks, limit };
     let Counted { kept, table, census } = binning.count(total)?;
