@@ -11,6 +11,8 @@
 //! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
 //! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
 //!
+//! The formulas, their sources and a glossary are in [`method`].
+//!
 //! ```
 //! use meniscus::Reconstruction;
 //!
@@ -39,6 +41,9 @@ pub mod simulation;
 pub mod surface;
 pub mod system;
 pub mod vulkan;
+
+#[doc = include_str!("method.md")]
+pub mod method {}
 
 pub use error::Error;
 pub use reconstruction::{Reconstruction, Surface};

@@ -145,6 +145,8 @@ fn numbers_out_of_range_are_refused_before_any_work() {
         ("mu0", asked().indicator(IndicatorKind::Counting).mean_count(0.0)),
         ("simplifying", asked().simplify(1e9)),
         ("least volume", asked().drop_smaller(-2.0)),
+        ("memory", asked().memory(MemoryBudget(1 << 10))),
+        ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {
         // There is no such file: nobody looked.
         let error = request.run_file("there/is/none.bgeo").unwrap_err();

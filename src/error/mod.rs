@@ -4,6 +4,7 @@ mod simulation;
 
 use std::path::{Path, PathBuf};
 
+use bytesize::ByteSize;
 use thiserror::Error;
 
 use crate::frame::FrameError;
@@ -67,6 +68,12 @@ pub enum Error {
         /// The names of those that there are.
         known: Vec<String>,
     },
+    /// Less memory than any frame takes.
+    #[error("memory of at least {} is needed", ByteSize(*least))]
+    LittleMemory {
+        /// Bytes that are enough to begin.
+        least: u64,
+    },
     /// Threads that the system does not start.
     #[error("threads cannot be started: {0}")]
     Threads(String),
@@ -122,7 +129,8 @@ impl Error {
             | Self::Unit(_)
             | Self::Domain(_)
             | Self::NoAttribute { .. }
-            | Self::Threads(_) => Cause::Request,
+            | Self::Threads(_)
+            | Self::LittleMemory { .. } => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame {

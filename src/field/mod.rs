@@ -2,6 +2,9 @@
 //! says which level.
 //!
 //! One folder a stage: `mod.rs` states the formula and the promise, `cpu.rs` computes it, `vulkan.rs` has kernels do so.
+//!
+#![doc = include_str!("choosing.md")]
+#![doc = include_str!("accuracy.md")]
 
 pub mod blur;
 pub mod calibration;

@@ -1,4 +1,6 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
+//!
+#![doc = include_str!("formats.md")]
 
 pub mod bgeo;
 pub mod bi4;

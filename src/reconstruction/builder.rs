@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::thread::available_parallelism;
 
 use rayon::ThreadPoolBuilder;
 
@@ -12,6 +13,7 @@ use crate::error::Error;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::field::recipe::Detail;
+use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::frame::{Frame, FrameError, Resources, Surfacing};
 use crate::grid::units::{
     Isovalue, MeanCount, MemoryBudget, Sigma, Smooth, Tolerance, UnitError, positive_length,
@@ -21,7 +23,7 @@ use crate::io::input::open_particles;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::Particles;
 use crate::surface::dual_mc::Normals;
-use crate::surface::simplify::Reduction;
+use crate::surface::simplify::{BYTES_A_THREAD, Reduction};
 use crate::system::memory::default_budget;
 use crate::system::timings::Timings;
 
@@ -276,22 +278,27 @@ impl Reconstruction {
         }
         let reduction =
             Reduction { tolerance: self.tolerance.map(Tolerance::new).transpose()?, ..self.reduction };
+        let budget = self.memory.unwrap_or_else(default_budget);
+        let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
+        // Chunks are simplified whole, and every thread has its own.
+        let chunks = if reduction.tolerance.is_some() { BYTES_A_THREAD * threads as u64 } else { 0 };
+        let least = SMALLEST_BUDGET.0 + chunks;
+        if budget.0 < least {
+            return Err(Error::LittleMemory { least });
+        }
         let backend = match sampling.field.indicator() {
             Some(_) => Arc::clone(&self.backend),
             None => Arc::new(Cpu),
         };
-        let resources = Resources {
-            budget: self.memory.unwrap_or_else(default_budget),
-            scratch: self.scratch.clone().unwrap_or_else(std::env::temp_dir),
-            backend,
-        };
+        let resources =
+            Resources { budget, scratch: self.scratch.clone().unwrap_or_else(std::env::temp_dir), backend };
         Ok(Checked {
             sampling,
             surfacing,
             reduction,
             attributes: self.attributes.clone(),
             calibration: self.calibration,
-            threads: self.threads.unwrap_or(0),
+            threads,
             resources,
         })
     }
@@ -304,7 +311,6 @@ struct Checked {
     reduction: Reduction,
     attributes: Attributes,
     calibration: Option<Calibration>,
-    /// None for one a core.
     threads: usize,
     resources: Resources,
 }

@@ -1,4 +1,6 @@
 //! Particles to a surface in one call, with everything chosen that is not said: the facade, and the policy behind it.
+//!
+#![doc = include_str!("limits.md")]
 
 mod attributes;
 mod builder;

@@ -5,6 +5,8 @@
 //! frozen, and kept in a state file beside the outputs. From then on frames are independent: whoever converts one,
 //! when and where, gets the same bytes. A frame that is done leaves a record beside the state; the record is
 //! written after the output has got its name, so an output with a record is whole.
+//!
+#![doc = include_str!("guide.md")]
 
 pub mod frozen;
 pub mod inputs;

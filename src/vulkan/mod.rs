@@ -1,6 +1,8 @@
 //! Compute on a Vulkan device: choosing one, its memory, its kernels, and batches of commands.
 //!
 //! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
+//!
+#![doc = include_str!("guide.md")]
 
 mod batch;
 mod buffer;

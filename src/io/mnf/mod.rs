@@ -38,6 +38,8 @@
 //! A cell is full where what its own page holds of it is not 0.
 //!
 //! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is refused, all others are read.
+//!
+#![doc = include_str!("packed.md")]
 
 mod read;
 mod write;

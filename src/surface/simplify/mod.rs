@@ -8,6 +8,8 @@
 //! The vertices that are left are vertices of the surface as it was, and keep their positions, normals and attributes.
 //! Chunks know nothing of threads or memory, and nothing is held but the chunks in work, a bit a vertex, and
 //! what the budget allows of the triangles.
+//!
+#![doc = include_str!("guide.md")]
 
 mod collapse;
 mod drops;
