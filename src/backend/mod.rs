@@ -26,7 +26,7 @@ use crate::vulkan::Device;
 
 /// Something that stages run on.
 pub trait Backend: Debug + Send + Sync {
-    /// What it is, for people.
+    /// Its name, for people.
     fn name(&self) -> String;
 
     /// The device that it computes on, unless that is the processor.
@@ -68,7 +68,7 @@ pub trait Stages: Debug + Send + Sync {
     /// Those of `take`.
     fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()>;
 
-    /// What went wrong so far and was made good.
+    /// Failures so far that were made good.
     fn warnings(&self) -> Vec<String>;
 
     /// How much of the work so far a device did: all of it, unless the processor had to stand in for one, or there is none.
@@ -90,7 +90,7 @@ pub struct Work {
     pub regions: usize,
 }
 
-/// What surfaces are drawn through, and how.
+/// A sampled frame and the recipe of its surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Surfaces<'a> {
     /// The frame.

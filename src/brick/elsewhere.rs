@@ -12,12 +12,12 @@ use super::{PageInfo, PageSamples};
 /// Bits of a [`Factor`].
 pub(super) const FACTOR_BITS: u32 = 16;
 
-/// What wide cells hold of what lies in them: at most all.
+/// The share of their content that wide cells hold: at most all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Factor(u32);
 
 impl Factor {
-    /// Of a factor of at most 1.
+    /// Rounds a factor of at most 1 down to its step.
     #[must_use]
     pub fn new(factor: f64) -> Self {
         Self((factor * f64::from(1 << FACTOR_BITS)) as u32)

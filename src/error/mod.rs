@@ -42,7 +42,7 @@ pub enum Error {
     Frame {
         /// Which file, if they are of one.
         path: Option<PathBuf>,
-        /// What is wrong with them.
+        /// The fault.
         #[source]
         fault: FrameError,
     },
@@ -54,7 +54,7 @@ pub enum Error {
     Mesh {
         /// Which file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         #[source]
         fault: CompareError,
     },

@@ -34,7 +34,7 @@ pub enum SequenceError {
     State {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The damage.
         what: String,
     },
     /// The state is of a run with other settings.

@@ -34,22 +34,22 @@ pub struct Settings {
     pub domain: Option<Domain>,
     /// The DIF.
     pub indicator: IndicatorRequest,
-    /// What to do with particles that are not finite or too far away.
+    /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; a cell's edge where it is not known.
     pub spacing: Option<f64>,
     /// How the surface is drawn; normals are not made.
     pub surfacing: Surfacing,
-    /// What was measured on another frame of the simulation; on this one where it is `None`, which takes longer.
+    /// The calibration of another frame of the simulation; measured on this one where it is `None`, which takes longer.
     pub calibration: Option<Calibration>,
 }
 
-/// What a call waits for and tells on the device, and where the surface goes. By default nothing, and buffers of its own.
+/// Semaphores that a call waits for and signals, and buffers that the surface goes to. By default none.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
     /// When the positions are there. Passed whatever the call returns: one that is made again has nothing to wait for.
     pub wait: &'a [Moment],
-    /// What is told when the surface is there: the call does not wait for that. After an error nothing is.
+    /// Signalled when the surface is there: the call does not wait for that. Not signalled after an error.
     pub signal: &'a [Moment],
     /// Buffers for positions and indices, of the device that the pipeline is of.
     pub into: Option<[&'a View; 2]>,
@@ -69,11 +69,11 @@ pub struct ResidentSurface {
     pub triangles: u32,
     /// Where the surface is in the field: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
     pub iso: Isovalue,
-    /// What it was drawn by, for the other frames of a simulation.
+    /// The calibration that it was drawn by, for the other frames of a simulation.
     pub calibration: Calibration,
-    /// What was measured for that, unless it was given.
+    /// The measurements for that, unless it was given.
     pub measured: Option<Calibrated>,
-    /// What became of the particles.
+    /// Counts of particles, by what became of them.
     pub census: Census,
     /// The last work on it.
     work: Batch,

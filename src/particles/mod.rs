@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AttributeInfo {
-    /// As the file spells it.
+    /// Its name, as the file spells it.
     pub name: String,
     /// Numbers per particle.
     pub components: usize,
@@ -109,7 +109,7 @@ impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
 }
 
 impl<T: Copy + Into<f64> + Sync> Particles for StridedPositions<'_, T> {
-    /// What follows the last whole position does not count.
+    /// Counts whole positions.
     fn len(&self) -> usize {
         (self.numbers.len() + self.stride - 3) / self.stride
     }

@@ -38,7 +38,7 @@ pub(super) enum Drawn {
     Reduced(Simplified),
 }
 
-/// What there is to know of a surface besides its mesh.
+/// A report on a surface: how it was sampled, measured and reduced.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Report {
@@ -48,9 +48,9 @@ pub struct Report {
     pub moved: bool,
     /// The grid of the cells.
     pub grid: Grid,
-    /// What became of the particles.
+    /// Counts of particles, by what became of them.
     pub census: Census,
-    /// What was measured, unless the calibration was given or a kernel method needs none.
+    /// The measurements on the frame, unless the calibration was given or a kernel method needs none.
     pub measured: Option<Calibrated>,
     /// Particles that are in no surface, at the least.
     pub lost: u64,
@@ -60,7 +60,7 @@ pub struct Report {
     pub crowding: Option<f64>,
     /// Components that were left out, where any were to be.
     pub dropped: Option<Dropped>,
-    /// What went wrong with the backend, and was made good.
+    /// Failures of the backend that were made good.
     pub made_good: Vec<String>,
     /// How long each stage took.
     pub timings: Timings,
@@ -87,7 +87,7 @@ impl Surface {
         })
     }
 
-    /// What there is to know of it.
+    /// The report on how it was made.
     #[must_use]
     pub fn report(&self) -> &Report {
         &self.report

@@ -5,7 +5,7 @@ use crate::surface::stitch::Stitched;
 /// The share of a cell that rounding to f32 may move a vertex by.
 const COARSEST: f64 = 1.0 / 256.0;
 
-/// What f32 makes of a surface's coordinates.
+/// The effect of f32 on a surface's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SinglePrecision {
     /// It moves no vertex by more than 1 / 256 of a cell.

@@ -11,7 +11,7 @@ use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 use super::{DeviceBlocks, GROUP, PAGE_WORDS, page_words, wall_bounds};
 
 push_block! {
-    /// Of [`FULL_CELLS`].
+    /// Push block of [`FULL_CELLS`].
     struct FullPush {
         piece_bits: u32,
         rim: u32,
@@ -21,7 +21,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`HALVE`].
+    /// Push block of [`HALVE`].
     struct HalvePush {
         walls_lo: [i32; 3],
         factor: u32,
@@ -47,7 +47,7 @@ pub const HALVE: Program = Program {
     group: [GROUP, 1, 1],
 };
 
-/// What the host has to know of a page, as `full_cells.wgsl` has it.
+/// The full cells of a page, laid out as in `full_cells.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct FullCells {
