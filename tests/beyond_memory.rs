@@ -10,14 +10,16 @@ use std::process::{Command, Output};
 
 use common::scene::{Random, splash};
 use common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
-use meniscus::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
 use meniscus::error::{Cause, Error};
-use meniscus::field::indicator::{PageRule, indicate};
-use meniscus::frame::estimate::{Drawing, Estimate, Plan};
-use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::units::MemoryBudget;
-use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::system::timings::Timings;
+use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
+use meniscus::internals::field::indicator::{PageRule, indicate};
+use meniscus::internals::frame::estimate::{Drawing, Estimate, Plan};
+use meniscus::internals::frame::{
+    Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
+};
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::particles::{AttributeInfo, Particles};
+use meniscus::internals::system::timings::Timings;
 use tempfile::TempDir;
 
 /// Particles that move and have a temperature.

@@ -9,9 +9,9 @@ use std::process::{Command, Output};
 
 use common::scene::Random;
 use common::{device, fill, splashes};
-use meniscus::io::output::read_mesh;
-use meniscus::surface::mesh::check::check;
-use meniscus::surface::mesh::measure::measure;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::measure::measure;
 use tempfile::TempDir;
 
 fn meniscus(folder: &Path, arguments: &[&str]) -> Output {

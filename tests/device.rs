@@ -15,20 +15,22 @@ use std::sync::Arc;
 
 use bytemuck::Pod;
 use glam::{DVec3, IVec3};
-use meniscus::brick::vulkan::{
+use meniscus::internals::brick::vulkan::{
     BinKernels, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
 };
-use meniscus::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
-use meniscus::grid::units::Isovalue;
-use meniscus::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
-use meniscus::particles::Particles;
-use meniscus::surface::dual_mc::contour;
-use meniscus::surface::dual_mc::vulkan::Tally;
-use meniscus::surface::mesh::BlockMesh;
-use meniscus::surface::mesh::spool::Spool;
-use meniscus::surface::stitch::Stitched;
-use meniscus::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
-use meniscus::vulkan::{Buffer, Device, DeviceOptions, Place, Program, Queue, ValidationLog, VulkanError};
+use meniscus::internals::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
+use meniscus::internals::grid::units::Isovalue;
+use meniscus::internals::grid::{BLOCK, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
+use meniscus::internals::particles::Particles;
+use meniscus::internals::surface::dual_mc::contour;
+use meniscus::internals::surface::dual_mc::vulkan::Tally;
+use meniscus::internals::surface::mesh::BlockMesh;
+use meniscus::internals::surface::mesh::spool::Spool;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
+use meniscus::internals::vulkan::{
+    Buffer, Device, DeviceOptions, Place, Program, Queue, ValidationLog, VulkanError,
+};
 use scene::Random;
 
 fn open() -> Option<(Device, ValidationLog)> {

@@ -9,15 +9,15 @@ use std::path::Path;
 use std::process::Command;
 
 use common::{fill, splashes};
-use meniscus::baselines::Method;
 use meniscus::error::{Cause, Error};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::FrameError;
-use meniscus::grid::units::MemoryBudget;
-use meniscus::io::output::read_mesh;
-use meniscus::particles::{Particles, StridedPositions};
-use meniscus::reconstruction::SpacingSource;
-use meniscus::surface::mesh::check::check;
+use meniscus::internals::baselines::Method;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::FrameError;
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::particles::{Particles, StridedPositions};
+use meniscus::internals::reconstruction::SpacingSource;
+use meniscus::internals::surface::mesh::check::check;
 use meniscus::{Reconstruction, Surface};
 use tempfile::TempDir;
 

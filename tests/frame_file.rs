@@ -9,15 +9,17 @@ use std::path::{Path, PathBuf};
 
 use common::{INDICATORS, by, full_cells, sampling, splashes, tank};
 use glam::{DVec3, IVec3};
-use meniscus::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
-use meniscus::field::indicator::{Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate};
-use meniscus::grid::units::MeanCount;
-use meniscus::grid::{CellBox, Domain, Grid};
-use meniscus::io::ReadFault;
-use meniscus::io::bytes::Unpacking;
-use meniscus::io::input::open_particles;
-use meniscus::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
-use meniscus::particles::Particles;
+use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
+use meniscus::internals::field::indicator::{
+    Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate,
+};
+use meniscus::internals::grid::units::MeanCount;
+use meniscus::internals::grid::{CellBox, Domain, Grid};
+use meniscus::internals::io::ReadFault;
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
+use meniscus::internals::particles::Particles;
 use rayon::prelude::*;
 use tempfile::TempDir;
 

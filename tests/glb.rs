@@ -8,12 +8,12 @@ mod common {
 use std::io;
 
 use common::shapes::{dressed, moved, sphere};
-use meniscus::io::CoordinateWidth;
-use meniscus::io::UpAxis;
-use meniscus::io::glb::{Compression, Layout, grid_step};
-use meniscus::io::output::MeshFormat;
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::UpAxis;
+use meniscus::internals::io::glb::{Compression, Layout, grid_step};
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 use serde_json::Value;
 
 fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u8>) {

@@ -6,10 +6,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use meniscus::io::bytes::{Bytes, Unpacking};
-use meniscus::io::input::{open_particles, steps};
-use meniscus::io::{ParticleFile, ReadError, ReadFault, h5};
-use meniscus::particles::Particles;
+use meniscus::internals::io::bytes::{Bytes, Unpacking};
+use meniscus::internals::io::input::{open_particles, steps};
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
+use meniscus::internals::particles::Particles;
 
 fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h5").join(name)

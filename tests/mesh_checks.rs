@@ -5,10 +5,10 @@ mod common {
 }
 
 use common::shapes::{cone, cuboid, moved, sphere, torus, union};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::check::{Found, check};
-use meniscus::surface::mesh::compare::{CompareError, Side, compare};
-use meniscus::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::check::{Found, check};
+use meniscus::internals::surface::mesh::compare::{CompareError, Side, compare};
+use meniscus::internals::surface::mesh::measure::measure;
 
 fn once<T>(place: T) -> Found<T> {
     Found { count: 1, first: Some(place) }

@@ -12,10 +12,10 @@ use std::path::Path;
 use std::process::Command;
 
 use common::shapes::{cuboid, dressed, moved, sphere, torus};
-use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
-use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, ReadFault, WriteFault};
-use meniscus::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, ReadFault, WriteFault};
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];

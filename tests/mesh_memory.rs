@@ -5,10 +5,10 @@ use std::borrow::Cow;
 use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use meniscus::io::CoordinateWidth;
-use meniscus::io::output::MeshFormat;
-use meniscus::particles::AttributeInfo;
-use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::particles::AttributeInfo;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 /// Counts the bytes that are held.
 struct Meter;

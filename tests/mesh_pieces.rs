@@ -12,11 +12,11 @@ use std::io;
 use std::ops::Range;
 
 use common::shapes::{dressed, torus};
-use meniscus::io::output::{MeshFormat, MeshOutput, read_mesh};
-use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::source::{MeshSource, Outline, Vertices};
+use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 const FORMATS: [MeshFormat; 6] = [
     MeshFormat::Ply,

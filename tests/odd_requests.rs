@@ -14,7 +14,7 @@ use std::time::Duration;
 use common::fill;
 use common::scene::Random;
 use glam::{DVec3, IVec3};
-use meniscus::io::output::read_mesh;
+use meniscus::internals::io::output::read_mesh;
 use serde_json::Value;
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;

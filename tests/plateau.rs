@@ -11,19 +11,19 @@ use common::distances::Distances;
 use common::scene::Random;
 use common::{INDICATORS, dif, fill, recipe, sampling, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::baselines::Method as Rival;
-use meniscus::field::blur::{Filter, Smoothing};
-use meniscus::field::calibration::{
+use meniscus::internals::baselines::Method as Rival;
+use meniscus::internals::field::blur::{Filter, Smoothing};
+use meniscus::internals::field::calibration::{
     COARSEST_STEP, Calibration, FINEST_OF_SYMMETRY, Plateau, Remedy, TooFine,
 };
-use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
-use meniscus::grid::units::{Isovalue, MeanCount, Sigma};
-use meniscus::grid::{CellBox, Domain, Grid};
-use meniscus::surface::mesh::measure::measure;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::internals::frame::{Detail, Frame, FrameError, Sampling, Shortfall, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, MeanCount, Sigma};
+use meniscus::internals::grid::{CellBox, Domain, Grid};
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 const CLOUD: IndicatorKind = IndicatorKind::Cloud;

@@ -7,12 +7,12 @@ mod meter;
 
 use std::path::{Path, PathBuf};
 
-use meniscus::io::bytes::Bytes;
-use meniscus::io::bytes::Unpacking;
-use meniscus::io::input;
-use meniscus::io::scene::spacing_beside;
-use meniscus::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
-use meniscus::particles::{Particles, velocity_attribute};
+use meniscus::internals::io::bytes::Bytes;
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input;
+use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
+use meniscus::internals::particles::{Particles, velocity_attribute};
 
 use build::{Bi4, VtkXml, gzip, tuples};
 use zip::CompressionMethod;

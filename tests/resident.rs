@@ -10,15 +10,15 @@ mod example;
 
 use common::scene::Random;
 use common::{INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank};
-use meniscus::brick::InvalidParticles;
-use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::field::recipe::Detail;
-use meniscus::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
-use meniscus::frame::{FrameError, Sampling, Surfacing};
-use meniscus::grid::units::{Isovalue, Sigma, Smooth};
-use meniscus::surface::mesh::Mesh;
-use meniscus::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
+use meniscus::internals::brick::InvalidParticles;
+use meniscus::internals::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::internals::field::recipe::Detail;
+use meniscus::internals::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
+use meniscus::internals::frame::{FrameError, Sampling, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::vulkan::{Device, DeviceOptions, Place, Queue, Queues, ValidationLog, VulkanError};
 
 fn open() -> Option<(Device, ValidationLog)> {
     device::open(&DeviceOptions::default()).map_err(device::skip).ok()

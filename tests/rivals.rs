@@ -9,14 +9,14 @@ use common::dense::{Dense, mesh as dense_mesh};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, splashes, tank};
 use glam::{DMat3, DVec3};
-use meniscus::baselines::Method;
-use meniscus::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::units::MemoryBudget;
-use meniscus::grid::{CellBox, Grid};
-use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::check::check;
-use meniscus::system::timings::Timings;
+use meniscus::internals::baselines::Method;
+use meniscus::internals::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::grid::{CellBox, Grid};
+use meniscus::internals::particles::{AttributeInfo, Particles};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::system::timings::Timings;
 
 const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, Method::YuTurk { iso: 0.4 }];
 

@@ -13,10 +13,10 @@ use std::time::Duration;
 use common::fill;
 use common::scene::Random;
 use glam::{DQuat, DVec3, EulerRot};
-use meniscus::io::output::read_mesh;
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::check::check;
-use meniscus::surface::mesh::measure::measure;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::measure::measure;
 use serde_json::Value;
 use tempfile::TempDir;
 

@@ -9,13 +9,13 @@ use std::fs;
 use std::path::Path;
 
 use common::shapes::{dressed, moved, sphere};
-use meniscus::io::glb::Layout;
-use meniscus::io::output::{MeshFormat, MeshOutput};
-use meniscus::io::series::{Series, SeriesFrame};
-use meniscus::io::whole::Replace;
-use meniscus::io::{CoordinateWidth, UpAxis, WriteFault};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::source::MeshSource;
+use meniscus::internals::io::glb::Layout;
+use meniscus::internals::io::output::{MeshFormat, MeshOutput};
+use meniscus::internals::io::series::{Series, SeriesFrame};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::MeshSource;
 use serde_json::Value;
 
 fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {

@@ -10,8 +10,8 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 use compile::{folder, parsed, source};
-use meniscus::backend::programs::PROGRAMS;
-use meniscus::vulkan::Program;
+use meniscus::internals::backend::programs::PROGRAMS;
+use meniscus::internals::vulkan::Program;
 use naga::{AddressSpace, TypeInner};
 
 #[test]

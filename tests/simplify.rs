@@ -8,17 +8,17 @@ use std::collections::HashMap;
 use common::scene::Random;
 use common::{INDICATORS, fill, sampling, splashes, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::{Frame, Normals, Sampling, Surfacing};
-use meniscus::grid::units::Tolerance;
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::check::check;
-use meniscus::surface::mesh::compare::compare;
-use meniscus::surface::mesh::measure::measure;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::simplify::{Reduction, simplify};
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{Frame, Normals, Sampling, Surfacing};
+use meniscus::internals::grid::units::Tolerance;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::compare::compare;
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::surface::simplify::{Reduction, simplify};
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };

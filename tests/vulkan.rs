@@ -16,21 +16,21 @@ use common::{
     INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use glam::IVec3;
-use meniscus::backend::programs::PROGRAMS;
-use meniscus::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
-use meniscus::brick::vulkan::{DeviceBlock, DeviceBlocks};
-use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
-use meniscus::field::blur::{self, Kernel};
-use meniscus::field::indicator::{IndicatorKind, PageRule};
-use meniscus::field::recipe::{PaperFilters, Recipe};
-use meniscus::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::grid::{BIN, CellBox, Domain, Grid};
-use meniscus::io::bytes::Unpacking;
-use meniscus::io::input::open_particles;
-use meniscus::surface::mesh::Mesh;
-use meniscus::system::timings::Timings;
-use meniscus::vulkan::{
+use meniscus::internals::backend::programs::PROGRAMS;
+use meniscus::internals::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
+use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
+use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
+use meniscus::internals::field::blur::{self, Kernel};
+use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
+use meniscus::internals::field::recipe::{PaperFilters, Recipe};
+use meniscus::internals::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
+use meniscus::internals::grid::{BIN, CellBox, Domain, Grid};
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::timings::Timings;
+use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
 };
 
@@ -93,7 +93,7 @@ fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
 /// A block as the device keeps it, and its samples after a blur.
 fn blurred_on(
     device: &Device,
-    program: &Arc<meniscus::vulkan::Kernel>,
+    program: &Arc<meniscus::internals::vulkan::Kernel>,
     dif: &Block,
     kernel: &Kernel,
     walls: Option<CellBox>,
@@ -486,7 +486,7 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let mut random = Random::new(3);
     let pages = cells.cubes(16).map(|bin| {
         let dense: Vec<u16> = (0..4096).map(|_| random.bits() as u16 | 1).collect();
-        meniscus::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into()).unwrap()
+        meniscus::internals::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into()).unwrap()
     });
     let mut pages: Vec<_> = pages.collect();
     pages.sort_unstable_by_key(|(info, _)| info.key);

@@ -1,5 +1,6 @@
-//! What the stages of a frame run on: the processor's cores, or a Vulkan device. Both give the same bytes.
+//! Backends for the stages of a frame: the processor's cores, or a Vulkan device. Both give the same bytes.
 
+pub mod choice;
 mod cpu;
 pub mod programs;
 mod vulkan;
@@ -26,7 +27,7 @@ use crate::vulkan::Device;
 
 /// Something that stages run on.
 pub trait Backend: Debug + Send + Sync {
-    /// Its name, for people.
+    /// Returns the backend's name, for people.
     fn name(&self) -> String;
 
     /// The device that it computes on, unless that is the processor.

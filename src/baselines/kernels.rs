@@ -38,14 +38,14 @@ pub trait KernelField: Debug + Send + Sync {
 #[derive(Debug)]
 pub(super) struct Kernels<S: Scheme> {
     scheme: S,
-    /// Of each bin, in the order of its particles.
+    /// The kernels of each bin, in the order of its particles.
     kernels: Lists<S::Kernel>,
     bins: Vec<Reached>,
     /// The bins whose kernels reach a block or its margin, in order.
     by_block: HashMap<IVec3, Vec<u32>>,
 }
 
-/// What the kernels of a bin reach.
+/// The cells that the kernels of a bin reach.
 #[derive(Debug)]
 struct Reached {
     /// The bin's lowest cell.

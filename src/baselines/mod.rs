@@ -39,7 +39,7 @@ pub enum Method {
     ZhuBridson,
     /// Yu and Turk 2013.
     YuTurk {
-        /// As for Mueller.
+        /// Where the surface is, as for Mueller.
         iso: f64,
     },
 }

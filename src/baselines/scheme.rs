@@ -1,4 +1,4 @@
-//! What kernel methods have in common, and how wide their kernels are.
+//! The common interface of kernel methods, and the width of their kernels.
 
 use std::fmt::Debug;
 
@@ -55,9 +55,9 @@ pub(super) fn weight(squared: f64) -> f64 {
 
 /// How a method makes a field of particles.
 pub(super) trait Scheme: Debug + Send + Sync {
-    /// What a particle adds; places are relative to its bin's corner.
+    /// The kernel of a particle: what it adds to sums; places are relative to its bin's corner.
     type Kernel: Pod + Send + Sync + Debug;
-    /// What is summed up.
+    /// The sum of what kernels add at a point, from which the field is made.
     type Sum: Copy + Default;
 
     /// How far from a particle others tell in its kernel.

@@ -28,11 +28,11 @@ const LAMBDA: f64 = 0.5;
 const K_R: f64 = 4.0;
 /// The width of a kernel of few neighbours, over h.
 const K_N: f64 = 0.5;
-/// So few.
+/// The most other particles around one that count as few neighbours.
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, over h.
 const NEIGHBOURHOOD: f64 = 2.0;
-/// Of the eigenvalues of C in R^2 where the density is uniform.
+/// The eigenvalues of C, over R^2, where the density is uniform.
 const UNIFORM: f64 = 0.15;
 
 /// The field is phi - iso.

@@ -24,7 +24,7 @@ impl ZhuBridson {
 impl Scheme for ZhuBridson {
     /// Place.
     type Kernel = [f64; 3];
-    /// Of weighted places as seen from the point, and of weights.
+    /// The sums of weighted places as seen from the point, and of weights.
     type Sum = [f64; 4];
 
     fn neighbourhood(&self) -> f64 {

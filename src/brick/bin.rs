@@ -30,7 +30,7 @@ const RUN_BINS: usize = 1 << (u64::BITS - RECORD_BITS);
 /// Bins of a range whose particles' places are kept, at the most: as of a run, and the last stands for none.
 const KEPT_BINS: usize = RUN_BINS - 1;
 
-/// What counting may take of memory.
+/// The memory limits of counting: how many bins may be listed, and how many particles' places may be kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CountingRoom {
     /// Bins that may be listed.
@@ -59,7 +59,7 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// What to do with particles that are not finite, or beyond the grid.
+/// How to treat particles that are not finite, or beyond the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
     /// Stop and name the first.
@@ -79,7 +79,7 @@ pub enum BinError {
     NotFinite {
         /// Counted from 0 in the order of the file.
         index: usize,
-        /// Its position.
+        /// The particle's position.
         position: [f64; 3],
     },
     /// The particles are spread over more bins than memory may hold the list of.
@@ -96,7 +96,7 @@ pub enum BinError {
     TooFar {
         /// Counted from 0 in the order of the file.
         index: usize,
-        /// Its position.
+        /// The particle's position.
         position: [f64; 3],
         /// Edge of a cell.
         cell_size: f64,
@@ -132,7 +132,7 @@ struct RangePlan {
     table: BinTable,
     /// The rank among all bins of each bin in the table.
     ranks: Vec<u32>,
-    /// Of each particle its bin's rank in the table and, below, its record; empty where they were not kept.
+    /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where they were not kept.
     places: Vec<Record>,
 }
 
@@ -213,7 +213,7 @@ impl<'a> BinPlan<'a> {
         Ok(Self { placer, census, keys: bins.into_iter().map(|(key, _)| key).collect(), first, ranges })
     }
 
-    /// What became of the particles.
+    /// Returns how many particles were binned, and how many were left out and why.
     #[must_use]
     pub fn census(&self) -> Census {
         self.census
@@ -394,19 +394,19 @@ fn ranges(len: usize) -> Vec<Range<usize>> {
     (0..count).map(|i| len * i / count..len * (i + 1) / count).collect()
 }
 
-/// What a range of particles holds.
+/// The counts of a range of particles: its bins, census, first invalid particle, and kept places.
 struct RangeCount {
     table: BinTable,
     census: Census,
     first_invalid: Option<(usize, [f64; 3], Unplaced)>,
-    /// Of each, or of none.
+    /// The packed place of each particle; empty where they are not kept.
     places: Vec<Record>,
 }
 
 /// A direct-mapped cache of ranks in a table: of all bins that are so many apart along each axis, that which was last
 /// asked for. A rank is worth nothing until the table confirms it.
 struct Latest {
-    /// Of a bin's coordinate along each axis.
+    /// The number of low bits of a bin's coordinate that index the cache, along each axis.
     bits: u32,
     ranks: Vec<u32>,
 }
@@ -430,12 +430,12 @@ impl Latest {
 /// The bins that a range of particles touches.
 #[derive(Default)]
 struct BinTable {
-    /// Of each bin, found by its code.
+    /// The rank of each bin, found by its code.
     ranks: HashTable<u32>,
     hasher: DefaultHashBuilder,
     /// By rank.
     bins: Vec<BinCode>,
-    /// Of each bin: first its count, then its next free record.
+    /// The number of each bin: first its count of particles, then its next free record.
     numbers: Vec<usize>,
 }
 

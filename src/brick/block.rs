@@ -58,7 +58,7 @@ impl<T: Copy + Default> Block<T> {
         &self.samples
     }
 
-    /// The same, to be changed.
+    /// Returns every sample to be changed, x fastest, then y, then z.
     pub fn samples_mut(&mut self) -> &mut [T] {
         &mut self.samples
     }
@@ -159,8 +159,8 @@ impl<T: Copy + Default> Block<T> {
         }
     }
 
-    /// The same of single samples, whose places are counted from the cell `corner`; those that are not in `part` are passed
-    /// over.
+    /// Puts what `value` makes of what is there and of single samples into `part`, and skips samples outside of it.
+    /// The places of `samples` are counted from the cell `corner`.
     ///
     /// # Panics
     /// Unless `part` is in the block.

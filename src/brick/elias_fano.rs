@@ -30,7 +30,7 @@ impl EliasFano {
         (self.count + self.keys).div_ceil(WORD)
     }
 
-    /// Of the code.
+    /// Returns the length of the code in words.
     pub fn words(&self) -> usize {
         self.map_words() + (self.count * self.low_bits as usize).div_ceil(WORD) + 1
     }

@@ -24,7 +24,7 @@ pub struct DifField {
     stored: Stored,
 }
 
-/// What the samples of a field's cells are.
+/// The meaning of a field's stored samples.
 #[derive(Debug)]
 enum Stored {
     /// The DIF itself.
@@ -34,15 +34,15 @@ enum Stored {
 }
 
 impl DifField {
-    /// Of pages in memory, in the order of their keys.
+    /// Makes a field of pages in memory, in the order of their keys.
     #[must_use]
     pub fn in_memory(shape: PageShape, pages: Pages) -> Self {
         let (infos, samples) = pages.into_iter().unzip();
         Self::new(shape, infos, Store::Memory(samples))
     }
 
-    /// Of pages in the order of their keys whose samples come from `source`; those last used stay in memory
-    /// as long as they take no more than `cache_bytes`.
+    /// Makes a field of pages, in the order of their keys, whose samples are read from `source`.
+    /// Those last used stay in memory as long as they take no more than `cache_bytes`.
     #[must_use]
     pub fn paged(
         shape: PageShape,
@@ -55,8 +55,8 @@ impl DifField {
         Self::new(shape, infos, Store::paged(source, cache_bytes, mean_bytes))
     }
 
-    /// Of pages in the order of their keys whose samples are elsewhere, and come when they are wanted; where that fails they are
-    /// made by `otherwise`.
+    /// Makes a field of pages, in the order of their keys, whose samples are elsewhere and come when they are wanted.
+    /// Where that fails they are made by `otherwise`.
     #[must_use]
     pub fn elsewhere_paged(
         shape: PageShape,
@@ -87,7 +87,7 @@ impl DifField {
         self.store.cache_bytes()
     }
 
-    /// Its samples, where they are not in the host's memory.
+    /// Returns the samples that are in another memory than the host's, such as a device's, if the field has such.
     #[must_use]
     pub fn elsewhere(&self) -> Option<&dyn Elsewhere> {
         match &self.store {

@@ -10,10 +10,10 @@ use crate::grid::{BIN, CellBox, MortonKey, local_from_morton, local_morton};
 use super::samples::take_sparse;
 use super::{PageSamples, PageShape};
 
-/// What is always in memory of a page. Its samples may be elsewhere.
+/// The description of a page, which is always in memory; its samples may be elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageInfo {
-    /// Its bin.
+    /// The key of the page's bin.
     pub key: MortonKey,
     /// A bit for every brick that has a full cell of its own, by its Morton index in the bin. Others are not stored.
     pub bricks: u64,
@@ -27,7 +27,7 @@ pub struct PageInfo {
 pub type Pages = Vec<(PageInfo, PageSamples)>;
 
 impl PageInfo {
-    /// Of a bin of which so many cells are full: at least one in each of the layers across x, y and z whose bit is set.
+    /// Describes a bin with `full_count` full cells, given the layers across x, y and z that hold any, a bit each.
     pub(super) fn of_layers(key: MortonKey, bricks: u64, layers: [u16; 3], full_count: u32) -> Self {
         let lo = IVec3::from(layers.map(|bits| bits.trailing_zeros() as i32));
         let hi = IVec3::from(layers.map(|bits| bits.ilog2() as i32 + 1));
@@ -95,8 +95,8 @@ impl PageInfo {
         any.then(|| (full.page(MortonKey::of(bin), 1), PageSamples::Sparse(sparse)))
     }
 
-    /// What there is to know of stored samples; `None` unless there is a full cell in every one of `bricks`, and nothing
-    /// farther from the bin's full cells than the rim is wide.
+    /// Describes the page of stored samples, or returns `None` where they make no valid page.
+    /// A valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full cells than the rim is wide.
     ///
     /// # Panics
     /// If the samples are not of the bricks' number.
@@ -172,7 +172,7 @@ fn rows(corner: IVec3, edge: i32) -> impl Iterator<Item = usize> {
     (0..edge).flat_map(move |z| (0..edge).map(move |y| first(y, z)))
 }
 
-/// Which cells of a bin are full, with what its bricks leave in one another.
+/// The full cells of a bin, with what its bricks leave in one another.
 struct FullCells {
     /// A bit for each cell of a row along x, y fastest.
     rows: [u16; (BIN * BIN) as usize],
@@ -219,7 +219,7 @@ impl FullCells {
     }
 }
 
-/// Of a bin's rows a bit for each layer across x, y and z that has a full cell, and how many are full.
+/// Returns a bit for each layer of a bin across x, y and z that has a full cell, and the number of full cells.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512bitalg",
     "x86_64+avx2+popcnt",

@@ -109,7 +109,7 @@ impl Placer<'_> {
     }
 }
 
-/// What [`Placer::place`] compares with, for [`LANES`] positions one after the other.
+/// The bounds that [`Placer::place`] compares with, repeated for [`LANES`] consecutive positions.
 struct Bounds {
     origin: [f64; 3 * LANES],
     cell: f64,

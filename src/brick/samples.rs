@@ -17,7 +17,7 @@ const PLACE_BITS: u32 = 5;
 pub enum PageSamples {
     /// Brick after brick, x fastest in each.
     Dense(Box<[u16]>),
-    /// Of a bin that is one brick those that are not 0, in any order.
+    /// The samples that are not 0, each with its place, in any order, of a bin that is one brick.
     Sparse(Box<[(SamplePlace, u16)]>),
 }
 
@@ -54,7 +54,7 @@ impl PageSamples {
         shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
     }
 
-    /// Of all samples that a page stores.
+    /// Keeps all samples of a page: densely, or only those that are not 0 where these are few.
     #[must_use]
     pub fn new(samples: Cow<'_, [u16]>, shape: PageShape) -> Self {
         if shape.side != BrickSide::Sixteen {
@@ -138,7 +138,7 @@ pub(super) fn take_sparse(
 mod tests {
     use super::*;
 
-    /// Of one brick a bin, with and without a rim: so many samples, all but some of them 0.
+    /// Returns the samples of one-brick bins, with and without a rim, of which different numbers are not 0.
     fn scenes() -> impl Iterator<Item = (PageShape, Vec<u16>)> {
         [0, 1].into_iter().flat_map(|rim| {
             let shape = PageShape { side: BrickSide::Sixteen, rim };

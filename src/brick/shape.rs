@@ -43,7 +43,7 @@ impl BrickSide {
 /// How the samples of a page lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageShape {
-    /// Of its bricks.
+    /// The edge of the bricks.
     pub side: BrickSide,
     /// How many cells around its own a brick stores, in which its own particles leave something: 0 or 1. What is in a
     /// cell is the sum over all bricks, at most 65535.

@@ -23,7 +23,7 @@ use super::elias_fano::EliasFano;
 const PIECE: usize = 1 << 19;
 /// Particles of a piece that is not the last, at the least.
 const FEWEST: usize = 16;
-/// What coding a piece takes besides, in pieces.
+/// The extra room that coding a piece takes in memory, in pieces.
 const CODING: usize = 2;
 const RECORD_MASK: Record = (1 << RECORD_BITS) - 1;
 
@@ -36,7 +36,7 @@ pub struct SpilledBins {
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
-    /// Of every run.
+    /// The pieces of every run.
     pieces: Vec<Mutex<Vec<Piece>>>,
 }
 

@@ -48,7 +48,7 @@ pub(super) enum Store {
         source: Box<dyn PageSource>,
         cache: Cache<u32, Arc<PageSamples>, Bytes>,
     },
-    /// Those that were wanted on the host are in its memory, too, [`TOGETHER`] at a time.
+    /// Pages outside of the host's memory; those wanted on the host are kept in it too, [`TOGETHER`] at a time.
     Elsewhere {
         pages: Box<dyn Elsewhere>,
         otherwise: Box<dyn PageSource>,

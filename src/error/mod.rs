@@ -1,5 +1,6 @@
 //! Every error of the library, with the file that it concerns, and whose fault it is.
 
+mod setting;
 mod simulation;
 
 use std::path::{Path, PathBuf};
@@ -7,21 +8,41 @@ use std::path::{Path, PathBuf};
 use bytesize::ByteSize;
 use thiserror::Error;
 
-use crate::frame::FrameError;
-use crate::grid::DomainError;
-use crate::grid::units::UnitError;
-use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
-use crate::surface::mesh::compare::CompareError;
-use crate::vulkan::VulkanError;
-
-pub use simulation::SequenceError;
+pub use crate::brick::BinError;
+pub use crate::field::calibration::TooFine;
+pub use crate::field::indicator::IndicatorKind;
+pub use crate::frame::FrameError;
+pub use crate::frame::estimate::OverBudget;
+pub use crate::grid::DomainError;
+pub use crate::grid::units::{UnitError, shown};
+pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
+pub use crate::surface::mesh::compare::CompareError;
+pub use crate::surface::stitch::WholeMeshError;
+pub use crate::vulkan::VulkanError;
+pub use setting::{Conflict, Setting, Unfit};
+pub use simulation::{FPS, SequenceError};
 
 /// Anything that can go wrong between a particle file and a mesh file.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum Error {
     /// An option or a combination of options.
     #[error("{0}")]
     Request(String),
+    /// A setting that has no meaning for what it is asked of.
+    #[error(transparent)]
+    Unfit(#[from] Unfit),
+    /// A file that is to be read or written, and written once more.
+    #[error("{}", two_purposes(path, other))]
+    TwoPurposes {
+        /// The file.
+        path: PathBuf,
+        /// The name by which it is wanted already.
+        other: PathBuf,
+    },
+    /// The caller asked for an early end.
+    #[error("cancelled")]
+    Cancelled,
     /// A number out of range.
     #[error(transparent)]
     Unit(#[from] UnitError),
@@ -69,10 +90,12 @@ pub enum Error {
         known: Vec<String>,
     },
     /// Less memory than any frame takes.
-    #[error("memory of at least {} is needed", ByteSize(*least))]
+    #[error("{}memory of at least {} is needed", to_simplify(*simplifying), ByteSize(*least))]
     LittleMemory {
         /// Bytes that are enough to begin.
         least: u64,
+        /// The threads of which each simplifies a part of the mesh, if that is what takes it.
+        simplifying: Option<usize>,
     },
     /// Threads that the system does not start.
     #[error("threads cannot be started: {0}")]
@@ -92,12 +115,25 @@ fn file(path: Option<&Path>) -> String {
     path.map_or(String::new(), |path| format!("{}: ", path.display()))
 }
 
+fn to_simplify(threads: Option<usize>) -> String {
+    threads.map_or(String::new(), |threads| format!("to simplify with {threads} threads, "))
+}
+
+fn two_purposes(path: &Path, other: &Path) -> String {
+    let path = path.display();
+    match other.display() {
+        other if other.to_string() == path.to_string() => format!("{path}: is given for two purposes"),
+        other => format!("{path}: is given for two purposes: it is the same file as {other}"),
+    }
+}
+
 fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
 /// Whose fault an error is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Cause {
     /// The arguments or the request; nothing was done.
     Request,
@@ -107,6 +143,8 @@ pub enum Cause {
     Output,
     /// The device that was asked for cannot be used.
     Device,
+    /// The caller asked for an early end.
+    Cancelled,
 }
 
 impl Error {
@@ -125,7 +163,10 @@ impl Error {
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {
+            Self::Cancelled | Self::Frame { fault: FrameError::Cancelled, .. } => Cause::Cancelled,
             Self::Request(_)
+            | Self::Unfit(_)
+            | Self::TwoPurposes { .. }
             | Self::Unit(_)
             | Self::Domain(_)
             | Self::NoAttribute { .. }

@@ -1,8 +1,12 @@
 //! Why a simulation cannot be begun.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use thiserror::Error;
+
+/// Rates of frames whose times programs can tell apart.
+pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// A sequence that cannot be begun.
 #[derive(Debug, Error)]
@@ -10,6 +14,26 @@ pub enum SequenceError {
     /// The request names no frame.
     #[error("{0}: there are no frames")]
     NoFrames(String),
+    /// Frames that are asked for, of which none is there.
+    #[error("{0}: none of its frames is asked for")]
+    NoneWanted(String),
+    /// A rate of frames whose times programs could not tell apart.
+    #[error("frames a second must be from {least} to {most}; {0:?} is not", least = FPS.start(), most = FPS.end())]
+    Rate(f64),
+    /// A time to wait that is none.
+    #[error("a wait takes seconds; {0} are none")]
+    Wait(f64),
+    /// A first number after the last.
+    #[error("there are no frames from {first} to {last}")]
+    Range {
+        /// The first number.
+        first: u64,
+        /// The last number.
+        last: u64,
+    },
+    /// A step that leads nowhere.
+    #[error("a step of frames must be 1 at the least")]
+    Step,
     /// The names do not say which frame is which.
     #[error("{0}")]
     Names(String),
@@ -27,6 +51,7 @@ pub enum SequenceError {
         /// Where.
         path: PathBuf,
         /// The system's own refusal.
+        #[source]
         fault: std::io::Error,
     },
     /// A state file that is damaged, or of another version.

@@ -13,7 +13,7 @@ use crate::grid::{BLOCK, CellBox};
 /// Treatment of details that smoothing loses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Detail {
-    /// They stay lost.
+    /// Details stay lost.
     Smoothed,
     /// Section 6.2 brings them back: see [`detail`](crate::field::detail).
     Recovered,
@@ -22,7 +22,7 @@ pub enum Detail {
 /// All filters between the samples and the field.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Filters {
-    /// Those of the paper, for its indicators.
+    /// The paper's filters, for its indicators.
     Paper(PaperFilters),
     /// Distances from clouds.
     Distances(Box<Distances>),
@@ -231,7 +231,7 @@ pub fn joined<F: Fields>(
 pub trait Fields {
     /// Samples of a box of cells.
     type Field: Clone;
-    /// What can go wrong.
+    /// The error of a filter that fails.
     type Error;
 
     /// The samples of the cells that the field is asked for on, and of as many around as `halo` says: cells 2^`level` times as wide,
@@ -249,7 +249,7 @@ pub trait Fields {
         iso: Isovalue,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Of two fields the greater, cell by cell.
+    /// Returns the greater of two fields, cell by cell.
     fn greater(&mut self, field: Self::Field, other: Self::Field) -> Result<Self::Field, Self::Error>;
 
     /// Two surfaces of the bulk, by the samples under each of its widths.

@@ -19,8 +19,8 @@ const ENOUGH_CELLS: usize = 8;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// Counting cells at the most: spray fills one each.
 const MOST_CELLS: usize = 1 << 24;
-/// So many particles tell enough in one placement of the counting grid; with fewer, several are averaged. Of more, an
-/// even share is looked at.
+/// The number of particles that tell enough in one placement of the counting grid.
+/// With fewer, several placements are averaged. Of more, an even share is looked at.
 const MANY: usize = 1 << 18;
 
 /// How far apart particles are.
@@ -75,12 +75,12 @@ fn scattered(position: [f64; 3]) -> u64 {
     })
 }
 
-/// The same by all particles.
+/// Estimates the spacings by all particles.
 fn estimate_of_all(particles: &(impl Particles + ?Sized)) -> Option<Spacings> {
     estimate_where(particles, 0.0)
 }
 
-/// The same, where interior cells hold so large a share of the particles.
+/// Estimates the spacings, where interior cells hold at least `enough_share` of the particles.
 fn estimate_where(particles: &(impl Particles + ?Sized), enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = bounds(particles)?;
     let extent = hi - lo;

@@ -33,6 +33,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
             }
             plan => plan?,
         };
+        resources.go_on()?;
         if plan.census().binned == 0 {
             return Err(FrameError::NoParticles(plan.census()));
         }
@@ -52,13 +53,13 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         Ok(Self { surfacing: *surfacing, ..Self::of(particles, sampling)? })
     }
 
-    /// What became of the particles.
+    /// Returns how many particles went into bins, and how many were left out and why.
     #[must_use]
     pub fn census(&self) -> Census {
         self.plan.census()
     }
 
-    /// What the frame will take.
+    /// Estimates the memory and disk space that the frame will take.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let Sampling { grid, field, side, carried, spacing, resources, .. } = self.sampling;

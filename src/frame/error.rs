@@ -1,4 +1,4 @@
-//! What can be wrong with a frame.
+//! Errors of a frame.
 
 use std::io;
 use std::path::PathBuf;
@@ -19,13 +19,13 @@ use crate::vulkan::VulkanError;
 /// A frame that cannot be reconstructed.
 #[derive(Debug, Error)]
 pub enum FrameError {
-    /// There is nothing to build a surface from.
+    /// No particles are left to build a surface from.
     #[error("no particles to reconstruct: {}", explain(.0))]
     NoParticles(Census),
     /// A particle that the grid cannot hold.
     #[error(transparent)]
     Bin(#[from] BinError),
-    /// It cannot be brought under its budget.
+    /// The frame cannot be brought under its memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
     /// mu0 could not be measured.
@@ -40,13 +40,13 @@ pub enum FrameError {
         iso.value()
     )]
     NoSurface {
-        /// What was asked for, or measured.
+        /// The isovalue that was asked for, or measured.
         iso: Isovalue,
     },
     /// No cell's middle is inside of a surface that was drawn by distances.
     #[error("the surface is empty: no cell's centre is inside of it")]
     NoDistanceSurface,
-    /// What was measured on a frame of another indicator says nothing of this one.
+    /// The calibration was measured on a frame of another indicator, and says nothing of this one.
     #[error("it was packed with another indicator than the frame that all are drawn by")]
     OtherIndicator,
     /// Kernels are as wide as the spacing says.
@@ -58,7 +58,7 @@ pub enum FrameError {
     /// The field of a kernel method is positive nowhere.
     #[error("the surface is empty: no cell's centre is inside of it")]
     NoKernelSurface,
-    /// What exceeds the memory budget would not fit into scratch files; nothing was written.
+    /// Scratch files for what exceeds the memory budget would not fit on the disk; nothing was written.
     #[error(
         "scratch files take at least {} in {}, where {} are free",
         ByteSize(*needed), folder.display(), ByteSize(*free)
@@ -88,12 +88,15 @@ pub enum FrameError {
     /// A device that keeps the particles and the mesh failed, or has not enough memory.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
-    /// What exceeds the memory budget could not be put into scratch files.
+    /// The caller asked for an early end.
+    #[error("cancelled")]
+    Cancelled,
+    /// Scratch files for what exceeds the memory budget failed.
     #[error("scratch files in {}: {fault}", folder.display())]
     Scratch {
         /// Where they are.
         folder: PathBuf,
-        /// What went wrong.
+        /// The error of the scratch file.
         fault: io::Error,
     },
 }
@@ -117,7 +120,7 @@ fn explain(census: &Census) -> String {
 }
 
 impl FrameError {
-    /// There is no surface by a recipe.
+    /// Returns the error for an empty surface, by the recipe that it was drawn with.
     pub(super) fn no_surface(recipe: &Recipe) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },

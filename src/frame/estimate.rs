@@ -1,6 +1,6 @@
-//! What a frame will take of memory and disk, known once its particles are counted by bin and before
-//! anything is stored for them; and how to share a budget that is smaller than that.
+//! Estimates of the memory and disk space that a frame will take, and plans for a budget that is smaller.
 //!
+//! They are made once its particles are counted by bin and before anything is stored for them.
 //! Every stage says what it takes; here it is added up.
 
 use bytesize::ByteSize;
@@ -31,11 +31,11 @@ pub struct Estimate {
     pub program: u64,
     /// Tables of bins.
     pub index: u64,
-    /// What is kept of the first reading until particles are sorted.
+    /// Places of particles, kept from the first reading until particles are sorted.
     pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// The same particles in a scratch file, not yet sorted: what they take there at the least.
+    /// Particles in a scratch file, not yet sorted: what they take there at the least.
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
@@ -69,18 +69,18 @@ pub struct Drawing {
 pub enum Plan {
     /// Everything fits; nothing touches the disk.
     InCore,
-    /// What exceeds its share goes to scratch files.
+    /// Data that exceeds its share goes to scratch files.
     OutOfCore(Shares),
 }
 
 /// Bytes that may be resident at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shares {
-    /// Of particles being sorted.
+    /// Bytes of particles being sorted.
     pub particles: u64,
-    /// Of the DIF.
+    /// Bytes of the DIF.
     pub field: u64,
-    /// Of the surface.
+    /// Bytes of the surface.
     pub surface: u64,
 }
 
@@ -92,7 +92,7 @@ pub struct Shares {
     ByteSize(*budget)
 )]
 pub struct OverBudget {
-    /// What was asked for.
+    /// The cell size that was asked for.
     pub cell_size: f64,
     /// Bytes that may be used.
     pub budget: u64,

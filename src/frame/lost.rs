@@ -21,7 +21,7 @@ const _: () = assert!(SIDE == TILE);
 /// The tiles of a bin that have the least x.
 const FIRST: TileMask = 0x1111_1111_1111_1111;
 
-/// Which tiles hold particles: of each bin, and how many particles are in it.
+/// The tiles that hold particles, by bin, and how many particles are in each bin.
 #[derive(Debug, Default)]
 pub(super) struct Occupied(Vec<(IVec3, u32, TileMask)>);
 
@@ -81,15 +81,15 @@ impl Occupied {
     }
 }
 
-/// What the tiles of a bin are, in a row of bins along x.
+/// A bin in a row of bins along x: its particles, and which of its tiles hold some or meet the surface.
 #[derive(Debug, Default, Clone, Copy)]
 struct Row {
     bin: IVec3,
     particles: u32,
     occupied: TileMask,
-    /// Those that the surface passes through.
+    /// Tiles that the surface passes through.
     passed: TileMask,
-    /// Those of them behind which, along x, is the inside.
+    /// Tiles of `passed` behind which, along x, is the inside.
     inside_behind: TileMask,
 }
 

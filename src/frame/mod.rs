@@ -42,6 +42,7 @@ use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::simplify::{Reduction, Simplified, simplify};
 use crate::surface::stitch::Stitched;
+use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use binned::HostBins;
@@ -105,6 +106,8 @@ impl Frame {
         if let FieldRequest::Kernels(_) = field {
             kernel_spacing(*spacing, grid)?;
         }
+        resources.go_on()?;
+        resources.control.begins(Stage::Sampling);
         resources.check_room(estimate.least_scratch(plan))?;
 
         let binned = binned::sorted(bin_plan, particles, carried, plan, &resources)?;
@@ -160,7 +163,7 @@ impl Frame {
         }
     }
 
-    /// What the stages run on.
+    /// Returns the name of the backend that the stages run on.
     #[must_use]
     pub fn backend(&self) -> String {
         match self.field {
@@ -177,7 +180,7 @@ impl Frame {
         }
     }
 
-    /// What went wrong with the backend so far, and was made good.
+    /// Returns the failures of the backend so far, which were made good.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         self.stages().map_or(Vec::new(), Stages::warnings)
@@ -313,6 +316,8 @@ impl Frame {
         reduction: &Reduction,
         timings: &mut Timings,
     ) -> Result<Simplified, FrameError> {
+        self.resources.go_on()?;
+        self.resources.control.begins(Stage::Simplifying);
         let particle_cells = self.facts().spacing_cells_or_one().powi(3);
         let simplified =
             simplify(surface, reduction, particle_cells, self.surface_share, &self.resources.scratch)

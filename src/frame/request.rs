@@ -192,7 +192,7 @@ impl Surfacing {
         }
     }
 
-    /// What smooths attributes: the smoothing of the field, or of clouds one of a width between drops and bulk.
+    /// Returns the smoothing of attributes: the field's, or for clouds one of a width between drops and bulk.
     #[must_use]
     pub fn attribute_smoothing(&self, kind: IndicatorKind, spacing: Option<f64>, grid: &Grid) -> Smoothing {
         let cells = |spacing: f64| ATTRIBUTES_SMOOTHED * spacing / grid.cell_size();

@@ -6,26 +6,29 @@ use std::sync::Arc;
 
 use crate::backend::{Backend, Cpu};
 use crate::grid::units::MemoryBudget;
+use crate::system::control::Control;
 use crate::system::scratch::free_bytes;
 
 use super::FrameError;
 
-/// What a frame may take of the machine.
+/// The resources of the machine that a frame may use.
 #[derive(Debug, Clone)]
 pub struct Resources {
     /// Memory that may be resident at once.
     pub budget: MemoryBudget,
     /// The folder for what exceeds it.
     pub scratch: PathBuf,
-    /// What the stages run on.
+    /// The backend that the stages run on.
     pub backend: Arc<dyn Backend>,
+    /// The caller's hold on the work.
+    pub control: Control,
 }
 
 impl Resources {
-    /// Of the processor.
+    /// Creates resources whose backend is the processor.
     #[must_use]
     pub fn new(budget: MemoryBudget, scratch: PathBuf) -> Self {
-        Self { budget, scratch, backend: Arc::new(Cpu) }
+        Self { budget, scratch, backend: Arc::new(Cpu), control: Control::default() }
     }
 
     /// Bytes that the backend takes of the machine's memory.
@@ -44,6 +47,11 @@ impl Resources {
             return Err(FrameError::NoRoom { folder: folder.clone(), needed, free });
         }
         Ok(())
+    }
+
+    /// Ends the work where the caller has asked for it.
+    pub(super) fn go_on(&self) -> Result<(), FrameError> {
+        if self.control.cancel.is_cancelled() { Err(FrameError::Cancelled) } else { Ok(()) }
     }
 
     pub(super) fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {

@@ -16,7 +16,7 @@ pub struct Shortfall {
     pub share: f64,
     /// How many particles it is of.
     pub particles: usize,
-    /// Their spacing: a particle fills a cube of this edge.
+    /// The spacing of the particles: each fills a cube of this edge.
     pub spacing: f64,
 }
 

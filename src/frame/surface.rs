@@ -19,9 +19,13 @@ use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, block_bytes};
 use crate::surface::stitch::Stitched;
+use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::{FrameError, Resources};
+
+/// Blocks that are meshed at once at the most, so that a caller is heard within a second or so.
+const MOST_BLOCKS_A_THREAD: usize = 2048;
 
 /// Adds to a mesh what does not come from its field.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
@@ -38,7 +42,7 @@ pub(super) struct Drawn<'a> {
     /// How vertices lie on their edges.
     pub(super) crossings: Crossings,
     pub(super) attribute_smoothing: Smoothing,
-    /// What is wrong where there is no surface.
+    /// The error to return where there is no surface.
     pub(super) nothing: FrameError,
 }
 
@@ -96,7 +100,7 @@ impl CalibratedFrame<'_> {
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let components = attributes.iter().map(|info| info.components).collect();
         let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
-        self.mesh_blocks(&mut spool).map_err(self.resources.scratch_error())?;
+        self.mesh_blocks(&mut spool)?;
         timings.done("mesh");
         if spool.is_empty() {
             return Err(self.drawn.nothing);
@@ -106,21 +110,26 @@ impl CalibratedFrame<'_> {
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many
     /// blocks are meshed at once as fit into what is left of that; there is always room for some a thread.
-    fn mesh_blocks(&self, spool: &mut Spool) -> io::Result<()> {
-        let share = self.surface_share;
+    fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
+        let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
+        let most = MOST_BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of them may be full of spray.
         let block = block_bytes(block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
+        let all = regions.len();
         while !regions.is_empty() {
+            self.resources.go_on()?;
+            self.resources.control.tell(Stage::Meshing, (all - regions.len()) as f64 / all as f64);
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
-            let (batch, later) = regions.split_at(fitting.max(least).min(regions.len()));
+            let (batch, later) = regions.split_at(fitting.clamp(least, most).min(regions.len()));
             (self.drawn.contour)(batch, &|block| self.carry(block), &mut |blocks| {
                 blocks.into_iter().try_for_each(|block| spool.push(block))
-            })?;
+            })
+            .map_err(&in_scratch)?;
             if spool.bytes_in_memory() > share {
-                spool.move_to_file(&self.resources.scratch)?;
+                spool.move_to_file(&self.resources.scratch).map_err(&in_scratch)?;
             }
             regions = later;
         }

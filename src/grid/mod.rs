@@ -163,7 +163,7 @@ impl CellBox {
         Self { lo: self.lo - below, hi: self.hi + above }
     }
 
-    /// What both contain.
+    /// Returns the box of cells that both contain.
     #[must_use]
     pub fn intersection(&self, other: &Self) -> Self {
         Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
@@ -334,13 +334,13 @@ impl Domain {
         }
     }
 
-    /// Its cells.
+    /// Returns the cells of the domain.
     #[must_use]
     pub fn cells(&self) -> CellBox {
         self.cells
     }
 
-    /// Its lower and upper corner, in world coordinates.
+    /// Returns the domain's lower and upper corner, in world coordinates.
     #[must_use]
     pub fn walls(&self) -> [DVec3; 2] {
         [self.lo, self.hi]

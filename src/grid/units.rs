@@ -31,7 +31,7 @@ pub enum UnitError {
     /// A coordinate that must be finite.
     #[error("{what} must be finite numbers; {value} is not")]
     NotFinite {
-        /// What the coordinates are of.
+        /// The name of the coordinates, for the message.
         what: &'static str,
         /// The one that is not.
         value: f64,
@@ -39,9 +39,9 @@ pub enum UnitError {
     /// A length that must be positive.
     #[error("{what} must be a positive length; {value} is not")]
     Length {
-        /// What the length measures.
+        /// The name of the length, for the message.
         what: &'static str,
-        /// What was given.
+        /// The value that was given.
         value: f64,
     },
 }
@@ -123,8 +123,9 @@ impl Sigma {
         if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Sigma(cells)) }
     }
 
-    /// So many cells wide, but one at the least. Where the width is a matter of the particles' spacing, what is left of the
-    /// lattice that they stand on, and of how it lies on the grid, is smoothed away in however small cells.
+    /// Makes a standard deviation of so many cells, but one at the least.
+    /// Where the width is a matter of the particles' spacing, what is left of the lattice that they stand on, and of how it lies
+    /// on the grid, is smoothed away in however small cells.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
@@ -148,12 +149,12 @@ impl Sigma {
 pub struct Smooth(f64);
 
 impl Smooth {
-    /// Of less, single particles show all over.
+    /// The least width: of less, single particles show all over.
     pub const LEAST: f64 = 0.8;
-    /// Of more, nothing is left but bulk.
+    /// The greatest width: of more, nothing is left but bulk.
     pub const MOST: f64 = 4.0;
 
-    /// What suits most fluids.
+    /// The width that suits most fluids.
     pub const USUAL: Self = Self(1.6);
 
     /// # Errors

@@ -89,7 +89,7 @@ fn refuse_newer_formats(bytes: &[u8]) -> Result<(), ReadFault> {
     )))
 }
 
-/// What a point attribute is called and how it is stored.
+/// The definition of a point attribute: its name and how it is stored.
 struct Definition {
     name: String,
     components: u16,

@@ -164,7 +164,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// The particles of one file.
 struct Piece {
     case: Case,
-    /// Those with an entry for every particle.
+    /// The arrays that have an entry for every particle.
     arrays: Vec<Array>,
     /// The number of the array of positions, which has three components.
     position: usize,
@@ -203,7 +203,7 @@ impl Piece {
     }
 }
 
-/// Which rows of the arrays are fluid: from `first` on, those of `rows`.
+/// The rows of the arrays that are fluid: from `first` on, those of `rows`.
 struct Fluid {
     first: usize,
     rows: Rows,
@@ -268,7 +268,7 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// What the values say, as far as it concerns us.
+/// The values of the file that are of use here: counts, pieces, spacing and time.
 #[derive(Default)]
 struct Case {
     /// CaseNfixed, CaseNmoving and CaseNfloat.

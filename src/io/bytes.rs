@@ -30,7 +30,7 @@ const ALWAYS_UNPACKED: u64 = 64 << 20;
 pub enum Bytes {
     /// Pages come and go with their use.
     Mapped(Mmap),
-    /// The same, but of a scratch file.
+    /// A mapped scratch file; pages come and go with their use.
     Scratch(Mmap),
     /// In memory.
     Owned(Vec<u8>),
@@ -177,7 +177,7 @@ impl Drop for Passing<'_> {
     }
 }
 
-/// What unpacking or decoding an input may take.
+/// The memory and scratch folder that unpacking or decoding an input may use.
 #[derive(Debug, Clone, Copy)]
 pub struct Unpacking<'a> {
     /// Bytes of memory; what comes to more goes to a scratch file, and is mapped.
@@ -187,14 +187,14 @@ pub struct Unpacking<'a> {
 }
 
 impl Unpacking<'static> {
-    /// As much memory as it takes.
+    /// Sets no limit: all is unpacked into memory.
     #[must_use]
     pub fn in_memory() -> Self {
         Self { in_memory: u64::MAX, scratch: Path::new(".") }
     }
 }
 
-/// What has been unpacked or decoded so far.
+/// The bytes that have been unpacked or decoded so far.
 #[derive(Debug)]
 pub struct Unpacked<'a> {
     unpacking: Unpacking<'a>,
@@ -269,7 +269,7 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::in_memory())
 }
 
-/// The same within bounds.
+/// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking` says.
 ///
 /// # Errors
 /// As [`open_bytes`], and [`ReadFault::Scratch`] where the scratch file cannot be written.
@@ -303,7 +303,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     .map_err(fail)
 }
 
-/// What a file of `packed` bytes may unpack to.
+/// Returns the most bytes that a file of `packed` bytes may unpack to.
 pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }

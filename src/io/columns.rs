@@ -41,7 +41,7 @@ pub enum Endian {
 /// from byte `offset + i * stride`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
-    /// Of particle 0's first component, in bytes from the start of the data.
+    /// Offset of particle 0's first component, in bytes from the start of the data.
     pub offset: usize,
     /// Bytes from one particle to the next.
     pub stride: usize,
@@ -71,12 +71,12 @@ pub struct ColumnStore<B = Bytes> {
     columns: Vec<Vec<Column>>,
 }
 
-/// Which rows of the columns are particles of the fluid.
+/// The rows of the columns that are particles of the fluid.
 #[derive(Debug)]
 pub enum Rows {
     /// The first so many.
     All(usize),
-    /// These, in this order (a .bi4 mixes fluid with boundary).
+    /// The rows of these numbers, in this order (a .bi4 mixes fluid with boundary).
     Chosen(Vec<u32>),
 }
 

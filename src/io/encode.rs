@@ -23,7 +23,7 @@ pub fn write_pieces(
     in_order(pieces, encode, |bytes| out.write_all(bytes))
 }
 
-/// As [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in order.
+/// Works like [`write_pieces`], for anything that `make` appends to a buffer and `take` wants in order.
 pub(super) fn in_order<T: Send>(
     pieces: usize,
     make: impl Fn(usize, &mut Vec<T>) -> io::Result<()> + Sync,
@@ -40,7 +40,7 @@ pub(super) fn in_order<T: Send>(
     take_all(&mut ready[..made], &mut take)
 }
 
-/// What was made of a piece, and whether that is all of it.
+/// The values made of a piece, and whether they are all of it.
 type Made<T> = (Vec<T>, io::Result<()>);
 
 /// Makes as many of `pieces` as there are `buffers`, on the pool, while `meanwhile` runs on this thread.

@@ -1,4 +1,4 @@
-//! What can be wrong with files that are read and written.
+//! Errors of reading and writing files.
 
 use std::path::{Path, PathBuf};
 
@@ -8,9 +8,9 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct ReadError {
-    /// Which file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault that was found.
     #[source]
     pub fault: ReadFault,
 }
@@ -22,7 +22,7 @@ impl ReadError {
     }
 }
 
-/// What can be wrong with an input file.
+/// A reason why an input file cannot be read.
 #[derive(Debug, Error)]
 pub enum ReadFault {
     /// The system's own refusal: missing, forbidden, a folder.
@@ -31,7 +31,7 @@ pub enum ReadFault {
     /// No bytes at all.
     #[error("the file is empty")]
     Empty,
-    /// It is unpacked or decoded into a scratch file, which failed.
+    /// The scratch file that the input is unpacked or decoded into failed.
     #[error("scratch file for its contents: {0}")]
     Scratch(#[source] std::io::Error),
     /// A compressed stream that does not unpack.
@@ -40,7 +40,7 @@ pub enum ReadFault {
     /// The file ends before its header says that it should.
     #[error("truncated: {what} needs {needed} bytes, the file has {have}")]
     Truncated {
-        /// What was being read.
+        /// Name of the part that was being read.
         what: String,
         /// Where it would end, in bytes from the start of the (unpacked) file.
         needed: u64,
@@ -52,7 +52,7 @@ pub enum ReadFault {
     Malformed {
         /// In bytes from the start of the (unpacked) file.
         at: u64,
-        /// What was found, and what was expected.
+        /// Description of the fault: the bytes that were found, or the ones expected.
         what: String,
     },
     /// A line of a text file that does not parse.
@@ -60,16 +60,19 @@ pub enum ReadFault {
     Line {
         /// Counted from 1.
         line: u64,
-        /// What was found, and what was expected.
+        /// Description of the fault: the text that was found, or the one expected.
         what: String,
     },
+    /// The file was written to while it was read.
+    #[error("it has changed while it was read")]
+    Changed,
     /// Valid perhaps, but not something that we read; says what to do instead.
     #[error("{0}")]
     Unsupported(String),
     /// The extension names no format that we read.
     #[error("unknown extension; known are {known}")]
     UnknownExtension {
-        /// Those that would do.
+        /// List of the known extensions.
         known: &'static str,
     },
 }
@@ -83,9 +86,9 @@ pub(super) fn malformed(at: usize, what: impl Into<String>) -> ReadFault {
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
 pub struct WriteError {
-    /// Which file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// What prevented it.
+    /// The fault that prevented it.
     #[source]
     pub fault: WriteFault,
 }
@@ -97,13 +100,13 @@ impl WriteError {
     }
 }
 
-/// What can prevent an output.
+/// A reason why an output cannot be written.
 #[derive(Debug, Error)]
 pub enum WriteFault {
     /// The system's own refusal.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// It is there already, and may not be replaced.
+    /// The output is there already, and may not be replaced.
     #[error("exists already")]
     Exists,
     /// The output of a frame is there already, and may not be replaced.
@@ -112,7 +115,7 @@ pub enum WriteFault {
     /// The extension names no format that we write.
     #[error("unknown extension; known are {known}")]
     UnknownExtension {
-        /// Those that would do.
+        /// List of the known extensions.
         known: &'static str,
     },
     /// The format has no place for something that was asked for, or for so much.

@@ -16,11 +16,11 @@ use super::names::{Quantity, quantities};
 use super::vertices::columns;
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Of H5Part's groups.
+/// Prefix of the names of H5Part's groups.
 const STEP: &str = "Step#";
 /// Bytes that are decoded at once.
 const WINDOW: u64 = 1 << 20;
-/// What a step's or a file's time may be called.
+/// Names under which the time of a step or a file may be stored.
 const TIMES: [&str; 4] = ["TimeValue", "time", "Time", "TIME"];
 
 /// Reads a step, or what is at the root of a file without steps: data sets of N rows of one or three numbers, of which `x`, `y` and `z`, or

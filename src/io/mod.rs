@@ -12,6 +12,7 @@ mod error;
 pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod h5;
+pub mod identity;
 pub mod input;
 pub mod mnf;
 pub mod names;
@@ -43,7 +44,7 @@ pub use up::UpAxis;
 pub struct ParticleFile {
     /// The numbers, read on demand.
     pub particles: ColumnStore,
-    /// What kind of file it turned out to be, in the words of `info`.
+    /// The file's format, in the words of `info`.
     pub format: &'static str,
     /// The spacing of the particles, where the file says it.
     pub spacing: Option<f64>,
@@ -54,7 +55,7 @@ pub struct ParticleFile {
 /// How wide a mesh file's coordinates are, where its format leaves the choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CoordinateWidth {
-    /// What every program reads.
+    /// Coordinates in f32, which every program reads.
     F32,
     /// For surfaces so far from the origin that f32 would crumple them.
     F64,

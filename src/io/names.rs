@@ -1,8 +1,8 @@
-//! What the columns of a table are called, and which belong together: `vx`, `vy`, `vz` are one velocity.
+//! Names of a table's columns, and which belong together: `vx`, `vy`, `vz` are one velocity.
 
 use std::collections::HashMap;
 
-/// What a position may be called, the likeliest first. The empty name is that of plain `x`, `y`, `z`.
+/// Names that a position may have, the likeliest first. The empty name is that of plain `x`, `y`, `z`.
 const POSITION: [&str; 11] =
     ["", "points", "point", "pos", "position", "positions", "p", "coordinates", "coords", "coord", "x"];
 

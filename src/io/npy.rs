@@ -31,7 +31,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     })
 }
 
-/// What an array's header says.
+/// The contents of an array's header.
 pub(super) struct Header {
     /// None for objects, texts and the like.
     element: Option<(Endian, Scalar)>,
@@ -39,7 +39,7 @@ pub(super) struct Header {
     descr: String,
     pub shape: Vec<u64>,
     fortran: bool,
-    /// Of the first element, in bytes from the start of the header.
+    /// Offset of the first element, in bytes from the start of the header.
     pub start: usize,
 }
 
@@ -127,7 +127,7 @@ pub(super) fn shown(shape: &[u64]) -> String {
     }
 }
 
-/// What follows `'key':` in the dictionary, to its end.
+/// Returns the text that follows `'key':` in the dictionary, to its end.
 fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     ['\'', '"'].iter().find_map(|quote| {
         let (_, rest) = header.split_once(&format!("{quote}{key}{quote}"))?;
@@ -135,7 +135,7 @@ fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     })
 }
 
-/// What stands between the quotes of `'<f4'` and the like.
+/// Returns the text between the quotes of `'<f4'` and the like.
 fn descr(descr: &str) -> &str {
     let mut parts = descr.splitn(3, ['\'', '"']);
     match (parts.next(), parts.next(), parts.next()) {

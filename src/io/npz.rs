@@ -74,7 +74,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// An array of numbers in rows.
 struct Array {
     name: String,
-    /// Its number in the archive.
+    /// The array's number in the archive.
     entry: usize,
     header: Header,
     /// Where it lies in the file, if it is merely stored.

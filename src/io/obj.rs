@@ -13,7 +13,7 @@ use super::encode::{write_triangles, write_vertices};
 use super::scan::Scanner;
 use super::{CoordinateWidth, ReadFault};
 
-/// What a line may start with that says nothing of the surface's shape.
+/// First words of lines that are ignored, as they say nothing of the surface's shape.
 const IGNORED: [&[u8]; 14] = [
     b"vt", b"vp", b"p", b"l", b"o", b"g", b"s", b"mg", b"mtllib", b"usemtl", b"usemap", b"maplib", b"lod",
     b"bevel",

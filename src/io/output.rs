@@ -12,7 +12,7 @@ use super::whole::{FilledFile, Replace, WholeFile};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 use super::{glb, obj, ply, stl, usd, vtk, vtp};
 
-/// What holds a mesh.
+/// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum MeshFormat {
@@ -69,7 +69,7 @@ impl MeshFormat {
         }
     }
 
-    /// The same format, laid out otherwise if it is .glb; .usdc takes the axis that points up.
+    /// Sets the layout of a .glb, and the axis that points up of a .usdc; other formats stay as they are.
     #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         match self {
@@ -229,13 +229,13 @@ impl MeshOutput {
         Ok(Self { file, format })
     }
 
-    /// What the extension says.
+    /// Returns the format that the extension names, or .ply for a pipe or device without one.
     #[must_use]
     pub fn format(&self) -> MeshFormat {
         self.format
     }
 
-    /// The same file, its format as [`MeshFormat::with_layout`].
+    /// Returns this output with its format changed by [`MeshFormat::with_layout`].
     #[must_use]
     pub fn with_layout(self, layout: glb::Layout) -> Self {
         Self { format: self.format.with_layout(layout), ..self }

@@ -13,7 +13,7 @@ const PASSED: usize = 1 << 20;
 pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// What gives memory back, and from where on it has not.
+    /// The store that gives memory back, and the offset from which on it has not done so.
     store: Option<&'a dyn ByteStore>,
     held: usize,
 }
@@ -26,7 +26,7 @@ impl<'a> Scanner<'a> {
         Self { bytes, at, store: None, held: at }
     }
 
-    /// The same, giving the memory of passed lines and words back.
+    /// Starts at byte `at` of `store`, and gives the memory of passed lines and words back.
     #[must_use]
     pub fn releasing(store: &'a dyn ByteStore, at: usize) -> Self {
         Self { store: Some(store), ..Self::new(store, at) }
@@ -48,7 +48,7 @@ impl<'a> Scanner<'a> {
         self.at
     }
 
-    /// What lies ahead.
+    /// Returns the bytes that lie ahead.
     #[must_use]
     pub fn rest(&self) -> &'a [u8] {
         &self.bytes[self.at..]

@@ -33,7 +33,7 @@ const WHOLE: f64 = 1e-6;
 /// A frame whose mesh is written.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesFrame {
-    /// Its number.
+    /// The frame's number.
     pub frame: u64,
     /// In seconds, where the input says it.
     pub time: Option<f64>,
@@ -43,28 +43,28 @@ pub struct SeriesFrame {
     pub bytes: u64,
     /// Particles that were used.
     pub particles: u64,
-    /// Of the mesh.
+    /// Number of vertices of the mesh.
     pub vertices: u64,
-    /// Of the mesh.
+    /// Number of triangles of the mesh.
     pub triangles: u64,
     /// The mesh's box, as programs will show it; an empty mesh has none.
     pub bounds: Option<Bounds>,
     /// Whether vertices have normals.
     pub normals: bool,
-    /// What else they have.
+    /// Attributes of the vertices, besides normals.
     pub attributes: Vec<AttributeInfo>,
 }
 
 /// The files that list a sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Of the meshes, with the axis that points up where that is written.
+    /// Format of the meshes, with the axis that points up where that is written.
     pub format: MeshFormat,
-    /// What the frames are called, without any number: `mesh/pool.vtp`.
+    /// Path of the frames without any number: `mesh/pool.vtp`.
     pub sequence: PathBuf,
     /// Frames a second, where it is known.
     pub fps: Option<f64>,
-    /// Of the meshes, as programs will show them.
+    /// The axis that points up in the meshes, as programs will show them.
     pub up: UpAxis,
 }
 
@@ -97,7 +97,7 @@ impl Series {
         name.into()
     }
 
-    /// What USD's clips hold.
+    /// Returns the path of the manifest, which says what USD's clips hold.
     fn clips(&self) -> PathBuf {
         self.sequence.with_extension("manifest.usda")
     }

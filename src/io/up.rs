@@ -1,4 +1,4 @@
-//! Which way is up: simulators and programs disagree on whether y or z is, and few formats can say it.
+//! The axis that points up: programs disagree on whether it is y or z, and few formats can say it.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -11,7 +11,7 @@ use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 /// Names of colours, in lower case: of all that have three components they alone have no direction.
 const COLOURS: [&str; 5] = ["cd", "color", "colour", "colors", "rgb"];
 
-/// Which axis points up.
+/// The axis that points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum UpAxis {

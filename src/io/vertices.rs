@@ -1,4 +1,4 @@
-//! What the readers share whose formats hold either particles or a mesh: columns over the vertices, and
+//! Helpers of the readers whose formats hold either particles or a mesh: columns over the vertices, and
 //! triangles from polygons.
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
@@ -69,7 +69,7 @@ pub(super) struct Triangles {
 }
 
 impl Triangles {
-    /// Of a mesh with so many vertices.
+    /// Starts without triangles, for a mesh with so many vertices.
     pub fn new(vertices: usize) -> Result<Self, ReadFault> {
         if u32::try_from(vertices).is_err() {
             return Err(ReadFault::Unsupported(format!("{vertices} vertices; a mesh has less than 2^32")));

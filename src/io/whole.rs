@@ -10,7 +10,7 @@ use tempfile::NamedTempFile;
 
 use super::{WriteError, WriteFault};
 
-/// Of temporary files, so that those that were left behind can be told.
+/// Prefix of temporary files' names, so that those that were left behind can be told.
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
 
@@ -31,7 +31,7 @@ pub enum Replace {
 /// Dropped without [`write`](Self::write), or when that fails, it leaves nothing.
 #[derive(Debug)]
 pub struct WholeFile {
-    /// As it was given, for messages.
+    /// The path as it was given, for messages.
     path: PathBuf,
     target: Target,
 }
@@ -143,7 +143,7 @@ impl FilledFile {
         self.crc
     }
 
-    /// Its size.
+    /// Returns the file's size in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
@@ -210,7 +210,7 @@ fn counted(
     Ok((bytes, crc))
 }
 
-/// What is at `path`, through links; nothing if its name is free.
+/// Looks up the file at `path`, through links; None if its name is free.
 fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     match path.metadata() {
         Ok(metadata) => Ok(Some(metadata)),

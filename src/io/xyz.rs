@@ -81,7 +81,7 @@ pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, Rea
     Ok(ParticleFile { particles, format: "text table", spacing: None, time: None })
 }
 
-/// What the head of a text says of its rows.
+/// The table that the head of a text describes: where its rows start, and what their fields are.
 struct Table {
     /// Bytes and lines above the first row.
     start: usize,
@@ -230,7 +230,7 @@ impl Heading {
     }
 }
 
-/// What stands between the fields of a row.
+/// The separator between the fields of a row.
 #[derive(Clone, Copy)]
 enum Separator {
     Byte(u8),
@@ -301,7 +301,7 @@ fn not_a_number(field: &[u8]) -> String {
     format!("{} is not a number", excerpt(field))
 }
 
-/// What a message shows of a field.
+/// Returns the part of a field that messages show, in quotes.
 fn excerpt(field: &[u8]) -> String {
     format!("{:?}", String::from_utf8_lossy(&field[..field.len().min(40)]))
 }

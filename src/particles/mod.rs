@@ -1,4 +1,4 @@
-//! What the pipeline asks of particles: to be read by range, from several threads, as often as it likes.
+//! The interface to particles: read by range, from several threads, as often as the pipeline likes.
 
 pub mod lattice;
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AttributeInfo {
-    /// Its name, as the file spells it.
+    /// The name of the attribute, as the file spells it.
     pub name: String,
     /// Numbers per particle.
     pub components: usize,

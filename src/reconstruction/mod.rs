@@ -2,18 +2,40 @@
 //!
 #![doc = include_str!("limits.md")]
 
+mod asked;
 mod attributes;
 mod builder;
 mod cells;
+mod checked;
+mod draw;
+mod frame;
+mod info;
 mod lattice;
+mod opened;
+mod orientation;
+mod output;
+mod report;
 mod request;
 mod surface;
+mod warning;
 mod width;
 
+pub use asked::Settings;
 pub use attributes::Attributes;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
+pub(crate) use checked::Checked;
+pub(crate) use draw::Kept;
+pub use frame::Frame;
+pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
+pub use opened::{Needs, Opened};
+pub(crate) use orientation::{Orientation, usual_up};
+pub use output::{Output, Packed, PackedOutput};
+pub(crate) use output::{coordinate_width, refuse_same_file};
+pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest};
-pub use surface::{Report, Surface};
+pub use surface::Surface;
+pub(crate) use surface::merged;
+pub use warning::{Emptiness, Warning};
 pub use width::SinglePrecision;

@@ -1,4 +1,4 @@
-//! A surface that was reconstructed, and what there is to know of it.
+//! A surface that was reconstructed, and how it is written.
 
 use std::fmt;
 use std::path::Path;
@@ -6,74 +6,37 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
-use crate::brick::Census;
 use crate::error::Error;
-use crate::field::calibration::Calibrated;
-use crate::frame::Shortfall;
-use crate::grid::Grid;
-use crate::io::output::MeshOutput;
+use crate::io::output::MeshFormat;
 use crate::io::whole::Replace;
-use crate::io::{CoordinateWidth, WriteError, WriteFault};
+use crate::io::{UpAxis, WriteError, stl};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
-use crate::surface::simplify::{Dropped, Simplified};
-use crate::surface::stitch::{Stitched, WholeMeshError};
-use crate::system::timings::Timings;
+use crate::surface::stitch::WholeMeshError;
+use crate::system::cancel::Cancel;
 
-use super::{Cells, SinglePrecision};
+use super::SinglePrecision;
+use super::asked::Asked;
+use super::draw::{Drawn, Kept};
+use super::output::{Output, coordinate_width};
+use super::report::Report;
+use super::warning::Warning;
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
-    pub(super) mesh: Drawn,
+    pub(super) drawn: Drawn,
     /// The threads that it was made by, and is written by.
     pub(super) threads: Arc<ThreadPool>,
-    pub(super) precision: SinglePrecision,
-    pub(super) report: Report,
-}
-
-/// A mesh as it is kept: in memory, or in scratch files as far as it exceeds its share of that.
-pub(super) enum Drawn {
-    Whole(Stitched),
-    Reduced(Simplified),
-}
-
-/// A report on a surface: how it was sampled, measured and reduced.
-#[derive(Debug)]
-#[non_exhaustive]
-pub struct Report {
-    /// The cells that were chosen, unless the frame was packed.
-    pub cells: Option<Cells>,
-    /// Whether the grid was moved to suit particles on a lattice.
-    pub moved: bool,
-    /// The grid of the cells.
-    pub grid: Grid,
-    /// Counts of particles, by what became of them.
-    pub census: Census,
-    /// The measurements on the frame, unless the calibration was given or a kernel method needs none.
-    pub measured: Option<Calibrated>,
-    /// Particles that are in no surface, at the least.
-    pub lost: u64,
-    /// By how much the surface holds less than its particles, if it does so plainly.
-    pub shortfall: Option<Shortfall>,
-    /// How many times as many particles there are as their spacing leaves room for, where it is known.
-    pub crowding: Option<f64>,
-    /// Components that were left out, where any were to be.
-    pub dropped: Option<Dropped>,
-    /// Failures of the backend that were made good.
-    pub made_good: Vec<String>,
-    /// How long each stage took.
-    pub timings: Timings,
+    pub(super) asked: Asked,
+    pub(super) particles_up: UpAxis,
 }
 
 impl Surface {
     /// The mesh, piece by piece, as it is kept.
     #[must_use]
     pub fn mesh(&self) -> &dyn MeshSource {
-        match &self.mesh {
-            Drawn::Whole(mesh) => mesh,
-            Drawn::Reduced(mesh) => mesh,
-        }
+        self.drawn.mesh.source()
     }
 
     /// Copies the mesh into memory as a whole.
@@ -81,57 +44,77 @@ impl Surface {
     /// # Errors
     /// [`WholeMeshError`] where it is too large, or cannot be read from a scratch file.
     pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
-        self.threads.install(|| match &self.mesh {
-            Drawn::Whole(mesh) => mesh.to_mesh(),
-            Drawn::Reduced(mesh) => in_one_piece(mesh),
+        self.threads.install(|| match &self.drawn.mesh {
+            Kept::Whole(mesh) => mesh.to_mesh(),
+            Kept::Reduced(mesh) => in_one_piece(mesh),
         })
     }
 
     /// The report on how it was made.
     #[must_use]
     pub fn report(&self) -> &Report {
-        &self.report
+        &self.drawn.report
+    }
+
+    /// Finds what a format makes of the mesh that is worth a warning.
+    ///
+    /// # Errors
+    /// [`Error::Write`] where the mesh is in a scratch file that cannot be read.
+    pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
+        let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
+        let mut warnings: Vec<_> = coarse.then_some(Warning::Coarse { format }).into_iter().collect();
+        warnings.extend(self.threads.install(|| merged(self.mesh(), format, Path::new("")))?);
+        Ok(warnings)
     }
 
     /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or not at all. Coordinates are f64 where f32
     /// would move vertices by more than 1 / 256 of a cell and the format can hold them.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.put(path.as_ref(), Replace::Refuse)
+        self.write_to(Output::prepare(&self.asked, path.as_ref(), Replace::Refuse, &Cancel::new())?)
     }
 
     /// Writes the mesh in place of a file that may be there.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// Those of [`write`](Self::write).
     pub fn overwrite(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.put(path.as_ref(), Replace::Allow)
+        self.write_to(Output::prepare(&self.asked, path.as_ref(), Replace::Allow, &Cancel::new())?)
     }
 
-    fn put(&self, path: &Path, replace: Replace) -> Result<u64, Error> {
-        let output = MeshOutput::prepare(path, replace)?;
+    /// Writes the mesh to a file that was made ready before the work, and returns its size in bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
-        let width = match self.precision {
-            SinglePrecision::Enough => CoordinateWidth::F32,
-            SinglePrecision::TooCoarse | SinglePrecision::Exceeded if format.holds_f64() => {
-                CoordinateWidth::F64
-            }
-            SinglePrecision::TooCoarse => CoordinateWidth::F32,
-            SinglePrecision::Exceeded => {
-                let what = format!("{format} holds coordinates as f32, which these exceed; .ply holds f64");
-                return Err(WriteError::new(path, WriteFault::Unsupported(what)).into());
-            }
-        };
-        Ok(self.threads.install(|| output.write(self.mesh(), width))?)
+        let orientation = self.asked.orientation(self.particles_up, format);
+        let width = coordinate_width(self.drawn.precision, format, output.path())?;
+        let output = output.with_layout(self.asked.layout(orientation));
+        let turned = orientation.turned(self.mesh());
+        Ok(self.threads.install(|| output.write(&turned, width))?)
     }
 }
 
 impl fmt::Debug for Surface {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Surface").field("report", &self.report).finish_non_exhaustive()
+        f.debug_struct("Surface").field("report", self.report()).finish_non_exhaustive()
     }
+}
+
+/// Warns of vertices that a format does not tell apart.
+pub(crate) fn merged(
+    mesh: &dyn MeshSource,
+    format: MeshFormat,
+    path: &Path,
+) -> Result<Option<Warning>, WriteError> {
+    if format != MeshFormat::Stl {
+        return Ok(None);
+    }
+    let vertices = stl::merged_vertices(mesh).map_err(|fault| WriteError::new(path, fault))?;
+    Ok((vertices > 0).then_some(Warning::Merged { vertices, format }))
 }
 
 /// Brings a mesh of several pieces into memory.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
-use crate::io::input::{holds_mesh, is_known, steps};
+use crate::io::input::{file_and_step, holds_mesh, is_known, steps};
 
 use crate::error::SequenceError;
 
@@ -311,6 +311,12 @@ impl Inputs {
 }
 
 impl FrameFile {
+    /// Bytes of its file; 0 where that is gone.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        file_and_step(&self.path).0.metadata().map_or(0, |metadata| metadata.len())
+    }
+
     /// What its name shares with those of its sequence; nothing where it has no number.
     fn family(&self) -> Family {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();

@@ -8,8 +8,24 @@
 //!
 #![doc = include_str!("guide.md")]
 
+mod builder;
+mod conversion;
+mod event;
+mod forecast;
+mod freeze;
 pub mod frozen;
 pub mod inputs;
+mod lanes;
 pub mod naming;
+mod one_frame;
 pub mod records;
+mod run;
+mod setup;
+mod shared;
 pub mod state;
+mod tally;
+mod watch;
+
+pub use builder::Simulation;
+pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
+pub use forecast::{Forecast, Largest};

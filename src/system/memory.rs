@@ -11,7 +11,7 @@ use crate::grid::units::MemoryBudget;
 ///
 /// Where the system tells nothing, there is no limit.
 #[must_use]
-pub fn default_budget() -> MemoryBudget {
+pub fn default_memory() -> MemoryBudget {
     let available = [system_available(), group_available(), limit_available()].into_iter().flatten().min();
     MemoryBudget(available.map_or(u64::MAX, |bytes| bytes / 4 * 3))
 }
@@ -52,7 +52,7 @@ fn limit_available() -> Option<u64> {
 
 /// The most memory that this process ever had resident, in bytes, mapped files included.
 #[must_use]
-pub fn peak_resident() -> Option<u64> {
+pub fn peak_memory() -> Option<u64> {
     kib_field(&read_to_string("/proc/self/status").ok()?, "VmHWM:")
 }
 

@@ -1,5 +1,7 @@
-//! What the pipeline takes of the machine: memory and its budget, scratch files, time.
+//! What the pipeline takes of the machine: memory and its budget, scratch files, time, and an early end.
 
+pub mod cancel;
+pub mod control;
 pub mod memory;
 pub mod scratch;
 pub mod timings;

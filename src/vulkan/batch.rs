@@ -28,7 +28,7 @@ pub struct Ticket {
 pub struct Moment {
     /// Made with the same device.
     pub semaphore: vk::Semaphore,
-    /// Of no matter for a binary one.
+    /// The value of a timeline semaphore; of no matter for a binary one.
     pub value: u64,
 }
 
@@ -181,7 +181,8 @@ impl Batch {
         Ok(())
     }
 
-    /// The same with as many work groups along each axis as three words of a buffer say by then: as many as the device allows.
+    /// Runs a kernel with as many work groups along each axis as three words of a buffer say by then.
+    /// They must not say more than the device allows.
     ///
     /// # Errors
     /// Those of [`dispatch`](Self::dispatch).
@@ -240,7 +241,7 @@ impl Batch {
         Ok(())
     }
 
-    /// What binds `buffers` to a kernel.
+    /// Returns a new descriptor set that binds `buffers` to a kernel.
     fn bound(&self, kernel: &Kernel, buffers: &[View]) -> Result<vk::DescriptorSet, VulkanError> {
         let raw = &self.device.raw;
         let layouts = [kernel.sets];
@@ -352,7 +353,8 @@ impl Batch {
         unsafe { self.submit_between(after, &[], &[]) }
     }
 
-    /// The same after what `wait` says, which `signal` follows. What is submitted later on the same queue waits for the former, too.
+    /// Submits the commands like [`submit`](Self::submit), but waits for `wait` first, and signals `signal` when done.
+    /// What is submitted later on the same queue waits for the former, too.
     ///
     /// # Errors
     /// [`VulkanError::Lost`] and others of the driver; nothing is signalled then.

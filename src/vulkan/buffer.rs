@@ -51,7 +51,7 @@ pub struct Buffer {
     bytes: u64,
 }
 
-/// What a buffer is bound to.
+/// The memory that a buffer is bound to.
 enum Memory {
     /// Nothing yet.
     None,
@@ -251,7 +251,7 @@ impl Device {
 }
 
 impl Buffer {
-    /// Its size.
+    /// Returns the size of the buffer in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
@@ -322,7 +322,7 @@ impl Buffer {
         self.values(offset, count).to_vec()
     }
 
-    /// What [`read`](Self::read) reads, where it is.
+    /// Returns the values that [`read`](Self::read) would copy, where they are.
     pub(crate) fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
@@ -344,7 +344,7 @@ impl Buffer {
 }
 
 impl View {
-    /// Its size.
+    /// Returns the size of the view in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes

@@ -19,7 +19,7 @@ use super::{DeviceChoice, Faults, Instance, VulkanError};
 /// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
 const PIECE: u64 = 16 << 20;
 
-/// What an open device may take and keep.
+/// Options of an open device: what it may take, keep and use.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceOptions {
     /// Bytes of all buffers together; no limit where it is `None`.
@@ -38,7 +38,7 @@ pub struct DeviceOptions {
     /// Whether buffers can be made that [other interfaces and processes](Device::exported_buffer) see, for which the device has to have
     /// `VK_KHR_external_memory_fd`: an adopted one with that enabled.
     pub exports: bool,
-    /// What else the buffers of an adopted device are used for, such as the building of acceleration structures.
+    /// Further usages of the buffers of an adopted device, such as the building of acceleration structures.
     pub usage: vk::BufferUsageFlags,
     /// SPIR-V that stands in for that of some programs, by their names: of the same sources, compiled otherwise.
     pub binaries: HashMap<&'static str, Vec<u8>>,
@@ -56,7 +56,7 @@ pub enum Queues {
     OneAsTwo,
 }
 
-/// What shaders and buffers may be like.
+/// The limits of a device on shaders and buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of a storage buffer as a shader sees it.
@@ -65,7 +65,7 @@ pub struct Limits {
     pub allocation: u64,
     /// Work groups along an axis of a dispatch.
     pub groups: u32,
-    /// What offsets of storage buffers must be multiples of.
+    /// Alignment of the offsets of storage buffers, in bytes.
     pub alignment: u64,
 }
 
@@ -81,15 +81,15 @@ pub enum Queue {
 /// How long a stage took on the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timing {
-    /// Its name.
+    /// The name of the stage.
     pub stage: &'static str,
     /// Between the timestamps around it, all batches together.
     pub seconds: f64,
-    /// What it read and wrote, at the least.
+    /// Bytes that the stage read and wrote, at the least.
     pub bytes: u64,
 }
 
-/// What a device was asked to do.
+/// Counts of what a device was asked to do.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Batches that were submitted.
@@ -360,19 +360,19 @@ impl Device {
         Ok(Self { shared: Arc::new(shared) })
     }
 
-    /// As its driver calls it.
+    /// Returns the name that the driver gives the device.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.shared.name
     }
 
-    /// What every interface of every process on the machine knows it by.
+    /// Returns the UUID by which every interface of every process on the machine knows the device.
     #[must_use]
     pub fn uuid(&self) -> [u8; 16] {
         self.shared.uuid
     }
 
-    /// What shaders and buffers may be like.
+    /// Returns the limits on shaders and buffers.
     #[must_use]
     pub fn limits(&self) -> Limits {
         self.shared.limits
@@ -402,7 +402,7 @@ impl Device {
         &self.shared.faults
     }
 
-    /// What it was asked to do since the last call, or since it was opened.
+    /// Returns the counters since the last call, or since the device was opened, and sets them to zero.
     #[must_use]
     pub fn take_counters(&self) -> Counters {
         let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;
@@ -411,7 +411,7 @@ impl Device {
         Counters { submissions, allocations, sent, received }
     }
 
-    /// What it was asked to do since its counters were taken, or since it was opened.
+    /// Returns the counters since they were taken, or since the device was opened.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let AtomicCounters { submissions, allocations, sent, received } = &self.shared.counters;

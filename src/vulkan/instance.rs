@@ -18,7 +18,7 @@ pub struct Instance {
     log: ValidationLog,
 }
 
-/// What the validation layer has found so far.
+/// The messages of the validation layer so far.
 #[derive(Debug, Clone, Default)]
 pub struct ValidationLog(Arc<Mutex<Vec<String>>>);
 
@@ -30,7 +30,7 @@ impl ValidationLog {
     }
 }
 
-/// Which device to use.
+/// The choice of the device to use.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum DeviceChoice {
     /// The first of the best kind.
@@ -41,7 +41,7 @@ pub enum DeviceChoice {
     Named(String),
 }
 
-/// What a device is.
+/// The kind of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[allow(missing_docs)]
 pub enum DeviceKind {
@@ -65,20 +65,20 @@ impl fmt::Display for DeviceKind {
     }
 }
 
-/// What there is to know of a device before it is opened.
+/// A description of a device, known before it is opened.
 #[derive(Debug, Clone)]
 pub struct DeviceInfo {
-    /// Its place among the loader's devices.
+    /// The number of the device among those of the loader.
     pub index: usize,
-    /// As its driver calls it.
+    /// The name that the driver gives the device.
     pub name: String,
-    /// What every interface of every process on the machine knows it by.
+    /// The UUID by which every interface of every process on the machine knows the device.
     pub uuid: [u8; 16],
-    /// What it is.
+    /// The kind of the device.
     pub kind: DeviceKind,
     /// The version of Vulkan that it offers: major, minor, patch.
     pub api: [u32; 3],
-    /// Its driver's name and version.
+    /// The name and version of the driver.
     pub driver: String,
     /// The version of the conformance tests that its driver passes: major, minor, subminor, patch. All are 0 where it passes none.
     pub conformance: [u8; 4],
@@ -86,11 +86,11 @@ pub struct DeviceInfo {
     pub memory: u64,
     /// Bytes of that heap that nobody uses, as far as the driver tells; all of it where it does not.
     pub free: u64,
-    /// Its families of queues.
+    /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,
-    /// Its heaps, and the types of memory in them.
+    /// The memory heaps of the device, and the types of memory in them.
     pub heaps: vk::PhysicalDeviceMemoryProperties,
-    /// What its shaders and buffers may be like.
+    /// The limits on shaders and buffers.
     pub limits: vk::PhysicalDeviceLimits,
     /// Why it cannot be used, if it cannot.
     pub lacks: Option<&'static str>,
@@ -98,7 +98,7 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// Its UUID in hexadecimal digits.
+    /// Returns the UUID of the device in hexadecimal digits.
     #[must_use]
     pub fn uuid_digits(&self) -> String {
         self.uuid.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -166,7 +166,7 @@ impl Instance {
         Ok(Arc::new(instance))
     }
 
-    /// What the validation layer found; it can be read when the instance is gone.
+    /// Returns the log of the validation layer; it can be read when the instance is gone.
     #[must_use]
     pub fn log(&self) -> ValidationLog {
         self.log.clone()
@@ -300,7 +300,7 @@ pub(super) fn names(extensions: &[vk::ExtensionProperties], name: &'static CStr)
     extensions.iter().any(|known| known.extension_name_as_c_str() == Ok(name)).then_some(name)
 }
 
-/// What a device would need and has not got.
+/// Returns why a device cannot be used: a requirement that it does not meet, or `None` if it meets all.
 pub(super) fn lacks(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,

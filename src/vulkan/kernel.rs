@@ -12,9 +12,9 @@ use super::{Device, VulkanError};
 /// A compute shader, and what Rust believes of its interface.
 #[derive(Debug, Clone, Copy)]
 pub struct Program {
-    /// Of its source, without extension, and of its entry point.
+    /// The name of the shader's source, without extension, and of its entry point.
     pub name: &'static str,
-    /// Its SPIR-V.
+    /// The SPIR-V binary of the shader.
     pub code: &'static [u8],
     /// Storage buffers, bound to 0, 1, ... of set 0, by the names that its source gives them.
     pub buffers: &'static [&'static str],
@@ -35,11 +35,11 @@ impl Program {
 /// A field of a push block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {
-    /// As in the shader.
+    /// The name of the field, as in the shader.
     pub name: &'static str,
     /// In bytes, from the block's begin.
     pub offset: u32,
-    /// Its size.
+    /// The size of the field in bytes.
     pub bytes: u32,
 }
 
@@ -52,7 +52,7 @@ macro_rules! push_block {
         $visibility struct $name { $($(#[$about])* pub $field: $kind,)* }
 
         impl $name {
-            /// Its layout.
+            /// The layout of the push block.
             pub const FIELDS: &'static [$crate::vulkan::Field] = &[$($crate::vulkan::Field {
                 name: stringify!($field),
                 offset: std::mem::offset_of!($name, $field) as u32,

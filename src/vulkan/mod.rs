@@ -25,10 +25,10 @@ use thiserror::Error;
 /// Bytes at whose multiples any device lets a part of a buffer begin.
 pub const ALIGNMENT: u64 = 256;
 
-/// What a device, its driver or the loader refused.
+/// An error of a device, its driver or the loader.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum VulkanError {
-    /// There is no Vulkan loader on this machine, or it does not start.
+    /// The machine has no Vulkan loader, or the loader does not start.
     #[error("no Vulkan loader: {0}")]
     NoLoader(String),
     /// The validation layer was asked for and is not installed.
@@ -40,7 +40,7 @@ pub enum VulkanError {
     /// No device of that number or name.
     #[error("no Vulkan device {wanted:?}; there are: {known}")]
     NotFound {
-        /// What was asked for.
+        /// The number or name that was asked for.
         wanted: String,
         /// Number and name of each.
         known: String,
@@ -48,9 +48,9 @@ pub enum VulkanError {
     /// A device that lacks what is needed.
     #[error("{device} cannot be used: {lacks}")]
     Unfit {
-        /// Its name.
+        /// The name of the device.
         device: String,
-        /// What it lacks.
+        /// The requirement that the device does not meet.
         lacks: &'static str,
     },
     /// Memory of the device, or the share of it that may be used, is exhausted.
@@ -65,9 +65,9 @@ pub enum VulkanError {
     /// Any other call that failed.
     #[error("{call} failed: {result}")]
     Call {
-        /// Its name.
+        /// The name of the call.
         call: &'static str,
-        /// What it returned.
+        /// The result that the call returned.
         result: vk::Result,
     },
 }

@@ -5,13 +5,13 @@ use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock};
 
-use meniscus::backend::{Backend, Stages, Surfaces, Take, Vulkan, Work};
-use meniscus::brick::{Bins, DifField, Pages};
-use meniscus::field::indicator::PageRule;
-use meniscus::grid::CellBox;
-use meniscus::grid::units::MemoryBudget;
-use meniscus::surface::mesh::BlockMesh;
-use meniscus::vulkan::{
+use meniscus::internals::backend::{Backend, Stages, Surfaces, Take, Vulkan, Work};
+use meniscus::internals::brick::{Bins, DifField, Pages};
+use meniscus::internals::field::indicator::PageRule;
+use meniscus::internals::grid::CellBox;
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::surface::mesh::BlockMesh;
+use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
 };
 

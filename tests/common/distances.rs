@@ -4,8 +4,8 @@
 //! Only the committed tables are shared with the library. Cells have edge 1 and the grid's origin is 0.
 
 use glam::{DVec3, IVec3};
-use meniscus::field::distance::{AWAY, DEPTHS};
-use meniscus::grid::CellBox;
+use meniscus::internals::field::distance::{AWAY, DEPTHS};
+use meniscus::internals::grid::CellBox;
 
 use super::dense::Dense;
 

@@ -8,16 +8,16 @@ pub mod distances;
 pub mod scene;
 
 use glam::{DVec3, IVec3};
-use meniscus::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
-use meniscus::field::calibration::Calibrated;
-use meniscus::field::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
-use meniscus::field::recipe::Recipe;
-use meniscus::frame::{Frame, Resources, Sampling, Surfacing};
-use meniscus::grid::units::{Isovalue, MeanCount, MemoryBudget};
-use meniscus::grid::{Domain, Grid};
-use meniscus::particles::Particles;
-use meniscus::surface::mesh::Mesh;
-use meniscus::system::timings::Timings;
+use meniscus::internals::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};
+use meniscus::internals::field::calibration::Calibrated;
+use meniscus::internals::field::indicator::{Amount, Indicator, IndicatorKind, SampledDif};
+use meniscus::internals::field::recipe::Recipe;
+use meniscus::internals::frame::{Frame, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, MeanCount, MemoryBudget};
+use meniscus::internals::grid::{Domain, Grid};
+use meniscus::internals::particles::Particles;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::timings::Timings;
 use scene::Random;
 
 pub const INDICATORS: [IndicatorKind; 3] =

@@ -5,7 +5,7 @@
 
 use std::f64::consts::TAU;
 
-use meniscus::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 /// Axis-parallel, 8 vertices, 12 triangles.
 pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {

@@ -11,9 +11,9 @@ mod surfaces;
 use std::convert::Infallible;
 use std::sync::Arc;
 
-use meniscus::backend::{Backend, Cpu};
-use meniscus::frame::Sampling;
-use meniscus::vulkan::VulkanError;
+use meniscus::internals::backend::{Backend, Cpu};
+use meniscus::internals::frame::Sampling;
+use meniscus::internals::vulkan::VulkanError;
 
 /// Where the list runs.
 struct Place {

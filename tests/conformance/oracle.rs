@@ -7,15 +7,15 @@ use crate::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
-use meniscus::backend::field;
-use meniscus::brick::BrickSide;
-use meniscus::field::distance::{AWAY, BRICK, DEPTHS, Inside};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::field::recipe::Filters;
-use meniscus::frame::{Detail, Frame, Sampling, Surfacing};
-use meniscus::grid::units::{Isovalue, Sigma, Smooth};
-use meniscus::grid::{BLOCK, CellBox, Domain, Grid};
-use meniscus::system::timings::Timings;
+use meniscus::internals::backend::field;
+use meniscus::internals::brick::BrickSide;
+use meniscus::internals::field::distance::{AWAY, BRICK, DEPTHS, Inside};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::field::recipe::Filters;
+use meniscus::internals::frame::{Detail, Frame, Sampling, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
+use meniscus::internals::grid::{BLOCK, CellBox, Domain, Grid};
+use meniscus::internals::system::timings::Timings;
 
 use crate::Place;
 

@@ -3,12 +3,12 @@
 use crate::common::scene::splash;
 use crate::common::{dif, recipe, surfacing};
 use glam::{DVec3, IVec3};
-use meniscus::backend::field;
-use meniscus::field::calibration::{Calibrated, Plateau};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::{Frame, Sampling};
-use meniscus::grid::{BIN, CellBox, Grid};
-use meniscus::system::timings::Timings;
+use meniscus::internals::backend::field;
+use meniscus::internals::field::calibration::{Calibrated, Plateau};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{Frame, Sampling};
+use meniscus::internals::grid::{BIN, CellBox, Grid};
+use meniscus::internals::system::timings::Timings;
 
 use crate::Place;
 

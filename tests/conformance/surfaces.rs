@@ -5,22 +5,24 @@ use std::f64::consts::PI;
 use crate::common::scene::Random;
 use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
-use meniscus::backend::Surfaces;
-use meniscus::brick::{BrickSide, DifField, PageInfo};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::field::recipe::PaperFilters;
-use meniscus::field::recipe::Recipe;
-use meniscus::frame::estimate::Plan;
-use meniscus::frame::{Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
-use meniscus::particles::{AttributeInfo, Particles};
-use meniscus::surface::mesh::check::check;
-use meniscus::surface::mesh::measure::measure;
-use meniscus::surface::mesh::spool::Spool;
-use meniscus::surface::mesh::{BlockMesh, Mesh};
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::backend::Surfaces;
+use meniscus::internals::brick::{BrickSide, DifField, PageInfo};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::field::recipe::PaperFilters;
+use meniscus::internals::field::recipe::Recipe;
+use meniscus::internals::frame::estimate::Plan;
+use meniscus::internals::frame::{
+    Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
+};
+use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
+use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
+use meniscus::internals::particles::{AttributeInfo, Particles};
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::spool::Spool;
+use meniscus::internals::surface::mesh::{BlockMesh, Mesh};
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 
 use crate::Place;
 

@@ -1,6 +1,6 @@
 //! Damaged and lying files of either format.
 
-use meniscus::io::{CoordinateWidth, ReadFault};
+use meniscus::internals::io::{CoordinateWidth, ReadFault};
 
 use super::{
     ENCODINGS, Format, PLY, VTK, attributes, dual, ply_with_face, positions, some_mesh, splish, toolkit,

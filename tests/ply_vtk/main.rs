@@ -9,11 +9,11 @@ mod vtk_particles;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::{self, Write};
 
-use meniscus::io::bytes::{Bytes, Unpacking};
-use meniscus::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
-use meniscus::particles::Particles;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::internals::io::bytes::{Bytes, Unpacking};
+use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
+use meniscus::internals::particles::Particles;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 /// Refuses, and so ends the tests at, any allocation that only a lying header can ask for.
 struct Modest;

@@ -1,8 +1,8 @@
 //! Meshes of either format, read and written.
 
-use meniscus::io::{CoordinateWidth, ReadFault, ply, vtk};
-use meniscus::particles::Particles;
-use meniscus::surface::mesh::{Mesh, VertexAttribute};
+use meniscus::internals::io::{CoordinateWidth, ReadFault, ply, vtk};
+use meniscus::internals::particles::Particles;
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 use super::{ENCODINGS, PLY, PlyBuilder, VTK, VtkBuilder, ply_with_face, some_mesh};
 

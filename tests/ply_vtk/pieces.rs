@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use meniscus::io::encode::write_pieces;
+use meniscus::internals::io::encode::write_pieces;
 
 /// Piece number `piece` is so many numbers long, some of them none.
 fn length(piece: usize) -> usize {

@@ -1,7 +1,7 @@
 //! Particles from .ply files.
 
-use meniscus::io::{ReadFault, ply};
-use meniscus::particles::{Particles, velocity_attribute};
+use meniscus::internals::io::{ReadFault, ply};
+use meniscus::internals::particles::{Particles, velocity_attribute};
 
 use super::{ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions};
 

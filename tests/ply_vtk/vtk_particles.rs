@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use meniscus::io::bytes::{Unpacking, open_bytes};
-use meniscus::io::vtk;
-use meniscus::particles::Particles;
+use meniscus::internals::io::bytes::{Unpacking, open_bytes};
+use meniscus::internals::io::vtk;
+use meniscus::internals::particles::Particles;
 
 use super::{TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit};
 

@@ -12,16 +12,18 @@ use std::time::Instant;
 
 use clap::Parser;
 use glam::DVec3;
-use meniscus::backend::Vulkan;
-use meniscus::brick::InvalidParticles;
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::field::spacing::estimate;
-use meniscus::frame::{Detail, Frame, FrameError, Resources, Sampling, Surfacing};
-use meniscus::grid::Grid;
-use meniscus::grid::units::MemoryBudget;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::system::timings::Timings;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError};
+use meniscus::internals::backend::Vulkan;
+use meniscus::internals::brick::InvalidParticles;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::field::spacing::estimate;
+use meniscus::internals::frame::{Detail, Frame, FrameError, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::Grid;
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::system::timings::Timings;
+use meniscus::internals::vulkan::{
+    Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Timing, VulkanError,
+};
 
 /// Bytes that are copied to measure the device's bandwidth: more than caches hold, or as many as there is room for.
 const COPIED: [u64; 2] = [1 << 30, 64 << 20];

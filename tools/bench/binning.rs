@@ -12,14 +12,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::brick::vulkan::{
+use meniscus::internals::brick::vulkan::{
     BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
-use meniscus::brick::{BrickSide, InvalidParticles};
-use meniscus::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
-use meniscus::field::indicator::{Content, PageRule};
-use meniscus::grid::{BIN, Grid, MortonKey};
-use meniscus::vulkan::{
+use meniscus::internals::brick::{BrickSide, InvalidParticles};
+use meniscus::internals::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
+use meniscus::internals::field::indicator::{Content, PageRule};
+use meniscus::internals::grid::{BIN, Grid, MortonKey};
+use meniscus::internals::vulkan::{
     Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
 };
 
@@ -169,6 +169,6 @@ fn main() -> Result<(), compile::Fault> {
     Ok(())
 }
 
-const fn field(name: &'static str, offset: u32) -> meniscus::vulkan::Field {
-    meniscus::vulkan::Field { name, offset, bytes: 4 }
+const fn field(name: &'static str, offset: u32) -> meniscus::internals::vulkan::Field {
+    meniscus::internals::vulkan::Field { name, offset, bytes: 4 }
 }

@@ -8,18 +8,18 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::backend::field;
-use meniscus::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
-use meniscus::field::blur::{Kernel, blur};
-use meniscus::field::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
-use meniscus::frame::{Frame, Normals, Resources, Sampling, Surfacing};
-use meniscus::grid::units::{MemoryBudget, Sigma};
-use meniscus::grid::{CellBox, Grid};
-use meniscus::surface::dual_mc::contour;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::mesh::spool::Spool;
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::backend::field;
+use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
+use meniscus::internals::field::blur::{Kernel, blur};
+use meniscus::internals::field::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
+use meniscus::internals::frame::{Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::units::{MemoryBudget, Sigma};
+use meniscus::internals::grid::{CellBox, Grid};
+use meniscus::internals::surface::dual_mc::contour;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::surface::mesh::spool::Spool;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 /// The best of a few runs: what the machine can do when nobody disturbs it.

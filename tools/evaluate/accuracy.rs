@@ -2,11 +2,11 @@
 //! depends on how the particles' lattice falls on the grid.
 
 use glam::{DQuat, DVec3};
-use meniscus::frame::{FrameError, Normals};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::compare::compare;
-use meniscus::surface::mesh::measure::measure;
-use meniscus::system::timings::Timings;
+use meniscus::internals::frame::{FrameError, Normals};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::compare::compare;
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::methods::{Method, grid};

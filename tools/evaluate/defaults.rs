@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use meniscus::field::calibration::FINEST_OF_SYMMETRY;
-use meniscus::frame::Normals;
-use meniscus::system::timings::Timings;
+use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
+use meniscus::internals::frame::Normals;
+use meniscus::internals::system::timings::Timings;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
 use crate::methods::{Iso, Method, grid, held};

@@ -4,15 +4,15 @@
 //! cells' centres to 0 on their corners.
 
 use glam::{DQuat, DVec3, IVec3};
-use meniscus::backend::field;
-use meniscus::field::calibration::Calibrated;
-use meniscus::field::indicator::{IndicatorKind, SampledDif};
-use meniscus::field::recipe::Recipe;
-use meniscus::frame::{Frame, FrameError};
-use meniscus::grid::Grid;
-use meniscus::grid::units::{FULL, Isovalue};
-use meniscus::particles::lattice::sound_origin;
-use meniscus::system::timings::Timings;
+use meniscus::internals::backend::field;
+use meniscus::internals::field::calibration::Calibrated;
+use meniscus::internals::field::indicator::{IndicatorKind, SampledDif};
+use meniscus::internals::field::recipe::Recipe;
+use meniscus::internals::frame::{Frame, FrameError};
+use meniscus::internals::grid::Grid;
+use meniscus::internals::grid::units::{FULL, Isovalue};
+use meniscus::internals::particles::lattice::sound_origin;
+use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};

@@ -1,17 +1,17 @@
 //! The methods that are compared, each from particles to a mesh, on one grid.
 
 use glam::DVec3;
-use meniscus::baselines::Method as Rival;
-use meniscus::brick::InvalidParticles;
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::{
+use meniscus::internals::baselines::Method as Rival;
+use meniscus::internals::brick::InvalidParticles;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::{
     Detail, FieldRequest, Frame, FrameError, Normals, Resources, Sampling, Shortfall, Surfacing,
 };
-use meniscus::grid::Grid;
-use meniscus::grid::units::{Isovalue, MemoryBudget, Sigma};
-use meniscus::particles::Particles;
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::grid::Grid;
+use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma};
+use meniscus::internals::particles::Particles;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 
 use crate::Outcome;
 

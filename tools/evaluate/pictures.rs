@@ -5,13 +5,13 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
-use meniscus::field::spacing;
-use meniscus::frame::{Detail, Normals};
-use meniscus::io::bytes::Unpacking;
-use meniscus::io::input::open_particles;
-use meniscus::particles::{Particles, bounds};
-use meniscus::surface::mesh::Mesh;
-use meniscus::system::timings::Timings;
+use meniscus::internals::field::spacing;
+use meniscus::internals::frame::{Detail, Normals};
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::particles::{Particles, bounds};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::methods::{Iso, Method, grid};

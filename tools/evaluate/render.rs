@@ -14,7 +14,7 @@ use embedded_graphics::pixelcolor::BinaryColor;
 use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Baseline, Text};
 use glam::{DVec2, DVec3, Vec3};
-use meniscus::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::Mesh;
 
 use crate::Outcome;
 

@@ -4,15 +4,15 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use meniscus::backend::{Surfaces, Vulkan, field};
-use meniscus::frame::{Detail, Frame, Normals, Surfacing};
-use meniscus::surface::dual_mc::contour;
-use meniscus::surface::mesh::measure::measure;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::surface::mesh::spool::Spool;
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
+use meniscus::internals::backend::{Surfaces, Vulkan, field};
+use meniscus::internals::frame::{Detail, Frame, Normals, Surfacing};
+use meniscus::internals::surface::dual_mc::contour;
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use meniscus::internals::surface::mesh::spool::Spool;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
+use meniscus::internals::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
 
 use crate::methods::{COUNTING, Iso, Sigmas, grid, held, sampling, surfacing};

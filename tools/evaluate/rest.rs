@@ -2,12 +2,12 @@
 //! grid, mu0 and isovalue are those of the first.
 
 use glam::{DVec3, IVec3};
-use meniscus::field::calibration::FINEST_OF_SYMMETRY;
-use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::frame::{Frame, Sampling};
-use meniscus::simulation::frozen::{Measured, Origin, measure};
-use meniscus::surface::mesh::Mesh;
-use meniscus::system::timings::Timings;
+use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
+use meniscus::internals::field::indicator::{IndicatorKind, IndicatorRequest};
+use meniscus::internals::frame::{Frame, Sampling};
+use meniscus::internals::simulation::frozen::{Measured, Origin, measure};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::timings::Timings;
 
 use crate::methods::{CLOUD, COUNTING, grid, sampling, surfacing};
 use crate::roughness::{WIDTH, is_central};

@@ -1,10 +1,10 @@
 //! How smooth surfaces of jittered particles are, and what of thin sheets and drops is left.
 
 use glam::{DQuat, DVec3, IVec3};
-use meniscus::frame::{Detail, FrameError, Normals};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::measure::measure;
-use meniscus::system::timings::Timings;
+use meniscus::internals::frame::{Detail, FrameError, Normals};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::measure::measure;
+use meniscus::internals::system::timings::Timings;
 
 use crate::meshes::sphere;
 use crate::methods::{Iso, Method, grid};

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use glam::DVec3;
-use meniscus::io::output::read_mesh;
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::measure::measure;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::measure::measure;
 use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 

@@ -2,9 +2,9 @@
 
 use std::time::Instant;
 
-use meniscus::frame::Normals;
-use meniscus::surface::stitch::Stitched;
-use meniscus::system::timings::Timings;
+use meniscus::internals::frame::Normals;
+use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::timings::Timings;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::methods::{Iso, Method, grid, held};

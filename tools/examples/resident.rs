@@ -7,13 +7,13 @@
 use std::error::Error;
 
 use ash::vk;
-use meniscus::brick::InvalidParticles;
-use meniscus::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::resident::{Exchange, Pipeline, Settings};
-use meniscus::frame::{FrameError, Surfacing};
-use meniscus::grid::Grid;
-use meniscus::vulkan::{Device, DeviceOptions, Foreign, Moment};
+use meniscus::internals::brick::InvalidParticles;
+use meniscus::internals::brick::vulkan::{Coordinate, DevicePositions};
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::resident::{Exchange, Pipeline, Settings};
+use meniscus::internals::frame::{FrameError, Surfacing};
+use meniscus::internals::grid::Grid;
+use meniscus::internals::vulkan::{Device, DeviceOptions, Foreign, Moment};
 
 /// The vertices and the triangles of a surface.
 pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);

@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use meniscus::backend::programs::{PROGRAMS, constants};
-use meniscus::vulkan::Program;
+use meniscus::internals::backend::programs::{PROGRAMS, constants};
+use meniscus::internals::vulkan::Program;
 use naga::Module;
 use naga::back::spv;
 use naga::proc::{BoundsCheckPolicies, BoundsCheckPolicy};

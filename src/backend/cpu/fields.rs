@@ -135,7 +135,7 @@ fn drops(recipe: &Recipe, distances: &Distances, sampled: &SampledDif, cells: Ce
 /// Whether a field is only wanted where the surface passes.
 #[derive(Clone, Copy)]
 enum Looking {
-    /// It is wanted in any case.
+    /// The field is wanted in any case.
     Away,
     /// Where it can be cut at this isovalue.
     For { iso: Isovalue, away_from_walls: bool },
@@ -152,12 +152,12 @@ impl Looking {
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
-    /// The same of whatever filters: nothing comes of nothing.
+    /// Whether a surface can pass whatever the filters are: samples that are all 0 show none.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Away) || block.samples().chunks(PIECE).any(|piece| maximum(piece) > 0)
     }
 
-    /// The same of distances in wide cells, and whether drops can add to the inside.
+    /// Whether a surface can pass by the distances in wide cells; with `drops`, drops can add to the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::For { away_from_walls, iso } = self else { return true };
         let threshold = iso.threshold();
@@ -172,9 +172,9 @@ impl Looking {
 /// Fields in blocks.
 struct Blocks<'a> {
     sampled: &'a SampledDif,
-    /// Those of which the field is asked for.
+    /// Cells on which the field is asked for.
     cells: CellBox,
-    /// Those of them that samples are taken for.
+    /// The part of `cells` that samples are taken for.
     wanted: CellBox,
     looking: Looking,
     /// Whether blurred samples tell of all that follows.
@@ -198,7 +198,7 @@ struct Field {
     level: u32,
 }
 
-/// There is no surface.
+/// The signal to stop early, for there is no surface.
 struct Stopped;
 
 impl Blocks<'_> {

@@ -42,7 +42,7 @@ impl Backend for Cpu {
     }
 }
 
-/// Of a budget, what all threads together may take to mesh neighbouring blocks in one go.
+/// Divisor of a budget, for what all threads together may take to mesh neighbouring blocks in one go.
 const SHARE: u64 = 8;
 
 /// A frame on the processor.

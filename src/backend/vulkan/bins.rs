@@ -23,7 +23,7 @@ const BIN_BATCH: usize = 4096;
 /// Particles of a batch of several bins at the most: drivers give up on a device that is at work for some two seconds on end.
 const PARTICLE_BATCH: usize = 4 << 20;
 
-/// What fails on the way.
+/// An error on the way: of the device, or of a scratch file on the host.
 pub(super) enum Fault {
     Device(VulkanError),
     /// A scratch file that particles come from, or surfaces go to.
@@ -43,16 +43,16 @@ struct BinBatch {
     read: View,
 }
 
-/// What is read of pages that were made.
+/// The data that is read back of pages that were made.
 #[derive(Clone, Copy, PartialEq)]
 enum Read {
-    /// They themselves.
+    /// The pages themselves.
     Pages,
-    /// Which cells are full: they stay on the device.
+    /// The masks of full cells only: the pages stay on the device.
     FullCells,
 }
 
-/// What has to be known of the batches of some bins.
+/// The settings for the batches of some bins.
 struct Making<'a> {
     rule: &'a PageRule,
     /// Where the pages of all bins stay.
@@ -304,7 +304,7 @@ pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
     2 * (8 * count as u64 + page_bytes(shape))
 }
 
-/// As many bins as a batch has room for, at least one.
+/// Returns the range of as many bins as a batch has room for, at least one.
 fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;

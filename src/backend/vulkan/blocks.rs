@@ -94,7 +94,7 @@ impl DeviceFrame {
     }
 }
 
-/// What becomes of a batch, given where each of its blocks begins in it, and where the last one ends.
+/// A callback that takes a batch, given where each of its blocks begins in it, and where the last one ends.
 type TakeBatch<'a, E> = dyn FnMut(&Contouring<'_>, &mut Lane, &BlockBatch, &[Tally]) -> Result<(), E> + 'a;
 
 /// The surfaces of a frame's blocks, on the device.
@@ -111,7 +111,7 @@ pub struct DeviceSurfaces {
 }
 
 impl DeviceSurfaces {
-    /// What commands that read the surfaces have to wait for.
+    /// Returns the tickets that commands reading the surfaces have to wait for.
     #[must_use]
     pub fn written(&self) -> &[Ticket] {
         self.written.as_slice()
@@ -143,7 +143,7 @@ impl Growing {
         Ok(())
     }
 
-    /// What is in it.
+    /// Returns a view of the bytes that are used.
     fn view(self, device: &Device) -> Result<View, VulkanError> {
         let buffer = self.buffer.map_or_else(|| device.buffer(Place::Device, 4), Ok)?;
         Ok(buffer.part(0, self.used.max(4)))

@@ -1,4 +1,4 @@
-//! What kernels look up: tables, and the weights of filters.
+//! Constants that kernels look up: tables, and the weights of filters.
 
 use hashbrown::{HashMap, HashSet};
 
@@ -11,24 +11,24 @@ use crate::vulkan::{Batch, View, VulkanError};
 /// Weights that are kept, at the most.
 const KEPT_WEIGHTS: usize = 64;
 
-/// What kernels look up, on the device from when it is first asked for.
+/// Constants that kernels look up, on the device from when they are first asked for.
 #[derive(Debug, Default)]
 pub(super) struct Constants {
     tables: Option<Tables>,
     weights: HashMap<Kernel, View>,
 }
 
-/// The same for every frame.
+/// Tables that are the same for every frame.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
-    /// Of distances: depths, and how far away shares are.
+    /// Tables for distances: depths, and how far away shares are.
     pub(super) depths: View,
     pub(super) away: View,
     /// Triangles by case.
     pub(super) lengths: View,
 }
 
-/// What the batches of a frame look up.
+/// Constants that the batches of a frame look up.
 pub(super) struct FrameConstants {
     pub(super) tables: Tables,
     pub(super) weights: HashMap<Kernel, View>,

@@ -42,16 +42,16 @@ pub(super) struct BlockBatch {
     pub(super) regions: Vec<CellBox>,
     /// Vertices that there is room for.
     pub(super) room: u64,
-    /// What is known of wide cells, where distances are made of them.
+    /// The bulk of the batch in wide cells, where distances are made of them.
     pub(super) wide: Option<Wide>,
-    /// Of the regions those that are drawn: all that can show a surface, as far as is known.
+    /// Numbers of the regions that are drawn: all that can show a surface, as far as is known.
     pub(super) drawn: Vec<usize>,
     /// The parts of some of them in which particles stand out, by their place among those.
     pub(super) parts: Vec<(usize, CellBox)>,
 }
 
 impl BlockBatch {
-    /// As many of the first regions as a batch may take, at least one: if particles stand out everywhere.
+    /// Makes a batch of as many of the first regions as fit, at least one, even if particles stand out everywhere.
     pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let limit = work.frame.device.limits().storage_range;
         let sources = work.sources();
@@ -139,9 +139,9 @@ pub(super) struct Contouring<'a> {
     pub(super) frame: &'a DeviceFrame,
     pub(super) surfaces: &'a Surfaces<'a>,
     pub(super) constants: FrameConstants,
-    /// Of the fields that samples are cut out of those on the device, by their level.
+    /// Fields on the device that samples are cut out of, by their level.
     pub(super) residents: Vec<Arc<Resident>>,
-    /// What a batch may take.
+    /// Bytes that a batch may take.
     pub(super) bytes: u64,
 }
 
@@ -155,7 +155,7 @@ impl<'a> Contouring<'a> {
         size_of::<[u16; 2]>() as u64 + if self.has_normals() { size_of::<Falls>() as u64 } else { 0 }
     }
 
-    /// What cells of a level are cut out of.
+    /// Returns the samples that cells of a level are cut out of.
     pub(super) fn samples(&self, level: u32) -> Samples<'_> {
         let dif = self.surfaces.sampled.wide(level);
         let resident = self.residents.get(level as usize);

@@ -72,7 +72,7 @@ pub(super) fn of_bins(
     field(frame, infos, rule.shape(), Box::new(again))
 }
 
-/// The same of particles that are nowhere but on the device.
+/// The field of particles that are nowhere but on the device.
 pub(super) fn of_resident(frame: &Arc<DeviceFrame>, infos: Vec<PageInfo>, shape: PageShape) -> DifField {
     field(frame, infos, shape, Box::new(Gone(shape)))
 }

@@ -45,7 +45,7 @@ pub(super) struct PaddedFields<'a> {
     pub(super) walls: Option<CellBox>,
     pub(super) commands: &'a mut Batch,
     pub(super) grids: Vec<PaddedBlocks>,
-    /// Their samples, in the order in which they are asked for.
+    /// Samples of the grids, in the order in which they are asked for.
     pub(super) gathered: VecDeque<Rc<Padded>>,
     /// The blocks that fields are refined for, and the parts of them in which particles stand out, if there are such.
     pub(super) cells: usize,

@@ -18,7 +18,7 @@ pub(super) const LANES: usize = 2;
 /// Bytes of a batch at which the processor takes over.
 const SMALLEST_BATCH: u64 = 1 << 20;
 
-/// What is kept on the device between frames.
+/// Buffers and constants that are kept on the device between frames.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
     lanes: Vec<Lane>,
@@ -64,7 +64,7 @@ impl DeviceFrame {
         !std::mem::take(&mut *self.residents()).is_empty()
     }
 
-    /// The same of those in wider cells than 2^`level` of the frame's, and adds one to what is left.
+    /// Adds the field in cells 2^`level` times as wide; fields in cells as wide or wider are forgotten.
     pub(super) fn add_resident(&self, level: usize, resident: Resident) {
         let mut residents = self.residents();
         residents.truncate(level);
@@ -157,7 +157,7 @@ impl Drop for DeviceFrame {
 pub(super) struct State {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
-    /// What the pages of a frame may take on the device, and what those of wider cells may take of it.
+    /// Bytes that the pages of a frame may take on the device, and those that pages of wider cells may take of them.
     pub(super) resident_bytes: u64,
     pub(super) wide_bytes: u64,
     /// Once the device is lost or too small.

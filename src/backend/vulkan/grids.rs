@@ -23,9 +23,9 @@ pub(super) const NO_TILES: CellBox = CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO 
 /// Samples that blocks are cut out of.
 #[derive(Clone, Copy)]
 pub(super) enum Samples<'a> {
-    /// Of pages that are on the device.
+    /// Samples of pages that are on the device.
     There(&'a Resident, PageShape),
-    /// Of those that are sent.
+    /// Samples of pages that are sent to the device.
     Sent(&'a DifField),
 }
 
@@ -93,7 +93,7 @@ impl Grid {
         self.blocks.push(block);
     }
 
-    /// The same of a block that samples are cut out for; with the bricks that are inside, if any are told.
+    /// Adds a block whose samples are cut out of pages, with the bricks that are inside, if any are told.
     pub(super) fn push_sampled(
         &mut self,
         cells: CellBox,
@@ -161,7 +161,7 @@ impl Places {
         part(inputs, &self.marks)
     }
 
-    /// What samples are cut out of; without constants they are what is stored.
+    /// Returns the pages that samples are cut out of; without constants samples are what is stored.
     pub(super) fn pages(
         &self,
         inputs: &View,

@@ -11,7 +11,7 @@ use crate::vulkan::{ALIGNMENT, Batch, Buffer, Device, Place, Queue, Ticket, View
 /// Buffers are larger than is asked for by a share of so much, for the next batch may be a little larger.
 pub(super) const HEADROOM: u64 = 4;
 
-/// What a batch works with, used again by the next.
+/// The command batches and buffers that a batch works with, used again by the next.
 #[derive(Debug)]
 pub(super) struct Lane {
     pub(super) upload: Batch,
@@ -20,7 +20,7 @@ pub(super) struct Lane {
     buffers: HashMap<Name, Arc<Buffer>>,
 }
 
-/// What a lane calls its buffers: fields are numbered.
+/// The name of a buffer of a lane: fields are numbered.
 type Name = (&'static str, usize);
 
 impl Lane {
@@ -44,7 +44,7 @@ impl Lane {
         self.numbered((name, 0), device, place, bytes)
     }
 
-    /// So many fields of some kind, of so many bytes each.
+    /// Returns buffers for `count` fields of some kind, of `bytes` bytes each.
     pub(super) fn fields(
         &mut self,
         device: &Device,

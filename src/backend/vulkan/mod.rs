@@ -39,7 +39,7 @@ use lane::HEADROOM;
 
 /// Bytes of a batch at the most.
 const LARGEST_BATCH: u64 = 128 << 20;
-/// What a driver takes of the host's memory.
+/// Bytes of the host's memory that a driver takes.
 const DRIVER: u64 = 96 << 20;
 
 /// A Vulkan device with all kernels ready.

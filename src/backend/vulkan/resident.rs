@@ -21,12 +21,12 @@ pub(super) struct Resident {
 #[derive(Debug, Default)]
 pub(super) struct Reader {
     batch: Mutex<Option<(Batch, Arc<Buffer>)>>,
-    /// What failed, after which nothing more is read.
+    /// The error after which nothing more is read.
     failed: Mutex<Option<VulkanError>>,
 }
 
 impl Reader {
-    /// What failed, if anything did.
+    /// Returns the error that ended the reading, if any did.
     pub(super) fn failed(&self) -> Option<VulkanError> {
         self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }

@@ -1,23 +1,105 @@
-//! Errors with the options that help: the library says what is wrong, and knows of no option.
+//! Errors and warnings with the options that help: the library says what is wrong, and knows of no option.
 
-use meniscus::brick::BinError;
-use meniscus::error::{Error, SequenceError};
-use meniscus::field::calibration::TooFine;
-use meniscus::frame::FrameError;
-use meniscus::grid::units::UnitError;
-use meniscus::io::WriteFault;
+use bytesize::ByteSize;
+use meniscus::error::{
+    BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, SequenceError, Setting, TooFine, Unfit,
+    UnitError, WriteFault,
+};
+use meniscus::{Doubt, Dropped, Emptiness, Warning};
+
+use crate::method::MethodName;
+use crate::options::Options;
 
 /// An error in words, and what to do about it.
 pub fn told(error: &Error) -> String {
-    format!("{}{error}{}", option(error), advice(error))
+    in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))
 }
 
-/// The option that an error is about, where it begins with what that is for.
-fn option(error: &Error) -> &'static str {
-    match error {
-        Error::Unit(UnitError::Smooth(_)) => "--",
-        Error::Unit(UnitError::Tolerance(_)) => "--simplify: ",
-        _ => "",
+/// An error about options, in their names.
+fn in_options(error: &Error) -> Option<String> {
+    Some(match error {
+        Error::Unfit(unfit) => unfit_options(unfit),
+        Error::Unit(UnitError::Smooth(_)) => format!("--{error}"),
+        Error::Unit(UnitError::Tolerance(_)) => format!("--simplify: {error}"),
+        Error::Unit(UnitError::Volume(value)) => {
+            format!("--drop-smaller must be a positive volume; {value} is not")
+        }
+        Error::Unit(UnitError::Length { what, value }) => {
+            let option = match *what {
+                "the spacing" => "--spacing",
+                "the cell size" => "--cell-size",
+                "the cell size in spacings" => "--cell",
+                other => other,
+            };
+            format!("{option} must be a positive length; {value} is not")
+        }
+        Error::LittleMemory { least, simplifying: None } => {
+            format!("--memory must be at least {}", ByteSize(*least))
+        }
+        Error::LittleMemory { least, simplifying: Some(threads) } => format!(
+            "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
+            ByteSize(*least)
+        ),
+        Error::Sequence(SequenceError::Rate(_)) => error.to_string().replace("frames a second", "--fps"),
+        Error::Sequence(SequenceError::Wait(seconds)) => {
+            format!("--watch takes seconds; {seconds} are none")
+        }
+        Error::Sequence(SequenceError::Range { first, last }) => {
+            format!("there are no frames from --start {first} to --end {last}")
+        }
+        Error::Sequence(SequenceError::NoneWanted(inputs)) => {
+            format!("{inputs}: --frames names none of them")
+        }
+        _ => return None,
+    })
+}
+
+/// The option that a setting is given by.
+fn option(setting: Setting) -> &'static str {
+    match setting {
+        Setting::Spacing => "--spacing or --radius",
+        Setting::CellSize => "--cell-size",
+        Setting::Cell => "--cell",
+        Setting::Origin => "--origin",
+        Setting::Walls => "--domain",
+        Setting::Indicator => "--indicator",
+        Setting::MeanCount => "--mu0",
+        Setting::SkipInvalid => "--skip-invalid",
+        Setting::Baseline => "--method",
+        Setting::Smooth => "--smooth",
+        Setting::Sigma => "--sigma",
+        Setting::Iso => "--iso",
+        Setting::Details => "--detail",
+        Setting::Normals => "--normals",
+        Setting::Attributes => "--attributes",
+        Setting::Compression => "--compress",
+        Setting::Up => "--up",
+        _ => "an option",
+    }
+}
+
+fn unfit_options(unfit: &Unfit) -> String {
+    let given = option(unfit.setting);
+    match (&unfit.with, unfit.setting) {
+        (Conflict::Indicator(kind), Setting::MeanCount) => {
+            format!("{given} has no meaning for --indicator {}", kind.name())
+        }
+        (Conflict::Indicator(IndicatorKind::Cloud), _) => format!(
+            "{given} is for --indicator counting and symmetry: the surface lies where distances told by clouds are 0, and \
+             --smooth says how calm it is"
+        ),
+        (Conflict::Indicator(_), _) => {
+            format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
+        }
+        (Conflict::Baseline(_), _) => format!("{given} has no meaning for this --method"),
+        (Conflict::Packed(path), _) => format!("{}: {given} needs the particles themselves", path.display()),
+        (Conflict::Format { path, .. }, Setting::Compression) => {
+            format!("{}: --compress goes with .glb", path.display())
+        }
+        (Conflict::Format { .. }, Setting::Up) => {
+            "--up z: in a .glb y points up; --particles-up z says that the particles have z up".into()
+        }
+        _ => unfit.to_string(),
     }
 }
 
@@ -29,6 +111,7 @@ fn advice(error: &Error) -> &'static str {
             WriteFault::ExistsInSequence => "; --resume goes on with the frames, --overwrite replaces them",
             _ => "",
         },
+        Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",
         Error::Sequence(SequenceError::State { .. }) => "; --overwrite begins anew",
         Error::Sequence(SequenceError::Settings { .. }) => {
             "; --resume makes them again, --overwrite begins anew"
@@ -56,5 +139,63 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
         FrameError::NoRoom { .. } => "; name another folder with --scratch, or allow more with --memory",
         _ => "",
+    }
+}
+
+/// A doubt about a spacing in words, and what to do about it.
+pub fn doubted(doubt: &Doubt) -> String {
+    match doubt {
+        Doubt::OtherScene { .. } => format!("{doubt}: --spacing says which"),
+        _ => format!("{doubt}; --spacing says another"),
+    }
+}
+
+/// The advice on particles that are in no surface.
+pub fn on_lost(smoothed: bool) -> &'static str {
+    if smoothed { "--indicator cloud keeps drops" } else { "smaller cells keep more" }
+}
+
+/// A warning in words, and what to do about it, by what else was asked for.
+pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
+    match warning {
+        Warning::Spacing(doubt) => doubted(doubt),
+        Warning::Crowded { .. } => format!("{warning}: is their --spacing right?"),
+        Warning::OnCorners { origin, .. } => {
+            let corner = origin.map(|x| x.to_string()).join(",");
+            format!("{warning}; --origin {corner} moves the grid off them")
+        }
+        Warning::Lost { smoothed, .. } => format!("{warning}; {}", on_lost(*smoothed)),
+        Warning::Shortfall { clouds, measured_on, .. }
+        | Warning::Empty { why: Emptiness::Field, clouds, measured_on } => {
+            format!("{warning}{}", on_shortfall(options, *clouds, *measured_on))
+        }
+        Warning::Empty { why: Emptiness::Dropped(all), .. } => {
+            format!("all components are below {}: an empty mesh", limits(*all))
+        }
+        _ => warning.to_string(),
+    }
+}
+
+/// The advice on a surface that holds less than its particles.
+fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<u64>) -> String {
+    let mut advice = String::new();
+    if let Some(frame) = measured_on {
+        let what = if clouds { "its plateau" } else { "its isovalue" };
+        advice += &format!("; {what} was measured on frame {frame}");
+    }
+    if options.is_some_and(Options::iso_given) {
+        advice += "; a lower --iso, or --iso auto, shows more";
+    } else if options.is_some_and(|options| options.method == MethodName::Dif) && !clouds {
+        advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
+    }
+    advice + "; is their --spacing right?"
+}
+
+/// The options that left out all components of a surface.
+fn limits(dropped: Dropped) -> &'static str {
+    match (dropped.components, dropped.drops) {
+        (_, 0) => "--drop-smaller",
+        (0, _) => "--smallest-drop",
+        _ => "--drop-smaller and --smallest-drop",
     }
 }

@@ -1,8 +1,8 @@
 //! `meniscus devices`: what Vulkan devices there are.
 
 use clap::Args;
-use meniscus::error::Error;
-use meniscus::vulkan::{DeviceInfo, Instance};
+use meniscus::Error;
+use meniscus::devices::{DeviceInfo, Instance};
 use serde_json::json;
 
 use crate::outcome::Verdict;

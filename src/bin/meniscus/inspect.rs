@@ -3,11 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use meniscus::error::Error;
-use meniscus::io::output::read_mesh;
-use meniscus::surface::mesh::check::{self, Report};
-use meniscus::surface::mesh::compare::{self, Comparison, Distances, Side};
-use meniscus::surface::mesh::measure::{Measures, measure};
+use meniscus::Error;
+use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
 use crate::outcome::{Verdict, print, print_json};
@@ -37,7 +34,7 @@ pub struct CompareOptions {
 struct Checked {
     mesh: PathBuf,
     closed_oriented_manifold: bool,
-    report: Report,
+    report: CheckReport,
     measures: Measures,
 }
 
@@ -46,7 +43,7 @@ pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
     for path in &options.meshes {
         let mesh = read_mesh(path)?;
-        let report = check::check(&mesh);
+        let report = meniscus::mesh::check(&mesh);
         let checked = Checked {
             mesh: path.clone(),
             closed_oriented_manifold: report.is_closed_oriented_manifold(),
@@ -89,7 +86,7 @@ fn describe(measures: &Measures) -> String {
 pub fn compare(options: &CompareOptions) -> Result<Verdict, Error> {
     let reference = read_mesh(&options.reference)?;
     let mesh = read_mesh(&options.mesh)?;
-    let comparison = compare::compare(&reference, &mesh).map_err(|fault| {
+    let comparison = meniscus::mesh::compare(&reference, &mesh).map_err(|fault| {
         let path = match fault.side() {
             Side::Reference => options.reference.clone(),
             Side::Mesh => options.mesh.clone(),

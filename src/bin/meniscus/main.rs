@@ -3,11 +3,9 @@
 mod advice;
 mod allocator;
 mod devices;
-mod identity;
 mod info;
 mod inspect;
 mod interrupt;
-mod lanes;
 mod method;
 mod options;
 mod outcome;
@@ -21,12 +19,11 @@ mod say;
 mod sequence;
 mod shells;
 mod stats;
-mod up;
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use meniscus::error::Cause;
+use meniscus::Cause;
 
 use outcome::Verdict;
 
@@ -81,6 +78,8 @@ fn main() -> ExitCode {
                 Cause::Input => 3,
                 Cause::Output => 4,
                 Cause::Device => 5,
+                Cause::Cancelled => 130,
+                _ => 2,
             })
         }
     }

@@ -1,6 +1,6 @@
 //! What commands find, and how they print it.
 
-use meniscus::error::Error;
+use meniscus::Error;
 
 /// What a command that ran to its end found.
 pub enum Verdict {
@@ -15,7 +15,7 @@ pub fn print(text: &str) -> Result<(), Error> {
     use std::io::{ErrorKind, Write};
     match writeln!(std::io::stdout().lock(), "{text}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(meniscus::io::WriteError::new("standard output".as_ref(), error).into())
+            Err(meniscus::error::WriteError::new("standard output".as_ref(), error).into())
         }
         _ => Ok(()),
     }

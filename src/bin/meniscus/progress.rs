@@ -26,12 +26,7 @@ pub struct Progress {
 impl Progress {
     /// For so many bytes of input, and the notes that go with it. What is left is told from the bytes done so far,
     /// for frames differ in size.
-    pub fn start(
-        mode: ProgressMode,
-        bytes: impl FnOnce() -> u64,
-        lanes: usize,
-        notes: Notes,
-    ) -> (Self, Notes) {
+    pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),
             ProgressMode::Always => true,
@@ -47,7 +42,7 @@ impl Progress {
             _ => MultiProgress::new(),
         };
         let style = |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
-        let frames = all.add(ProgressBar::new(bytes()));
+        let frames = all.add(ProgressBar::new(bytes));
         frames.set_style(style("[{bar:30}] {msg}, {elapsed} gone, about {eta} left"));
         frames.enable_steady_tick(Duration::from_millis(500));
         let lane = || {
@@ -72,11 +67,11 @@ impl Progress {
     }
 
     /// Says how many frames are done, and that a further one took so many bytes of input.
-    pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: impl FnOnce() -> u64) {
+    pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: u64) {
         let Some((bar, _)) = &self.bars else { return };
         let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
         bar.set_message(format!("{done} of {frames} frames{failed}"));
-        bar.inc(bytes());
+        bar.inc(bytes);
     }
 
     /// More frames have come.

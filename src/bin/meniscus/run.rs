@@ -6,25 +6,15 @@ use std::sync::Arc;
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
 use indicatif::MultiProgress;
-use meniscus::backend::{Backend, Cpu, Vulkan};
-use meniscus::error::Error;
-use meniscus::frame::Resources;
-use meniscus::frame::estimate::SMALLEST_BUDGET;
-use meniscus::grid::units::MemoryBudget;
-use meniscus::io::bytes::Unpacking;
-use meniscus::system::memory::default_budget;
-use meniscus::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
+use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
+use meniscus::{Error, MemoryBudget, Reconstruction, Warning, default_memory};
 
-/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
-/// compile kernels, or find them in its cache: a million particles.
-const SMALL: u64 = 12_000_000;
+use crate::advice::warned;
+use crate::options::Options;
+use crate::say::say;
 
-/// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
-const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
-
-use crate::say::say;
 
 #[derive(Args)]
 pub struct RunOptions {
@@ -67,27 +57,34 @@ enum BackendName {
 }
 
 impl RunOptions {
-    /// Starts the threads, and says what a frame may take, for inputs of as many bytes as is told where it matters, if that is known.
-    pub fn resources(
+    /// Sets what the machine gives: threads, memory, scratch files, and a backend that suits inputs of as many bytes as is told where it
+    /// matters, if that is known.
+    pub fn machine(
         &self,
+        request: Reconstruction,
         output: &Path,
         input_bytes: impl FnOnce() -> Option<u64>,
-    ) -> Result<Resources, Error> {
-        if self.threads.is_some_and(|threads| !(1..=MOST_THREADS).contains(&threads)) {
-            return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
+    ) -> Result<Reconstruction, Error> {
+        let mut request = request;
+        if let Some(threads) = self.threads {
+            if !(1..=MOST_THREADS).contains(&threads) {
+                return Err(Error::Request(format!("--threads must be 1 to {MOST_THREADS}")));
+            }
+            request = request.threads(threads);
         }
-        // This thread is one of them: work that it finds need not wait for another to wake up.
-        let pool =
-            rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0)).use_current_thread();
-        pool.build_global().map_err(|e| Error::Request(format!("threads cannot be started: {e}")))?;
-        let budget = self.memory.map_or_else(default_budget, |size| MemoryBudget(size.as_u64()));
-        if budget < SMALLEST_BUDGET {
-            let smallest = ByteSize(SMALLEST_BUDGET.0);
-            return Err(Error::Request(format!("--memory must be at least {smallest}")));
-        }
+        let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
         let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let scratch = self.scratch.as_deref().or(beside).unwrap_or(Path::new("."));
-        Ok(Resources { budget, scratch: scratch.to_owned(), backend: self.backend(budget, input_bytes)? })
+        let beside = beside.unwrap_or(Path::new("."));
+        let scratch =
+            self.scratch.as_deref().or(Some(beside).filter(|folder| folder.is_dir() && !is_device(output)));
+        request = request.memory(budget);
+        if let Some(folder) = scratch {
+            request = request.scratch(folder);
+        }
+        Ok(match self.backend(budget, input_bytes)? {
+            Some(backend) => request.backend(backend),
+            None => request,
+        })
     }
 
     /// Whether a device was asked for.
@@ -99,50 +96,28 @@ impl RunOptions {
         &self,
         budget: MemoryBudget,
         input_bytes: impl FnOnce() -> Option<u64>,
-    ) -> Result<Arc<dyn Backend>, Error> {
+    ) -> Result<Option<Arc<dyn Backend>>, Error> {
+        let cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
         match (self.backend, &self.device) {
             (BackendName::Cpu, Some(_)) => Err(Error::Request("--device needs --backend vulkan".into())),
-            (BackendName::Cpu, None) => Ok(Arc::new(Cpu)),
-            (BackendName::Auto, None) => Ok(self.fast_device(budget, input_bytes).map_or_else(
-                |why| {
-                    self.notes().detail(format!("on the CPU: {why}"));
-                    Arc::new(Cpu) as Arc<dyn Backend>
-                },
-                |vulkan| Arc::new(vulkan),
-            )),
+            (BackendName::Cpu, None) => Ok(None),
+            (BackendName::Auto, None) => {
+                let (backend, on_cpu) = devices::fastest(budget, input_bytes, cache.as_deref());
+                if let Some(why) = on_cpu {
+                    let advice = match why {
+                        OnCpu::LittleMemory(_) => "; --memory says how much",
+                        OnCpu::NotConformant(_) => "; --backend vulkan takes it",
+                        _ => "",
+                    };
+                    self.notes().detail(format!("on the CPU: {why}{advice}"));
+                }
+                Ok(Some(backend))
+            }
             (BackendName::Auto, Some(_)) | (BackendName::Vulkan, _) => {
-                let instance = Instance::connect(false)?;
                 let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
-                Ok(Arc::new(opened(&instance, &instance.choose(&choice)?)?))
+                Ok(Some(devices::device(&choice, cache.as_deref())?))
             }
         }
-    }
-
-    /// A device that is worth while without being asked for, or why there is none.
-    fn fast_device(
-        &self,
-        budget: MemoryBudget,
-        input_bytes: impl FnOnce() -> Option<u64>,
-    ) -> Result<Vulkan, String> {
-        if budget < DRIVERS {
-            return Err(format!("drivers of GPUs may need {}, and --memory is less", ByteSize(DRIVERS.0)));
-        }
-        if !may_have_gpu() {
-            return Err("there is no GPU".into());
-        }
-        if let Some(bytes) = input_bytes().filter(|&bytes| bytes < SMALL) {
-            return Err(format!("{} of particles are done before a GPU is ready", ByteSize(bytes)));
-        }
-        let text = |error: VulkanError| error.to_string();
-        let instance = Instance::connect(false).map_err(text)?;
-        let info = instance.choose(&DeviceChoice::Best).map_err(text)?;
-        if info.kind != DeviceKind::Discrete {
-            return Err(format!("{} is no discrete GPU", info.name));
-        }
-        if !info.is_conformant() {
-            return Err(format!("{} passes no conformance tests; --backend vulkan takes it", info.name));
-        }
-        opened(&instance, &info).map_err(text)
     }
 
     pub fn notes(&self) -> Notes {
@@ -150,37 +125,14 @@ impl RunOptions {
     }
 }
 
-/// A device with its kernels compiled, that may take three quarters of what is free of its memory.
-fn opened(instance: &Arc<Instance>, info: &DeviceInfo) -> Result<Vulkan, VulkanError> {
-    let pipeline_cache = dirs::cache_dir().map(|folder| folder.join("meniscus"));
-    let options =
-        DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
-    let choice = DeviceChoice::Named(info.index.to_string());
-    Vulkan::new(Device::open(instance, &choice, &options)?)
-}
-
-/// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
-const UNTOLD: [&str; 4] = ["gz", "mnf", "npz", "bi4"];
-
 /// Bytes of particles in some files, if all of them are there and tell.
 pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
-    let bytes = |file: &Path| {
-        let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
-        let told = UNTOLD.iter().all(|untold| extension != *untold);
-        std::fs::metadata(file).ok().filter(|_| told).map(|metadata| metadata.len())
-    };
-    files.into_iter().map(bytes).sum()
+    devices::bytes_of(files)
 }
 
-/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
-fn may_have_gpu() -> bool {
-    let nodes = ["/dev/dri", "/dev/nvidia0", "/dev/dxg"];
-    !cfg!(target_os = "linux") || nodes.iter().any(|node| Path::new(node).exists())
-}
-
-/// An input that has to be unpacked or decoded may take an eighth of the budget.
-pub fn unpacking(resources: &Resources) -> Unpacking<'_> {
-    Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch }
+/// Whether an output is a device, beside which nothing else is to be written.
+fn is_device(output: &Path) -> bool {
+    output.starts_with("/dev")
 }
 
 /// The notes that a run makes for people, on standard error.
@@ -198,9 +150,14 @@ impl Notes {
         Self { bars: Some(bars), ..self }
     }
 
-    /// No notes at all.
-    pub fn none() -> Self {
-        Self { quiet: true, ..Self::default() }
+    /// Says what may be wrong.
+    pub fn warn(&self, text: &str) {
+        self.say(format!("warning: {text}"));
+    }
+
+    /// Says what may be wrong with a surface, and what to do about it.
+    pub fn warn_all(&self, warnings: &[Warning], options: Option<&Options>) {
+        warnings.iter().for_each(|warning| self.warn(&warned(warning, options)));
     }
 
     pub fn is_quiet(&self) -> bool {

@@ -1,18 +1,8 @@
-//! Options that say how particles are sampled: cells, walls, indicator; and where the spacing comes from.
-
-use std::path::Path;
+//! Options that say how particles are sampled: cells, walls, indicator.
 
 use clap::{Args, ValueEnum};
-use glam::DVec3;
-use meniscus::brick::InvalidParticles;
-use meniscus::error::Error;
-use meniscus::field::indicator::{IndicatorKind, IndicatorRequest};
-use meniscus::frame::{Resources, Sampling};
-use meniscus::grid::units::{MeanCount, positive_length, shown};
-use meniscus::io::ParticleFile;
-use meniscus::reconstruction::{CellSize, Cells, ChosenSampling, Doubt, Origin, SamplingRequest};
-
-use crate::run::Notes;
+use meniscus::error::UnitError;
+use meniscus::{Error, IndicatorKind, Reconstruction};
 
 #[derive(Args)]
 pub struct SamplingOptions {
@@ -90,121 +80,39 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 }
 
 impl SamplingOptions {
-    /// The first option that was given: none has a meaning for a frame that is sampled already.
-    pub fn given(&self) -> Option<&'static str> {
-        [
-            ("--spacing", self.spacing.is_some()),
-            ("--radius", self.radius.is_some()),
-            ("--cell-size", self.cell_size.is_some()),
-            ("--cell", self.cell.is_some()),
-            ("--origin", self.origin.is_some()),
-            ("--domain", self.domain.is_some()),
-            ("--indicator", self.indicator.is_some()),
-            ("--mu0", self.mu0.is_some()),
-            ("--skip-invalid", self.skip_invalid),
-        ]
-        .into_iter()
-        .find_map(|(name, given)| given.then_some(name))
-    }
-
-    /// What was asked for, by the options' names.
-    pub fn settings(&self) -> serde_json::Map<String, serde_json::Value> {
-        let indicator = match self.indicator {
-            Some(IndicatorName::Symmetry) => "symmetry",
-            Some(IndicatorName::Counting) => "counting",
-            None | Some(IndicatorName::Cloud) => "cloud",
-        };
-        let settings = serde_json::json!({
-            "spacing": self.spacing.or(self.radius.map(|radius| 2.0 * radius)),
-            "cell-size": self.cell_size,
-            "cell": self.cell,
-            "origin": self.origin,
-            "domain": self.domain,
-            "indicator": indicator,
-            "mu0": self.mu0,
-            "skip-invalid": self.skip_invalid,
-        });
-        match settings {
-            serde_json::Value::Object(map) => map,
-            _ => unreachable!("an object was made"),
+    /// Asks for particles to be sampled so.
+    pub fn request(&self, mut request: Reconstruction) -> Result<Reconstruction, Error> {
+        if let Some(radius) = self.radius {
+            if !(radius.is_finite() && radius > 0.0) {
+                return Err(UnitError::Length { what: "--radius", value: radius }.into());
+            }
+            request = request.spacing(2.0 * radius);
         }
-    }
-
-    /// Whether the grid is to stay where it was asked for.
-    pub fn origin_given(&self) -> bool {
-        self.origin.is_some()
-    }
-
-    /// Whether there is one.
-    pub fn indicator_given(&self) -> bool {
-        self.indicator.is_some()
-    }
-
-    /// Whether there is one.
-    pub fn mu0_given(&self) -> bool {
-        self.mu0.is_some()
-    }
-
-    /// Refuses what is wrong whatever the particles are.
-    pub fn validate(&self) -> Result<SamplingRequest, Error> {
-        let kind = match self.indicator {
-            None | Some(IndicatorName::Cloud) => IndicatorKind::Cloud,
-            Some(IndicatorName::Counting) => IndicatorKind::Counting,
-            Some(IndicatorName::Symmetry) => IndicatorKind::Symmetry,
-        };
-        if self.mu0.is_some() && !kind.counts() {
-            return Err(Error::Request(format!("--mu0 has no meaning for --indicator {}", kind.name())));
+        if let Some(spacing) = self.spacing {
+            request = request.spacing(spacing);
         }
-        let field = IndicatorRequest { kind, mean: self.mu0.map(MeanCount::new).transpose()? }.into();
-        let spacing = match (self.spacing, self.radius) {
-            (Some(spacing), _) => Some(positive_length("--spacing", spacing)?),
-            (None, Some(radius)) => Some(2.0 * positive_length("--radius", radius)?),
-            (None, None) => None,
-        };
-        let size = self.cell_size.map(|size| positive_length("--cell-size", size).map(CellSize::Length));
-        let ratio = self.cell.map(|ratio| positive_length("--cell", ratio).map(CellSize::Spacings));
-        let cell = size.or(ratio).transpose()?;
-        let origin = self.origin.map(DVec3::from);
-        let walls =
-            self.domain.map(|[x0, y0, z0, x1, y1, z1]| [DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)]);
-        let invalid = if self.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse };
-        let request = SamplingRequest { field, invalid, origin, walls, spacing, cell };
-        request.validate()?;
-        Ok(request)
+        if let Some(size) = self.cell_size {
+            request = request.cell_size(size);
+        }
+        if let Some(ratio) = self.cell {
+            request = request.cell(ratio);
+        }
+        if let Some(corner) = self.origin {
+            request = request.origin(corner);
+        }
+        if let Some([x0, y0, z0, x1, y1, z1]) = self.domain {
+            request = request.walls([x0, y0, z0], [x1, y1, z1]);
+        }
+        if let Some(indicator) = self.indicator {
+            request = request.indicator(match indicator {
+                IndicatorName::Cloud => IndicatorKind::Cloud,
+                IndicatorName::Counting => IndicatorKind::Counting,
+                IndicatorName::Symmetry => IndicatorKind::Symmetry,
+            });
+        }
+        if let Some(mean) = self.mu0 {
+            request = request.mean_count(mean);
+        }
+        Ok(if self.skip_invalid { request.skip_invalid() } else { request })
     }
-}
-
-/// Where the particles of a file come from.
-pub fn origin<'a>(path: &'a Path, file: &ParticleFile) -> Origin<'a> {
-    Origin { path: Some(path), spacing: file.spacing }
-}
-
-/// Warns of a spacing that may be wrong.
-pub fn say_doubt(cells: &Cells, notes: &Notes) {
-    let Some(doubt) = &cells.doubt else { return };
-    notes.say(match doubt {
-        Doubt::TwoResolutions { .. } => format!("warning: {doubt}; --spacing says another"),
-        Doubt::OtherScene { .. } => format!("warning: {doubt}: --spacing says which"),
-    });
-}
-
-/// How to sample the particles of `file`, whose attributes numbered in `carried` go to the vertices, with what was chosen said.
-pub fn sampling(
-    request: &SamplingRequest,
-    (path, file): (&Path, &ParticleFile),
-    carried: Vec<usize>,
-    resources: Resources,
-    notes: &Notes,
-) -> Result<Sampling, Error> {
-    let chosen = request.sampling(&file.particles, origin(path, file), carried, resources)?;
-    let ChosenSampling { sampling, cells, moved } = chosen;
-    let indicator = request.field.indicator();
-    let by = indicator.map_or(String::new(), |asked| format!(", indicator {}", asked.kind.name()));
-    notes.say(format!("{cells}{by}"));
-    say_doubt(&cells, notes);
-    if moved {
-        let corner = sampling.grid.origin().to_array().map(shown).join(",");
-        notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
-    }
-    Ok(sampling)
 }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Command};
 use clap_complete::Shell;
-use meniscus::error::Error;
-use meniscus::io::WriteError;
+use meniscus::Error;
+use meniscus::error::WriteError;
 
 use crate::outcome::Verdict;
 use crate::outcome::print;

@@ -4,58 +4,25 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::Path;
 
-use meniscus::baselines::Method;
-use meniscus::brick::FrameFacts;
-use meniscus::error::Error;
-use meniscus::field::indicator::SampledDif;
-use meniscus::frame::{Frame, Surfacing};
-use meniscus::grid::units::{Isovalue, MeanCount, Smooth};
-use meniscus::io::WriteError;
-use meniscus::surface::mesh::source::MeshSource;
-use meniscus::system::memory::peak_resident;
-use meniscus::system::timings::Timings;
-use serde_json::{Value, json};
+use meniscus::error::WriteError;
+use meniscus::{Error, FrameDone, FrameFailed, Report, Timings, peak_memory};
+use serde_json::{Map, Value, json};
 
+use crate::advice::told;
 use crate::options::Options;
 
-impl Options {
-    /// What is known of a frame that is done; a DIF was drawn at an isovalue.
-    pub fn record(
-        &self,
-        [input, output]: [&Path; 2],
-        frame: &Frame,
-        iso: Option<Isovalue>,
-        mesh: &dyn MeshSource,
-        bytes: u64,
-        timings: &Timings,
-    ) -> Value {
-        let seconds = timings.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
-        let of_run = json!({
-            "input": input,
-            "output": output,
-            "method": self.method,
-            "simplify": self.simplify,
-            "drop_smaller": self.drop_smaller,
-            "smallest_drop": self.smallest_drop,
-            "vertices": mesh.vertex_count(),
-            "triangles": mesh.triangle_count(),
-            "output_bytes": bytes,
-            "seconds": seconds.collect::<serde_json::Map<_, _>>(),
-            "total_seconds": timings.total(),
-            "threads": rayon::current_num_threads(),
-            "peak_resident_bytes": peak_resident(),
-        });
-        let of_field = match frame.dif() {
-            Some(sampled) => self.dif_facts(frame, sampled, iso),
-            None => json!({
-                "spacing": frame.facts().spacing,
-                "isovalue": frame.kernels().and_then(Method::iso),
-                "backend": frame.backend(),
-            }),
-        };
-        joined(joined(facts(frame.facts()), of_field), of_run)
-    }
+/// A mesh that was made of a frame.
+pub struct Made<'a> {
+    pub input: &'a Path,
+    pub output: &'a Path,
+    /// Vertices, triangles, and bytes of the file.
+    pub counts: [u64; 3],
+    pub stages: &'a Timings,
+    /// Particles in no surface, at the least.
+    pub lost: u64,
+}
 
+impl Options {
     /// Makes sure, before the work, that statistics can be appended; a file that was not there is not there then.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) =
@@ -73,41 +40,78 @@ impl Options {
     }
 
     /// Appends a line to the statistics, if they are asked for.
-    pub fn append_stats(&self, record: &Value) -> Result<(), Error> {
+    pub fn append_stats(&self, record: impl FnOnce() -> Value) -> Result<(), Error> {
         let Some(path) = &self.stats else { return Ok(()) };
         let file = OpenOptions::new().create(true).append(true).open(path);
-        let written = file.and_then(|mut file| writeln!(file, "{record}"));
+        let written = file.and_then(|mut file| writeln!(file, "{}", record()));
         Ok(written.map_err(|e| WriteError::new(path, e))?)
-    }
-
-    fn dif_facts(&self, frame: &Frame, sampled: &SampledDif, iso: Option<Isovalue>) -> Value {
-        let SampledDif { facts, indicator, .. } = sampled;
-        let of_paper = !sampled.is_clouds();
-        let sigma = || Surfacing::PLAIN.width(facts.spacing, facts.grid.cell_size()).cells();
-        json!({
-            "indicator": indicator.kind().name(),
-            "mu0": indicator.mean().map(MeanCount::particles),
-            "smooth": (!of_paper).then(|| self.smooth.unwrap_or(Smooth::USUAL.spacings())),
-            "sigma": of_paper.then(|| self.sigma.unwrap_or_else(sigma)),
-            "isovalue": iso.map(Isovalue::value),
-            "detail": self.detail,
-            "backend": frame.backend(),
-            "pages_on_device": frame.on_device().pages,
-            "regions_on_device": frame.on_device().regions,
-        })
     }
 }
 
-fn facts(FrameFacts { census, grid, domain, .. }: &FrameFacts) -> Value {
-    json!({
-        "particles": census.binned,
-        "not_finite": census.not_finite,
-        "too_far": census.too_far,
-        "outside_domain": census.outside,
-        "cell_size": grid.cell_size(),
-        "origin": grid.origin().to_array(),
-        "domain": domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
-    })
+/// What is known of a frame among others.
+pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
+    let FrameDone { input, output, mesh, report, lost, .. } = done;
+    let mut stats = match report {
+        Some(report) => {
+            let counts = [mesh.vertices, mesh.triangles, mesh.bytes];
+            record(options, report, &Made { input, output, counts, stages: &report.timings, lost: *lost })
+        }
+        None => json!({ "input": input, "output": output, "particles": 0, "vertices": 0, "triangles": 0 }),
+    };
+    stats["frame"] = json!(mesh.frame);
+    stats["in_no_surface"] = json!(lost);
+    stats["time"] = json!(done.time);
+    stats
+}
+
+/// What is known of a frame that failed.
+pub fn of_failed(failed: &FrameFailed) -> Value {
+    json!({ "frame": failed.frame, "input": failed.input, "error": told(&failed.error) })
+}
+
+/// What is known of a frame.
+pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
+    let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
+    let seconds = stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));
+    let facts = &report.facts;
+    let of_run = json!({
+        "particles": facts.census.binned,
+        "not_finite": facts.census.not_finite,
+        "too_far": facts.census.too_far,
+        "outside_domain": facts.census.outside,
+        "cell_size": facts.grid.cell_size(),
+        "origin": facts.grid.origin().to_array(),
+        "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        "input": input,
+        "output": output,
+        "method": options.method,
+        "simplify": options.simplify,
+        "drop_smaller": options.drop_smaller,
+        "smallest_drop": options.smallest_drop,
+        "vertices": vertices,
+        "triangles": triangles,
+        "output_bytes": bytes,
+        "seconds": seconds.collect::<Map<_, _>>(),
+        "total_seconds": stages.total(),
+        "threads": report.threads,
+        "peak_resident_bytes": peak_memory(),
+        "in_no_surface": lost,
+        "isovalue": report.isovalue(),
+        "backend": report.backend,
+    });
+    let of_field = match report.indicator {
+        Some(indicator) => json!({
+            "indicator": indicator.kind().name(),
+            "mu0": indicator.mean().map(|mean| mean.particles()),
+            "smooth": report.smooth,
+            "sigma": report.sigma,
+            "detail": options.detail,
+            "pages_on_device": report.on_device.pages,
+            "regions_on_device": report.on_device.regions,
+        }),
+        None => json!({ "spacing": facts.spacing }),
+    };
+    joined(of_run, of_field)
 }
 
 /// All fields of two objects.

@@ -9,7 +9,7 @@ use crate::vulkan::{Batch, Kernel, View, VulkanError, push_block};
 use super::{DeviceBlocks, wall_bounds};
 
 push_block! {
-    /// Of programs with `axis.wgsl`.
+    /// Push block of programs with `axis.wgsl`.
     pub struct AxisPush {
         /// The lowest cell within the walls.
         walls_lo: [i32; 3],
@@ -17,7 +17,7 @@ push_block! {
         axis: u32,
         /// The highest cell within the walls.
         walls_hi: [i32; 3],
-        /// Of the taps, in cells.
+        /// The reach of the taps, in cells.
         reach: u32,
         /// Cells at a block's faces that are not to be computed.
         margin: [u32; 3],

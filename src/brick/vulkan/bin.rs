@@ -39,7 +39,7 @@ const RECORD_BYTES: u64 = 8;
 const MOST_IN_BIN: u32 = 1 << 24;
 
 push_block! {
-    /// Of [`PLACE`].
+    /// Push block of [`PLACE`].
     struct PlacePush {
         first: u32,
         count: u32,
@@ -49,7 +49,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`ENTER`].
+    /// Push block of [`ENTER`].
     struct EnterPush {
         count: u32,
         mask: u32,
@@ -57,14 +57,14 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`SETTLE`].
+    /// Push block of [`SETTLE`].
     struct SettlePush {
         slots: u32,
     }
 }
 
 push_block! {
-    /// Of [`SORT`].
+    /// Push block of [`SORT`].
     struct SortPush {
         count: u32,
     }
@@ -129,9 +129,9 @@ impl BinKernels {
 /// How a coordinate is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Coordinate {
-    /// As f32.
+    /// A coordinate stored as an f32.
     Single,
-    /// As f64, low word first.
+    /// A coordinate stored as an f64, low word first.
     Double,
 }
 
@@ -168,7 +168,7 @@ pub struct DeviceBins {
     pub keys: Vec<MortonKey>,
     /// Where each bin's particles begin, and where the last one's end.
     pub first: Vec<usize>,
-    /// What became of the particles.
+    /// The number of particles that were binned, and of those that were left out and why.
     pub census: Census,
     /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a kernel can see
     /// them all at once.
@@ -199,7 +199,7 @@ impl DeviceBins {
 /// Why particles were not binned on the device.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum DeviceBinError {
-    /// They cannot be binned anywhere.
+    /// Particles that cannot be binned anywhere, be it on the device or the host.
     #[error(transparent)]
     Bin(#[from] BinError),
     /// The device failed, or they are too many for it.
@@ -207,7 +207,7 @@ pub enum DeviceBinError {
     Vulkan(#[from] VulkanError),
 }
 
-/// As `place.wgsl` has it.
+/// The census of a chunk, laid out as in `place.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct ChunkCensus {
@@ -218,7 +218,7 @@ struct ChunkCensus {
     overflow: u32,
 }
 
-/// As `table.wgsl` has it.
+/// A slot of the table of bins, laid out as in `table.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Slot {
@@ -244,7 +244,7 @@ impl Chunk {
         [self.count.div_ceil(GROUP), 1, 1]
     }
 
-    /// Of the positions.
+    /// Returns the bytes of the chunk's positions.
     fn bytes(&self) -> u64 {
         12 * u64::from(self.count * self.width)
     }
@@ -332,14 +332,14 @@ pub fn bin(
 
 /// All particles by bin.
 struct Counted {
-    /// Of each chunk.
+    /// The packed particles of each chunk, with the slots of their bins.
     kept: Vec<Kept>,
     table: Vec<Slot>,
-    /// Of each chunk.
+    /// The census of each chunk.
     census: Vec<ChunkCensus>,
 }
 
-/// What is known of a chunk's particles.
+/// The particles of a chunk as they are kept for sorting: packed, with the slots of their bins.
 struct Kept {
     packed: View,
     /// The slots of their bins.

@@ -23,7 +23,7 @@ pub struct DeviceGrid {
 }
 
 impl DeviceGrid {
-    /// Of a grid, and a domain on it.
+    /// Lays out a grid, and a domain on it, for kernels.
     #[must_use]
     pub fn new(grid: &Grid, domain: Option<&Domain>) -> Self {
         let [lo, hi] = wall_bounds(domain.map(Domain::cells));
@@ -44,7 +44,7 @@ impl DeviceGrid {
     }
 }
 
-/// What `float64.wgsl` divides with: (2^116 - 1) / m, m the significand of `divisor`, 2^52 to 2^53.
+/// Returns the reciprocal for `float64.wgsl`: (2^116 - 1) / m, m the significand of `divisor`, 2^52 to 2^53.
 ///
 /// The divisor must be positive and finite.
 #[must_use]

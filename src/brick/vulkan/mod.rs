@@ -44,15 +44,15 @@ pub const RUN: u32 = 4;
 pub struct DeviceBlock {
     /// The lowest cell; x is even.
     pub lo: [i32; 3],
-    /// Its first word in the field.
+    /// The block's first word in the field.
     pub field: u32,
     /// In cells; x is even.
     pub size: [u32; 3],
-    /// Its first entry in the table of pages.
+    /// The block's first entry in the table of pages.
     pub table: u32,
     /// The lowest cell of the tiles to be meshed.
     pub tiles_lo: [i32; 3],
-    /// Its first word among the bits of bricks of all blocks, where there are any.
+    /// The block's first word among the bits of bricks of all blocks, where there are any.
     pub marks: u32,
     /// In cells.
     pub tiles_size: [u32; 3],
@@ -78,7 +78,7 @@ impl DeviceBlock {
         }
     }
 
-    /// Its cells.
+    /// Returns the cells of the block.
     #[must_use]
     pub fn cells(&self) -> CellBox {
         let lo = IVec3::from(self.lo);
@@ -120,7 +120,7 @@ pub struct DeviceBlocks {
 }
 
 impl DeviceBlocks {
-    /// Of blocks that lie at `view` on the device.
+    /// Describes blocks that lie at `view` on the device.
     #[must_use]
     pub fn new(view: View, blocks: &[DeviceBlock]) -> Self {
         let most = |of: fn(&DeviceBlock) -> u32| blocks.iter().map(of).max().unwrap_or(0);
@@ -160,7 +160,7 @@ fn flat_groups(threads: u32) -> [u32; 3] {
 }
 
 push_block! {
-    /// Of [`GATHER`].
+    /// Push block of [`GATHER`].
     struct GatherPush {
         decode: u32,
         brick_bits: u32,

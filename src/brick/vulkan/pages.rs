@@ -1,4 +1,4 @@
-//! What is made of pages where they are: what the host has to know of each, and pages of cells twice as wide.
+//! Kernels on pages where they are: finding the full cells of each, and making pages of cells twice as wide.
 
 use std::sync::Arc;
 

@@ -26,8 +26,8 @@ pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel, walls: Option<CellBox>)
     blur_while(block, kernel, walls, |_| true).expect("nothing stops it")
 }
 
-/// The same as long as `goes_on` says so of what it has come to after each axis, with nothing repeated yet; `None` once it
-/// does not.
+/// Blurs as [`blur`] does, as long as `goes_on` holds of the block after each axis; `None` once it does not.
+/// In what `goes_on` is shown nothing is repeated yet.
 ///
 /// # Panics
 /// As [`blur`].

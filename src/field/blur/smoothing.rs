@@ -1,4 +1,4 @@
-//! Which filters make the smoothed DIF (section 4.2).
+//! The filters that make the smoothed DIF (section 4.2).
 
 use crate::brick::Block;
 use crate::field::indicator::IndicatorKind;
@@ -14,7 +14,7 @@ pub struct Smoothing {
 }
 
 impl Smoothing {
-    /// What the paper prescribes for an indicator.
+    /// Makes the smoothing that the paper prescribes for an indicator.
     #[must_use]
     pub fn new(kind: IndicatorKind, sigma: Sigma) -> Self {
         let gaussian = Kernel::gaussian(sigma);

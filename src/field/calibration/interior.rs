@@ -1,4 +1,4 @@
-//! Which cells are interior: deep in the fluid, by lengths that do not depend on the cell.
+//! Interior cells: those deep in the fluid, by lengths that do not depend on the cell.
 //!
 //! A cell counts as fluid where the particles' cells, closed, hold it: dilated and then eroded by the same length,
 //! so that gaps between particles count as fluid and the fluid's outside does not move. Interior is what lies deeper in that

@@ -25,14 +25,14 @@ use crate::grid::units::{Isovalue, MeanCount};
 /// Numbers that were measured, or given, and make frames alike.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Calibration {
-    /// Of an indicator of the paper.
+    /// The calibration of an indicator of the paper.
     Indicator {
         /// `mu0`, where the indicator counts.
         mean: Option<MeanCount>,
         /// Where the surface is.
         iso: Isovalue,
     },
-    /// Of clouds.
+    /// The calibration of clouds.
     Clouds {
         /// The sample under the narrowest width deep in the fluid.
         plateau: u16,

@@ -13,7 +13,7 @@ use crate::field::distance::{BULK_GAIN, Distances};
 use crate::field::indicator::{RIM, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
-use crate::grid::units::Isovalue;
+use crate::grid::units::{FULL, Isovalue};
 
 use super::expected::expected;
 use super::histogram::Histogram;
@@ -50,6 +50,12 @@ pub enum Plateau {
 }
 
 impl Plateau {
+    /// The field deep in the fluid, as a fraction of 1.
+    #[must_use]
+    pub fn fraction(self) -> f64 {
+        f64::from(self.value()) / f64::from(FULL)
+    }
+
     /// The plateau of clouds with a particle in each cubed spacing, by the spacing in cells.
     #[must_use]
     pub fn nominal(spacing: f64) -> f64 {

@@ -53,7 +53,7 @@ pub enum TooFine {
         /// How to make the field finer.
         remedy: Remedy,
     },
-    /// So fine that even drops need none finer.
+    /// Cells so fine that even drops need none finer.
     #[error(
         "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more",
         digits(*cell_size), roundly_above(FINEST * spacing)

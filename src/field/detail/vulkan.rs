@@ -7,7 +7,7 @@ use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
 
 push_block! {
-    /// Of [`LOST`].
+    /// Push block of [`LOST`].
     struct LostPush {
         words: u32,
         threshold: u32,
@@ -15,7 +15,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`GREATER`].
+    /// Push block of [`GREATER`].
     struct GreaterPush {
         words: u32,
     }

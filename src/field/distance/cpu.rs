@@ -182,7 +182,7 @@ pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     refined_along(&along_y, 2, level, cells, &weights)
 }
 
-/// The same along x: all wide cells at once for each place in them.
+/// Refines a field along x, all wide cells at once for each place in them.
 fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
     let mut to = wide.cells();
     (to.lo.x, to.hi.x) = (cells.lo.x, cells.hi.x);
@@ -208,7 +208,7 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
     field
 }
 
-/// The same along another axis: all that lies below it at once.
+/// Refines a field along y or z, all samples of the axes before it at once.
 fn refined_along(wide: &Block, axis: usize, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
     let mut to = wide.cells();
     (to.lo[axis], to.hi[axis]) = (cells.lo[axis], cells.hi[axis]);

@@ -25,7 +25,7 @@ const APART: [f64; 2] = [0.07, 0.14];
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The least variance of a filter, in squared cells: of less, next to nothing would be left of it.
 const LEAST_VARIANCE: f64 = 0.35;
-/// Those of the widths: in coarse cells they still are as many.
+/// The least variances of the three widths' filters, in squared cells: in coarse cells there still are three.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
 /// The widest drops, in spacings, however coarse the cells are.
 const WIDEST_DROP: f64 = 8.0;
@@ -128,14 +128,14 @@ impl Distances {
         }
     }
 
-    /// The same by a plateau that was measured: the sample under the narrowest width deep in the fluid.
+    /// Sets the plateau to a measured one: the sample under the narrowest width deep in the fluid.
     #[must_use]
     pub fn with_plateau(mut self, plateau: u16) -> Self {
         self.bulk.scale = scale(plateau.into());
         self
     }
 
-    /// The same without what lies deep inside.
+    /// Leaves out what lies deep inside, where nothing is made from then on.
     #[must_use]
     pub fn skipping(self, inside: Inside) -> Self {
         Self { inside: Arc::new(inside), ..self }
@@ -215,7 +215,7 @@ fn volume_bytes(cells: CellBox) -> u64 {
     cells.volume() as u64 * size_of::<u16>() as u64
 }
 
-/// What samples are taken by to be shares of a plateau.
+/// Returns the factor from samples to shares of a plateau, in 16384ths of 32768ths.
 fn scale(plateau: f64) -> u32 {
     ((f64::from(1_u32 << 29) / plateau.max(1.0)).round() as u32).min(u16::MAX.into())
 }

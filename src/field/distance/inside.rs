@@ -20,13 +20,13 @@ const BRICKS: i32 = BIN / BRICK;
 pub(super) const PART: i32 = 2;
 /// Least edge of the cubes that have to be full, in spacings.
 const CUBE: f64 = 4.0;
-/// What they have to hold of the plateau.
+/// The share of the plateau that such a cube has to hold.
 const FULL_SHARE: f64 = 0.85;
 
 /// The bricks that are inside.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Inside {
-    /// Of each bin of wide cells that has any, a bit for each brick, by its Morton index in the bin.
+    /// The inside bricks of each bin of wide cells that has any: a bit for each, by its Morton index in the bin.
     bricks: HashMap<IVec3, u64>,
 }
 

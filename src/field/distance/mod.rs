@@ -89,7 +89,7 @@ pub struct Bulk {
     /// How far beyond the narrower of two widths that of 0 is, in 4096ths of what both differ by: of the first two, and of the last
     /// two.
     pub shares: [i32; 2],
-    /// What samples are taken by to be shares of the plateau, in 16384ths of 32768ths.
+    /// The factor from samples to shares of the plateau, in 16384ths of 32768ths.
     pub scale: u32,
     /// Averages by how much the two surfaces are apart.
     pub around: Kernel,
@@ -133,7 +133,7 @@ pub struct Depths<T> {
     pub calm: T,
     /// By the narrower ones.
     pub fine: T,
-    /// Their difference, as a distance.
+    /// The difference between the two surfaces, as a distance.
     pub apart: T,
 }
 
@@ -144,7 +144,7 @@ pub struct Drops {
     pub around: Kernel,
     /// Spreads shares of it.
     pub spread: Kernel,
-    /// Of a share, before it is spread.
+    /// Fraction bits of a share, before it is spread.
     pub bits: u32,
     /// In units.
     pub radius: i32,

@@ -14,7 +14,7 @@ use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
 
 push_block! {
-    /// Of [`DEPTHS_OF`].
+    /// Push block of [`DEPTHS_OF`].
     struct DepthsPush {
         words: u32,
         scale: u32,
@@ -30,7 +30,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`MIX`].
+    /// Push block of [`MIX`].
     struct MixPush {
         apart_begin: u32,
         apart_range: u32,
@@ -42,7 +42,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`OUTLYING`].
+    /// Push block of [`OUTLYING`].
     struct OutlyingPush {
         words: u32,
         least: u32,
@@ -50,7 +50,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`REFINE`].
+    /// Push block of [`REFINE`].
     struct RefinePush {
         walls_lo: [i32; 3],
         level: u32,
@@ -59,7 +59,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`LOOK`].
+    /// Push block of [`LOOK`].
     struct LookPush {
         threshold: u32,
         begin: u32,
@@ -67,7 +67,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`QUOTIENT`].
+    /// Push block of [`QUOTIENT`].
     struct QuotientPush {
         words: u32,
         bits: u32,
@@ -75,7 +75,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`JOIN`].
+    /// Push block of [`JOIN`].
     struct JoinPush {
         begin: u32,
         range: u32,
@@ -86,7 +86,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`FULL_BRICKS`].
+    /// Push block of [`FULL_BRICKS`].
     struct FullPush {
         width: u32,
         least: u32,
@@ -157,7 +157,7 @@ pub const REFINE: Program = Program {
     group: [256, 1, 1],
 };
 
-/// What can be seen of the wide cells around each region.
+/// The search of the wide cells around each region for a surface, and for particles that stand out.
 pub const LOOK: Program = Program {
     name: "look",
     code: include_bytes!("../../../spirv/look.spv"),
@@ -191,19 +191,19 @@ pub struct Kernels {
     pub depths: Arc<Kernel>,
     /// The one that is drawn: [`MIX`].
     pub mix: Arc<Kernel>,
-    /// What lies outside of it: [`OUTLYING`].
+    /// By how much particles lie outside of the calm surface: [`OUTLYING`].
     pub outlying: Arc<Kernel>,
     /// The greatest near by: [`SPREAD`].
     pub spread: Arc<Kernel>,
     /// Wide cells to cells: [`REFINE`].
     pub refine: Arc<Kernel>,
-    /// What they show: [`LOOK`].
+    /// The search of wide cells for a surface, and for particles that stand out: [`LOOK`].
     pub look: Arc<Kernel>,
     /// Shares: [`QUOTIENT`].
     pub quotient: Arc<Kernel>,
     /// Both surfaces: [`JOIN`].
     pub join: Arc<Kernel>,
-    /// What is deep inside: [`FULL_BRICKS`].
+    /// The bricks that are full, from which the deep inside is found: [`FULL_BRICKS`].
     pub full_bricks: Arc<Kernel>,
 }
 
@@ -343,7 +343,7 @@ impl Look {
     }
 }
 
-/// What can be seen of a [`Look`].
+/// The result of a [`Look`]: whether wide cells are inside or not, and where particles stand out.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct Seen {

@@ -12,14 +12,14 @@ pub const RIM: i32 = 1;
 pub const SHARE_BITS: u32 = 16;
 /// Bits that the square of a length has more than the share that is half of it: a length has one bit more than an offset.
 pub const SQUARE_BITS: u32 = 2 * FRACTION_BITS + 3 - SHARE_BITS;
-/// Of less than this nothing might be left in a particle's own cell, where half of its cloud lies along each axis.
+/// The least amount: of less, nothing might be left in a particle's own cell, with half of its cloud along each axis.
 const LEAST_AMOUNT: u16 = 4;
 /// The most: in fine cells four particles at the very middle of one, and more elsewhere in it, still add up.
 const GREATEST_AMOUNT: u16 = 1 << 15;
 /// Cells of a bin along an axis.
 const ROW: usize = BIN as usize;
 
-/// What a particle adds to the cells around it, all in all.
+/// The total that a particle adds to the cells around it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Amount(u16);
 
@@ -32,7 +32,7 @@ impl Amount {
         Self(((f64::from(GREATEST_AMOUNT) / eighths.max(1.0)) as u16).max(LEAST_AMOUNT))
     }
 
-    /// As a number of samples' steps.
+    /// Returns the amount as a number of steps of a sample.
     #[must_use]
     pub fn steps(self) -> u16 {
         self.0

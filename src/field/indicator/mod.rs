@@ -47,7 +47,7 @@ pub enum IndicatorKind {
 /// An indicator as it is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndicatorRequest {
-    /// Its kind.
+    /// The kind of the indicator.
     pub kind: IndicatorKind,
     /// `mu0`; measured on the frame itself (eq. 4) where it is `None`. Only counting has a use for it.
     pub mean: Option<MeanCount>,
@@ -105,7 +105,7 @@ impl Content {
 }
 
 impl IndicatorKind {
-    /// What it is called.
+    /// Returns the name of the kind.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -142,7 +142,7 @@ impl From<IndicatorKind> for IndicatorRequest {
 }
 
 impl Indicator {
-    /// Its kind.
+    /// Returns the kind of the indicator.
     #[must_use]
     pub fn kind(self) -> IndicatorKind {
         match self {

@@ -18,7 +18,7 @@ pub const CLOUD_SAMPLES: u32 = 1728;
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct BinEntry {
-    /// Of its first particle.
+    /// The number of the bin's first particle.
     pub first: u32,
     /// How many there are.
     pub count: u32,
@@ -27,14 +27,14 @@ pub struct BinEntry {
 }
 
 push_block! {
-    /// Of [`INDICATE`].
+    /// Push block of [`INDICATE`].
     struct Push {
         counting: u32,
     }
 }
 
 push_block! {
-    /// Of [`CLOUDS`].
+    /// Push block of [`CLOUDS`].
     struct CloudsPush {
         walls_lo: [i32; 3],
         amount: u32,

@@ -26,7 +26,7 @@ impl WideCells {
         wide
     }
 
-    /// What a particle adds in all.
+    /// Returns the total that a particle adds to the wide cells around it.
     #[must_use]
     pub fn amount(self) -> Amount {
         Amount::of_spacing(1.0 / self.edge)

@@ -100,7 +100,7 @@ fn compression(view: &View, offset: u64, length: u64) -> Value {
     compression
 }
 
-/// What a view's elements are.
+/// Returns the accessor of a view: the type, number and bounds of its elements.
 fn accessor(
     view: &View,
     number: usize,

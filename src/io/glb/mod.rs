@@ -26,21 +26,21 @@ use super::UpAxis;
 /// How a file is laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
-    /// Which of the particles' axes points up.
+    /// The axis of the particles that points up.
     pub up: UpAxis,
     /// Whether it is compressed.
     pub compression: Compression,
 }
 
 impl Layout {
-    /// As most programs expect it.
+    /// The layout that most programs expect: y up, not compressed.
     pub const PLAIN: Self = Self { up: UpAxis::Y, compression: Compression::None };
 }
 
 /// How numbers are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
-    /// As f32 and u32.
+    /// Plain f32 and u32 numbers.
     None,
     /// Quantized and encoded by meshoptimizer's codecs.
     Meshopt,

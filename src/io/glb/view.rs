@@ -45,7 +45,7 @@ impl Space {
 /// A buffer view, and its accessor.
 pub struct View {
     pub what: What,
-    /// As the file calls it; indices have no name.
+    /// The name in the file; indices have none.
     pub name: String,
     pub components: usize,
     pub scalar: u32,
@@ -101,7 +101,7 @@ pub fn views(mesh: &Ordered, compression: Compression) -> Vec<View> {
     views
 }
 
-/// What attributes are called, no two alike; nothing for those that have no place.
+/// Returns the attributes' names in the file, no two alike; None for attributes that it cannot hold.
 fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     let mut taken: Vec<String> = Vec::new();
     let name = |info: &AttributeInfo| {
@@ -146,7 +146,7 @@ impl View {
         }
     }
 
-    /// Its elements, compressed.
+    /// Returns the view's elements, compressed.
     pub fn encoded(&self, mesh: &Ordered, space: Space) -> io::Result<Vec<u8>> {
         let encoded = match self.what {
             What::Positions => {
@@ -200,7 +200,7 @@ fn encode_values<const N: usize>(values: &[f32]) -> meshopt::Result<Vec<u8>> {
     encode_vertex_buffer_level(&filtered, LEVEL, CODEC)
 }
 
-/// What `make` makes of the vertices, piece after piece.
+/// Collects the values that `make` appends for the vertices, piece after piece.
 fn gathered<T: Send + Clone>(
     mesh: &Ordered,
     make: impl Fn(&Vertices, &mut Vec<T>) + Sync,

@@ -23,7 +23,7 @@ use super::{END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, TAIL, VERSION
 
 /// Bytes of the map that are looked at before all of it is given back.
 const RELEASED: u64 = 4 << 20;
-/// What the system maps around a byte that is looked at.
+/// Bytes that the system maps around a byte that is looked at.
 const AROUND: u64 = 64 << 10;
 /// Bytes that are looked at in one go.
 const CHUNK: usize = 1 << 20;
@@ -44,7 +44,7 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
-/// The same for a file that this process wrote and that nobody else can reach: its samples are taken on trust.
+/// Opens a frame that this process wrote and nobody else can reach: its samples are taken on trust.
 ///
 /// # Errors
 /// As [`open_frame`], as far as the index tells.

@@ -18,5 +18,5 @@ const GROUPS: [(&str, [&str; 3]); 4] = [
     (NORMAL, ["nx", "ny", "nz"]),
 ];
 
-/// What the attribute of nx, ny and nz is called.
+/// Name of the attribute that nx, ny and nz are read as.
 const NORMAL: &str = "normal";

@@ -66,7 +66,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     )
 }
 
-/// What the columns of `vertex` are called, no two alike.
+/// Returns the names of the properties of `vertex`, no two alike.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
     let group = |name: &str| GROUPS.iter().find(|(group, _)| *group == name).map(|(_, members)| members);
     let owned = |members: &[&str; 3]| members.map(str::to_owned).to_vec();

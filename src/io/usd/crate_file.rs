@@ -200,7 +200,7 @@ impl Tail {
     }
 }
 
-/// What a file starts with.
+/// Returns the header that a file starts with.
 pub(super) fn header(contents_at: u64) -> Vec<u8> {
     let mut header = b"PXR-USDC\0\x08\0\0\0\0\0\0".to_vec();
     header.extend(contents_at.to_le_bytes());

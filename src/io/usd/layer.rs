@@ -49,7 +49,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, up: UpAxis) -> io:
 struct Array {
     kind: u64,
     length: u64,
-    /// Of an element.
+    /// Bytes of an element.
     width: u64,
     values: Values,
 }
@@ -121,7 +121,7 @@ fn tail(properties: &[Property], arrays: &[Array], offsets: &[u64], at: u64, up:
 }
 
 impl Array {
-    /// Of the length, the values, and what makes the next array start at a multiple of 8.
+    /// Returns the bytes of the length, the values and the padding to a multiple of 8.
     fn bytes(&self) -> u64 {
         8 + self.length * self.width + self.padding()
     }

@@ -41,14 +41,14 @@ pub fn stage(clips: &[(f64, String)], manifest: &Manifest, codes_per_second: f64
     )
 }
 
-/// What the clips hold, and the file that says so.
+/// The manifest: what the clips hold, and the file that says so.
 #[derive(Debug, Clone)]
 pub struct Manifest {
     /// Relative to the stage.
     pub path: String,
     /// Whether any has normals.
     pub normals: bool,
-    /// Those of any.
+    /// Attributes that any clip has.
     pub attributes: Vec<AttributeInfo>,
 }
 

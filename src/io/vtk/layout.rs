@@ -8,7 +8,7 @@ use crate::io::{ReadFault, malformed};
 /// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
 const MOST_OF_NOTHING: usize = 9;
 
-/// What the file's own number is called that is its time: by VTK's readers, and by its newer writers.
+/// Names of the field that is the file's time: for VTK's readers, and from its newer writers.
 const TIMES: [&str; 2] = ["TIME", "TimeValue"];
 
 /// The sections that we use.
@@ -16,12 +16,12 @@ const TIMES: [&str; 2] = ["TIME", "TimeValue"];
 pub(super) struct Layout {
     pub ascii: bool,
     pub points: Array,
-    /// Of `POINT_DATA`, one tuple a point.
+    /// Arrays of `POINT_DATA`, one tuple a point.
     pub attributes: Vec<Array>,
     /// The number of the attribute under `NORMALS`.
     pub normals: Option<usize>,
     pub cells: Vec<Cells>,
-    /// Of an `UNSTRUCTURED_GRID`.
+    /// Types of the cells of an `UNSTRUCTURED_GRID`.
     pub cell_types: Option<Array>,
     /// A single number.
     pub time: Option<Array>,
@@ -50,19 +50,19 @@ pub(super) struct Cells {
 pub(super) enum CellKind {
     Polygons,
     Strips,
-    /// What `cell_types` say.
+    /// Cells of the types that `cell_types` names.
     Typed,
 }
 
 #[derive(Debug)]
 pub(super) enum Corners {
-    /// So many cells, each its number of corners and then these (before version 5).
+    /// A stream of so many cells, each its number of corners and then these (before version 5).
     Counted { cells: usize, stream: Array },
     /// Cell i has the corners from offset i to offset i + 1.
     Offsets { offsets: Array, connectivity: Array },
 }
 
-/// What the attributes of a section are on.
+/// The points or cells that the attributes of a section are on, with their count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Points(usize),
@@ -76,7 +76,7 @@ struct Walk<'a> {
     ascii: bool,
     offsets: bool,
     owner: Option<Owner>,
-    /// Of the latest array.
+    /// Number of components of the latest array.
     components: usize,
     points: Option<Array>,
     attributes: Vec<Array>,
@@ -133,7 +133,7 @@ impl<'a> Walk<'a> {
         Ok(self.scan.line()?.map(|line| line.split_ascii_whitespace().collect()))
     }
 
-    /// As [`Self::next_words`], past any `METADATA`, where `what` must follow.
+    /// Returns the words of the next line, past any `METADATA`; an error if the file ends before `what`.
     fn words_of(&mut self, what: &str) -> Result<Vec<&'a str>, ReadFault> {
         loop {
             match self.next_words()? {

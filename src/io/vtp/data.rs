@@ -26,7 +26,7 @@ const PASSED: usize = 1 << 20;
 /// Decodes the arrays of a file, one after the other.
 pub(super) struct Decoder<'a> {
     layout: &'a Layout<'a>,
-    /// What is not read where it lies.
+    /// The decoded data of arrays that cannot be read where they lie.
     unpacked: Unpacked<'a>,
     /// Bytes that may yet be decoded: arrays can name the same data, and a small file ask for much memory.
     allowance: u64,
@@ -88,7 +88,7 @@ impl<'a> Decoder<'a> {
         Ok(columns(offset as usize, stride, array.components, scalar, endian))
     }
 
-    /// Of values for every point.
+    /// Returns the bytes that values for every point take.
     fn expected_bytes(&self, array: &Array) -> Result<u64, ReadFault> {
         let values = self.layout.points.checked_mul(array.components).filter(|values| *values > 0);
         let bytes = values.and_then(|values| values.checked_mul(array.scalar.size()));
@@ -99,7 +99,7 @@ impl<'a> Decoder<'a> {
         array.wrong_count(self.layout.points)
     }
 
-    /// What was decoded for columns; nothing where they are all in the file.
+    /// Returns the data decoded for columns; None where they are all in the file.
     pub fn finish(self) -> Result<Option<Bytes>, ReadFault> {
         if self.unpacked.is_empty() { Ok(None) } else { self.unpacked.finish().map(Some) }
     }
@@ -288,7 +288,7 @@ impl Stored<'_> {
     }
 }
 
-/// What lies ahead in the file; the memory of what is passed is given back.
+/// The bytes that lie ahead in the file; the memory of passed ones is given back.
 struct Ahead<'a> {
     bytes: &'a dyn ByteStore,
     at: usize,

@@ -1,4 +1,4 @@
-//! What the XML says: which arrays there are, of what, and where their data lie.
+//! The contents of the XML: which arrays there are, of what, and where their data lie.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Scanner;
 use crate::io::{ReadFault, malformed};
 
-/// What a file's time is called.
+/// Name of the array that holds the file's time.
 pub(super) const TIME: &str = "TimeValue";
 
-/// Which part of the file an array belongs to.
+/// The part of the file that an array belongs to.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Section {
     FieldData,
@@ -37,7 +37,7 @@ pub(super) enum Data {
     Text(Range<usize>),
     /// A header of lengths and the numbers, within this text.
     Base64(Range<usize>),
-    /// The same as they are, from this byte on.
+    /// A header of lengths and the numbers, as raw bytes from this byte on.
     Raw(u64),
     /// At this offset of data that have not been found yet.
     Appended(u64),
@@ -52,7 +52,7 @@ impl Array {
         }
     }
 
-    /// It has not a value for each of so many points.
+    /// Returns the fault of an array that has not a value for each of so many points.
     pub fn wrong_count(&self, points: usize) -> ReadFault {
         let Self { name, components, .. } = self;
         let what = format!("array {name} is not of {components} numbers for each of {points} points");
@@ -60,7 +60,7 @@ impl Array {
     }
 }
 
-/// What the XML says.
+/// The contents of the XML.
 pub(super) struct Layout<'a> {
     pub bytes: &'a dyn ByteStore,
     pub data_set: DataSet,

@@ -13,5 +13,5 @@ pub use read::{has_faces, read_mesh, read_particles};
 pub(super) use write::escaped;
 pub use write::write_mesh;
 
-/// What the array of normals is called.
+/// Name of the array of normals.
 const NORMALS: &str = "Normals";

@@ -63,7 +63,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
 struct Array {
     name: String,
     components: usize,
-    /// Of all components together.
+    /// Number of values, of all components together.
     length: u64,
     numbers: Numbers,
 }
@@ -169,7 +169,7 @@ impl IndexWidth {
     }
 }
 
-/// As it stands between quotes in XML.
+/// Escapes a name so that it can stand between quotes in XML.
 pub(in crate::io) fn escaped(name: &str) -> String {
     let mut escaped = String::new();
     for character in name.chars() {

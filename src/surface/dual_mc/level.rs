@@ -4,13 +4,13 @@ use crate::grid::units::Isovalue;
 
 /// A level of a field.
 pub trait Level: Copy {
-    /// Of the field.
+    /// A sample of the field.
     type Sample: Copy + Default;
 
     /// Whether a sample is inside of the surface.
     fn is_inside(self, sample: Self::Sample) -> bool;
 
-    /// What a vertex keeps of the samples at the lower and the upper end of its edge; [`Crossings`] reads it.
+    /// Packs the samples at the lower and the upper end of an edge for its vertex; [`Crossings`] reads them.
     fn ends(self, lower: Self::Sample, upper: Self::Sample) -> [u16; 2];
 }
 
@@ -51,7 +51,7 @@ impl Level for Zero {
     }
 }
 
-/// What vertices keep of their edges.
+/// The encoding of the 32 bits that a vertex keeps of its edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crossings {
     /// Both samples, of a field with this isovalue.

@@ -18,7 +18,7 @@ pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / 
 pub const TILE_WORDS: u32 = size_of::<Tile>() as u32 / 4;
 
 push_block! {
-    /// Of [`SIGNS`].
+    /// The push block of [`SIGNS`].
     struct SignsPush {
         walls_lo: [i32; 3],
         threshold: u32,
@@ -27,7 +27,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`BASES`].
+    /// The push block of [`BASES`].
     struct BasesPush {
         blocks: u32,
         room: u32,
@@ -36,7 +36,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`EMIT`].
+    /// The push block of [`EMIT`].
     struct EmitPush {
         walls_lo: [i32; 3],
         blocks: u32,
@@ -54,7 +54,7 @@ pub const SIGNS: Program = Program {
     group: [64, 1, 1],
 };
 
-/// What each block will have, and where each of its tiles begins.
+/// The tally of what each block will have, and where each of its tiles begins.
 pub const TILES: Program = Program {
     name: "tiles",
     code: include_bytes!("../../../spirv/tiles.spv"),
@@ -81,7 +81,7 @@ pub const EMIT: Program = Program {
     group: [64, 1, 1],
 };
 
-/// What a block has; after [`BASES`], where it begins in the batch.
+/// Counts of a block's tiles, vertices and triangles; after [`BASES`], where it begins in the batch.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Tally {
@@ -89,13 +89,13 @@ pub struct Tally {
     pub tiles: u32,
     /// Crossed edges.
     pub vertices: u32,
-    /// Of the dual cells that the block owns.
+    /// Triangles of the dual cells that the block owns.
     pub triangles: u32,
     spare: u32,
 }
 
 impl Tally {
-    /// What lies between a begin and this one.
+    /// Returns the counts between `begin` and this tally.
     #[must_use]
     pub fn since(&self, begin: &Self) -> Self {
         Self {
@@ -111,7 +111,7 @@ impl Tally {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Slot {
-    /// Its Morton index in the block.
+    /// The tile's Morton index in the block.
     pub index: u32,
     /// The number of its first vertex in the block.
     pub vertex: u32,
@@ -133,7 +133,7 @@ pub struct Kernels {
     pub emit: Arc<Kernel>,
 }
 
-/// What the stage writes.
+/// The buffers that the stage writes.
 #[derive(Debug, Clone)]
 pub struct Outputs {
     /// [`SIGN_TILES`] words of 64 bits a block.

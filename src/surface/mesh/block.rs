@@ -33,7 +33,7 @@ pub fn bits(mut mask: TileMask) -> impl Iterator<Item = u32> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Tile {
-    /// Its Morton index in the block.
+    /// The tile's Morton index in the block.
     pub index: u32,
     /// The number of its first vertex, counted in the block.
     pub first_vertex: u32,

@@ -129,7 +129,7 @@ impl Topology {
     }
 }
 
-/// What [`check`] found.
+/// The findings of [`check`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
     /// All of them, referenced or not.

@@ -31,7 +31,7 @@ const CHUNK: usize = 1 << 12;
 /// Products of four lengths must not overflow.
 const GREATEST_COORDINATE: f64 = 1e70;
 
-/// What [`compare`] found. Lengths are in the meshes' unit.
+/// The result of [`compare`]. Lengths are in the meshes' unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// The greatest distance from any sample of either surface to the other.
@@ -61,7 +61,7 @@ pub struct Distances {
     pub vertices: usize,
 }
 
-/// Which of the two meshes.
+/// One of the two meshes that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     /// The one compared to.
@@ -79,7 +79,7 @@ pub enum CompareError {
     /// A coordinate is no number, or so great that its powers overflow.
     #[error("vertex {vertex} of the {} is not a point within 1e70 of the origin", side.name())]
     NotFinite {
-        /// Whose.
+        /// The mesh that the vertex belongs to.
         side: Side,
         /// The first such vertex that a triangle uses.
         vertex: u32,
@@ -87,7 +87,7 @@ pub enum CompareError {
 }
 
 impl CompareError {
-    /// Whose fault it is.
+    /// Returns the mesh that is at fault.
     #[must_use]
     pub fn side(&self) -> Side {
         match *self {
@@ -209,7 +209,7 @@ impl Surface {
         })
     }
 
-    /// What is to be known of the distances from `points` to this surface.
+    /// Sums up the distances from `points` to this surface.
     fn summary(&self, points: impl Iterator<Item = DVec3>) -> Summary {
         let mut summary = Summary::default();
         let mut near = None;

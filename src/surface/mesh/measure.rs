@@ -24,7 +24,7 @@ const CHUNK: usize = 1 << 14;
 /// Classes of the histogram of least angles, 5 degrees each: no triangle's least angle exceeds 60.
 pub const ANGLE_CLASSES: usize = 12;
 
-/// What [`measure`] found. Triangles that name a missing vertex, or one twice, are left out of everything.
+/// The result of [`measure`]. Triangles that name a missing vertex, or one twice, are left out of everything.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measures {
     /// Least and greatest corner, of the vertices that triangles use; none for an empty mesh.
@@ -35,7 +35,7 @@ pub struct Measures {
     pub volume: Option<f64>,
     /// Pieces that share no vertex.
     pub components: usize,
-    /// Those of them that enclose next to nothing, as two triangles back to back.
+    /// Components that enclose next to nothing, as two triangles back to back.
     pub flat_components: usize,
     /// Vertices - edges + triangles, of those vertices that triangles use.
     pub euler_characteristic: i64,
@@ -142,7 +142,7 @@ fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
     vertex
 }
 
-/// What can be summed over triangles.
+/// Partial results that are summed over triangles.
 #[derive(Default)]
 struct Sums {
     doubled_area: f64,

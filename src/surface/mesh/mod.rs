@@ -15,7 +15,7 @@ pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 /// A value on every vertex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VertexAttribute {
-    /// As the particles' file spelled it; velocity is always called `velocity`.
+    /// The name as the particles' file spelled it; velocity is always called `velocity`.
     pub name: String,
     /// Numbers per vertex.
     pub components: usize,

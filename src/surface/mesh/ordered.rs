@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::bounds::{Bounds, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
-/// Another mesh, piece by piece in a better order. Takes 4 bytes a vertex.
+/// A mesh whose vertices and triangles are put in a better order, piece by piece. Takes 4 bytes a vertex.
 pub struct Ordered<'a> {
     mesh: &'a dyn MeshSource,
     /// For each vertex its new number in its piece.

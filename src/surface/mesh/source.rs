@@ -21,7 +21,7 @@ pub struct Vertices<'a> {
     pub attributes: Vec<Cow<'a, [f32]>>,
 }
 
-/// What is known of a mesh before any of its pieces is asked for.
+/// A summary of a mesh, known before any of its pieces is asked for.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Outline {
     /// Vertices of all pieces.
@@ -39,7 +39,7 @@ pub struct Outline {
 /// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the triangles;
 /// a piece can be asked for as often as one likes, by several threads.
 pub trait MeshSource: Sync {
-    /// What it has.
+    /// Returns a summary of the mesh.
     fn outline(&self) -> Outline;
 
     /// The vertices of piece number `piece`, perhaps none.

@@ -20,7 +20,7 @@ struct Entry {
     tiles: u32,
     vertices: u32,
     triangles: u32,
-    /// Of its first byte in the scratch file, if it is there.
+    /// The offset of its first byte in the scratch file, if it is there.
     at: u64,
 }
 
@@ -32,7 +32,7 @@ pub struct Spool {
     /// Components of each attribute on the vertices.
     components: Vec<usize>,
     normals: bool,
-    /// Of all surfaces.
+    /// Bytes of all surfaces.
     bytes: u64,
 }
 
@@ -256,7 +256,7 @@ impl BlockMesh {
         bytes
     }
 
-    /// Of all arrays together.
+    /// Returns the bytes of all arrays together.
     fn bytes(&self) -> u64 {
         let attributes: usize = self.attributes.iter().map(|values| size_of_val(&values[..])).sum();
         let own = size_of_val(&self.tiles[..]) + size_of_val(&self.ends[..]) + size_of_val(&self.normals[..]);

@@ -13,7 +13,7 @@ use glam::{Vec3A, Vec4};
 use super::surface::{Edge, Incident, NONE, Outgoing, Spot, Surface, scaled_normal, squared_near};
 use super::topology::Topology;
 
-/// Of the distance, what a sample may take: the rest is for what lies between samples.
+/// The share of the distance that a sample may take: the rest is for what lies between samples.
 const SAMPLE_SHARE: f32 = 0.93;
 /// Samples along an edge are this far apart at the most, in cells. Around one that takes more than its share of doubt
 /// there are more, so many either way.
@@ -41,14 +41,14 @@ const SLIVER: f32 = 0.03;
 const SMALL: usize = 16;
 const KEPT: f32 = 0.5;
 
-/// What a patch is measured by.
+/// The reference surface and the limits that the collapses of a patch are checked against.
 pub struct Measure<'a> {
     pub topology: &'a Topology,
-    /// What it must not leave.
+    /// The surface that the result must not leave.
     pub reference: &'a Surface<'a>,
-    /// Its edges.
+    /// The edges of the reference.
     pub outgoing: &'a Outgoing,
-    /// Of the reference, for all vertices.
+    /// Normals of the reference, for all vertices.
     pub normals: &'a [Vec3A],
     pub distance: f32,
 }
@@ -99,7 +99,7 @@ struct Quadric {
 impl Quadric {
     const NONE: Self = Self { planes: [Vec4::ZERO; 3], linear: Vec4::ZERO };
 
-    /// Of a plane through the vertex, by a normal as long as its weight.
+    /// Builds the quadric of a plane through the vertex, by a normal as long as its weight.
     fn of_plane(normal: Vec3A) -> Self {
         let weight = normal.length();
         let unit = normal.normalize_or_zero();
@@ -122,7 +122,7 @@ impl Quadric {
         Vec3A::from_vec4(self.times(offset) + 2.0 * self.linear).dot(offset) + self.linear.w
     }
 
-    /// As seen from a vertex at `offset`.
+    /// Returns the quadric as seen from a vertex at `offset`.
     fn moved(&self, offset: Vec3A) -> Self {
         let linear = self.linear + self.times(offset);
         Self { linear: linear.with_w(self.at(offset).max(0.0)), ..*self }
@@ -169,7 +169,7 @@ struct Moved {
     vertex: u32,
     from: Spot,
     to: Spot,
-    /// What `calm` is to be.
+    /// The new value of `Work::calm` for the vertex.
     calm: Vec3A,
 }
 

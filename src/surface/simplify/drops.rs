@@ -21,7 +21,7 @@ use super::vertex_set::VertexSet;
 /// How many components are left out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Dropped {
-    /// Those of too little volume, fluid or air.
+    /// Components of too little volume, fluid or air.
     pub components: u64,
     /// Drops of too few particles, and not of too little volume.
     pub drops: u64,
@@ -121,7 +121,7 @@ fn in_batches<T: Send>(
     Ok(())
 }
 
-/// What adds up over triangles, seen from a point.
+/// The volume and area that add up over the triangles of a part, seen from a point.
 #[derive(Clone, Copy)]
 struct Part {
     from: DVec3,
@@ -211,7 +211,7 @@ impl Components {
         }
     }
 
-    /// Of the component of a part.
+    /// Returns the volume of the component that a part belongs to.
     fn volume(&mut self, part: u32) -> f64 {
         let root = root(&mut self.parents, part);
         self.sums[root as usize].volume

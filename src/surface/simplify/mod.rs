@@ -70,7 +70,7 @@ pub struct Simplified {
 /// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled surface.
 pub const BYTES_A_THREAD: u64 = 28 << 20;
 
-/// What is to be left out of a surface.
+/// The triangles, components and drops to leave out of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reduction {
     /// Triangles, as long as the surface stays this near.
@@ -193,11 +193,11 @@ fn grouped(blocks: &[IVec3], chunk: impl Fn(IVec3) -> IVec3) -> Vec<(MortonKey, 
     groups.map(|group| (group[0].0, group.iter().map(|&(_, piece)| piece).collect())).collect()
 }
 
-/// What the second pass is to do with a triangle.
+/// The treatment of a triangle in the second pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Fate {
     Simplify,
-    /// It crosses the border of its chunk.
+    /// The triangle stays as it is, for it crosses the border of its chunk.
     Keep,
 }
 
@@ -341,7 +341,7 @@ struct Boxes {
 }
 
 impl Boxes {
-    /// Those within `reach` cells of triangles whose vertices have these cells.
+    /// Finds the boxes within `reach` cells of triangles whose vertices have these cells.
     fn around(triangles: &[[u32; 3]], cells: &[IVec3], reach: i32) -> Self {
         let bounds = |vertices: &[u32]| {
             let cells = vertices.iter().map(|&vertex| cells[vertex as usize]);
@@ -378,7 +378,7 @@ impl Boxes {
     }
 }
 
-/// Those of a chunk's vertices that triangles use, in the order in which they do.
+/// The vertices of a chunk that triangles use, in the order in which they do.
 struct Used {
     vertices: Vec<u32>,
     /// For each of the chunk's, or `NONE`.
@@ -479,7 +479,7 @@ impl Simplified {
         &self.whole
     }
 
-    /// What was left out.
+    /// Returns how many components and drops were left out.
     #[must_use]
     pub fn dropped(&self) -> Dropped {
         self.dropped

@@ -13,11 +13,11 @@ pub struct Patch<'a> {
     pub positions: &'a [Vec3A],
     /// The surface that the result must not leave.
     pub reference: &'a [[u32; 3]],
-    /// What is to be simplified.
+    /// The triangles to be simplified.
     pub triangles: &'a [[u32; 3]],
     /// Vertices that stay, besides those of the border.
     pub pinned: &'a [u32],
-    /// What goes on beyond its border.
+    /// The kind of triangles beyond the border.
     pub outside: Outside,
 }
 

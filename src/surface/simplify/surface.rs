@@ -11,7 +11,7 @@ const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// How many triangles a search looks at before it gives up.
 const PATIENCE: usize = 32;
-/// It goes on from a triangle whose squared distance is so many times the least so far.
+/// A search goes on from a triangle whose squared distance is at most so many times the least so far.
 const DETOUR: f32 = 1.5;
 /// Nor does one walk farther than so many triangles for a cell.
 const STEPS_A_CELL: f32 = 8.0;
@@ -80,14 +80,14 @@ pub struct Outgoing {
 #[derive(Clone, Copy, Default)]
 pub struct Edge {
     pub to: u32,
-    /// Its triangle's third corner.
+    /// The third corner of the edge's triangle.
     pub before: u32,
-    /// Which one it is, of all triangles' sides.
+    /// The number of the edge among the sides of all triangles.
     side: u32,
 }
 
 impl Outgoing {
-    /// Of all triangles.
+    /// Lists the edges of all triangles by the vertices that they leave.
     pub fn of(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let mut ends = vec![0_u32; vertices];
         for &vertex in triangles.as_flattened() {
@@ -112,7 +112,7 @@ impl Outgoing {
         Self { ends, edges: outgoing }
     }
 
-    /// Those of a vertex.
+    /// Returns the edges that leave a vertex.
     pub fn at(&self, vertex: u32) -> &[Edge] {
         let start = vertex.checked_sub(1).map_or(0, |before| self.ends[before as usize]);
         &self.edges[start as usize..self.ends[vertex as usize] as usize]
@@ -157,7 +157,7 @@ impl<'a> Surface<'a> {
         self.spots[vertex as usize]
     }
 
-    /// Of the triangle with this corner, or its home; none where it is nowhere.
+    /// Returns the normal of the triangle with this corner, or of its home; `None` where it is nowhere.
     pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
@@ -329,7 +329,7 @@ impl<'a> Surface<'a> {
         })
     }
 
-    /// Which of a triangle's corners this vertex is.
+    /// Returns which of a triangle's corners this vertex is.
     fn corner(&self, triangle: u32, vertex: u32) -> usize {
         // Without branches, for none could be foreseen.
         let [_, b, c] = self.triangles[triangle as usize];

@@ -1,4 +1,4 @@
-//! What a patch must keep so that the mesh around it stays a closed, oriented 2-manifold.
+//! Checks that keep the mesh around a patch a closed, oriented 2-manifold.
 //!
 //! All is decided at the patch's own vertices. Patches share no vertices but those of their borders, which stay, so a new
 //! edge can only meet its like among the triangles between them: an edge between two vertices of the border is a chord,
@@ -11,9 +11,9 @@ use super::surface::Surface;
 /// The triangles around a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outside {
-    /// As marching cubes made them: each lies in one dual cell.
+    /// Triangles as marching cubes made them: each lies in one dual cell.
     DualCells,
-    /// Of any size.
+    /// Triangles of any size.
     Simplified,
 }
 
@@ -31,17 +31,17 @@ impl Outside {
     }
 }
 
-/// What a patch must keep.
+/// The topology that a patch must keep.
 pub struct Topology {
     /// The vertices on the border, which other patches use, too.
     pub border: Vec<bool>,
-    /// Those of them whose triangles form more than one fan.
+    /// Vertices on the border whose triangles form more than one fan.
     pinched: Vec<bool>,
     outside: Outside,
 }
 
 impl Topology {
-    /// Of a patch that is oriented, and manifold but for its border.
+    /// Examines a patch that is oriented, and manifold but for its border.
     pub fn of(patch: &Surface, outside: Outside) -> Self {
         let mut fans = vec![0_u8; patch.positions.len()];
         for triangle in 0..patch.triangles.len() as u32 {

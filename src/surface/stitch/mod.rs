@@ -101,7 +101,7 @@ impl Stitched {
         })
     }
 
-    /// So many numbers of every vertex, put where they belong block by block.
+    /// Collects `width` numbers of every vertex; `put` writes them block by block.
     fn of_vertices<T: Zeroable + Send>(
         &self,
         width: usize,
@@ -139,7 +139,7 @@ impl Stitched {
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
-    /// What a block adds to the lengths of all columns along x, in cells.
+    /// Sums what a block adds to the lengths of all columns along x, in cells.
     fn block_columns(&self, block: &BlockMesh) -> f64 {
         let of_tile = |tile: &Tile| {
             let first = tile.corner(block.block).x;

@@ -1,4 +1,4 @@
-//! Which vertex lies on which dual edge of a block, and the triangles that join them.
+//! Numbers of the vertices on a block's dual edges, and the triangles that join them.
 
 use std::sync::LazyLock;
 

@@ -27,14 +27,14 @@ const ROW: u64 = 12;
 const ROWS_AT_ONCE: u64 = 4 << 20;
 
 push_block! {
-    /// Of [`STARTS`].
+    /// The push block of [`STARTS`].
     struct StartsPush {
         blocks: u32,
     }
 }
 
 push_block! {
-    /// Of [`VERTICES`].
+    /// The push block of [`VERTICES`].
     struct VerticesPush {
         first_tile: u32,
         tiles: u32,
@@ -45,7 +45,7 @@ push_block! {
 }
 
 push_block! {
-    /// Of [`TRIANGLES`].
+    /// The push block of [`TRIANGLES`].
     struct TrianglesPush {
         first_tile: u32,
         tiles: u32,
@@ -123,7 +123,8 @@ pub struct MeshLayout {
 }
 
 impl MeshLayout {
-    /// Of blocks in Morton order, counted in blocks, and what each has; `None` where 32 bits cannot number it all.
+    /// Lays out blocks, by their coordinates and tallies; `None` where 32 bits cannot number everything.
+    /// Blocks are in Morton order, and their coordinates are counted in blocks.
     ///
     /// # Panics
     /// If the blocks are in another order.
@@ -152,25 +153,25 @@ impl MeshLayout {
         Some(layout)
     }
 
-    /// As kernels take them.
+    /// Returns the blocks as kernels take them.
     #[must_use]
     pub fn blocks(&self) -> &[MeshBlock] {
         &self.blocks
     }
 
-    /// Of all blocks.
+    /// Returns the number of tiles of all blocks.
     #[must_use]
     pub fn tiles(&self) -> u32 {
         self.tiles
     }
 
-    /// Of all blocks.
+    /// Returns the number of vertices of all blocks.
     #[must_use]
     pub fn vertices(&self) -> u32 {
         self.vertices
     }
 
-    /// Of all blocks.
+    /// Returns the number of triangles of all blocks.
     #[must_use]
     pub fn triangles(&self) -> u32 {
         self.triangles
@@ -209,7 +210,7 @@ impl Run {
         [width, tiles.div_ceil(width), 1]
     }
 
-    /// Its part of a buffer, and the words before it.
+    /// Returns a view of the run's part of a buffer, and the number of words in the view before it.
     fn view(&self, all: &View, alignment: u64) -> (View, u32) {
         all.aligned(u64::from(self.rows.start) * ROW, self.rows.len() as u64 * ROW, alignment)
     }
@@ -228,7 +229,7 @@ pub fn table() -> Vec<u32> {
     words
 }
 
-/// What stitching reads and writes.
+/// The buffers that stitching reads and writes.
 #[derive(Debug, Clone)]
 pub struct StitchBuffers {
     /// A [`DeviceGrid`](crate::brick::vulkan::DeviceGrid).

@@ -4,8 +4,8 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 use glam::{DQuat, DVec3, IVec3};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::compare::compare;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::compare::compare;
 use rayon::prelude::*;
 
 use super::lines::{Board, Line, Points, cell_name};
@@ -192,8 +192,8 @@ fn steps(count: i32) -> Mesh {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meniscus::surface::mesh::check::check;
-    use meniscus::surface::mesh::measure::measure;
+    use meniscus::internals::surface::mesh::check::check;
+    use meniscus::internals::surface::mesh::measure::measure;
 
     #[test]
     fn a_star_and_steps_are_closed_and_face_outwards() {

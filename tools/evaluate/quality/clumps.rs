@@ -1,8 +1,8 @@
 //! Sheets, chains, drops and bubbles: what is kept of them, in how many pieces.
 
 use glam::{DVec2, DVec3, IVec3};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::measure::measure;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::measure::measure;
 
 use super::bodies::JITTER;
 use super::heights::Columns;

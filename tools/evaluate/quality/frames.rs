@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3, IVec2};
-use meniscus::field::spacing::estimate;
-use meniscus::io::bytes::Unpacking;
-use meniscus::io::input::{is_known, open_particles};
-use meniscus::io::scene::spacing_beside;
-use meniscus::particles::{Particles, velocity_attribute};
-use meniscus::surface::mesh::Mesh;
+use meniscus::internals::field::spacing::estimate;
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::{is_known, open_particles};
+use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::particles::{Particles, velocity_attribute};
+use meniscus::internals::surface::mesh::Mesh;
 
 use super::clumps::CELLS;
 use super::heights::Columns;

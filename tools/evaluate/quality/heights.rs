@@ -1,7 +1,7 @@
 //! Surfaces seen from above: heights over the points of a level grid.
 
 use glam::{DMat3, DVec2, DVec3, IVec2};
-use meniscus::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::Mesh;
 use rayon::prelude::*;
 
 /// Points of a level grid.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use meniscus::io::output::read_mesh;
-use meniscus::surface::mesh::Mesh;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::Mesh;
 use rayon::prelude::*;
 use tempfile::TempDir;
 

@@ -1,7 +1,7 @@
 //! The pieces that a mesh is in, each with its volume.
 
 use glam::DVec3;
-use meniscus::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::Mesh;
 use petgraph::unionfind::UnionFind;
 
 /// What of a mesh shares vertices.

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use glam::{DVec2, DVec3, IVec3};
-use meniscus::surface::mesh::Mesh;
-use meniscus::surface::mesh::compare::compare;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::compare::compare;
 use rayon::prelude::*;
 
 use super::bodies::JITTER;

@@ -4,20 +4,16 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use meniscus::error::Error;
-use meniscus::frame::Resources;
-use meniscus::io::ParticleFile;
-use meniscus::io::series::Series;
-use meniscus::particles::Particles;
-use meniscus::simulation::frozen::Stamp;
-use meniscus::simulation::inputs::FrameFile;
-use meniscus::simulation::state::State;
+use super::inputs::FrameFile;
+use super::state::State;
+use crate::error::Error;
+use crate::frame::Resources;
+use crate::io::ParticleFile;
+use crate::io::series::Series;
+use crate::particles::Particles;
+use crate::system::control::Stage;
 
-use crate::outcome::Verdict;
-use crate::progress::{Progress, ProgressMode};
-use crate::report::report_device;
-use crate::run::Notes;
-
+use super::event::{Event, Summary};
 use super::one_frame::{Done, Filled};
 use super::setup::POLL;
 use super::shared::{Conversion, Settled};
@@ -55,12 +51,11 @@ impl Conversion<'_> {
         &self,
         known: Option<State>,
         frames: &[FrameFile],
-        notes: &Notes,
     ) -> Result<Option<(u64, ParticleFile)>, Error> {
         let Self { setup, store, division, .. } = self;
         let measured = || {
-            let resources = Resources { budget: division.alone, ..setup.resources.clone() };
-            setup.state(store, frames, &resources, notes)
+            let resources = Resources { budget: division.alone, ..setup.checked.resources.clone() };
+            setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
         let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
@@ -84,7 +79,7 @@ impl Conversion<'_> {
             // The first is most likely the one that is measured: a lane waits for it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
-            let measured = self.settle(None, frames, &tally.notes)?;
+            let measured = self.settle(None, frames)?;
             tally.list(frames, |_| false);
             if let Some(Job { frame, .. }) = first {
                 let measured = measured.filter(|(number, _)| *number == frame.number);
@@ -95,29 +90,26 @@ impl Conversion<'_> {
         Ok(())
     }
 
-    /// Converts the frames, and those that come while it watches.
-    pub fn run(&self, known: Option<State>, frames: &[FrameFile], series: &Series) -> Result<Verdict, Error> {
-        let options = &self.setup.options.sequence;
+    fn run(&self, known: Option<State>, frames: &[FrameFile], series: &Series) -> Result<Summary, Error> {
+        let options = self.setup.simulation;
         let mut tally = Tally::new(self, series);
         // Where all frames are to be made, the first are opened while one of them is measured.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
-            self.settle(known, frames, &tally.notes)?;
+            self.settle(known, frames)?;
             tally.list(frames, |frame| options.resume && options.wants(frame.number));
         }
         let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
         let todo: Vec<&FrameFile> =
             wanted.iter().copied().filter(|frame| !(options.resume && tally.lists(frame))).collect();
-        if wanted.len() > todo.len() {
-            let done = wanted.len() - todo.len();
-            self.setup.notes.say(format!("{done} of {} frames are done already", wanted.len()));
-        }
-        let watch = options.watch.map(|idle| Watch::new(idle, options.selection()));
-        let bytes = || if watch.is_some() { 0 } else { todo.iter().map(|frame| size(frame)).sum() };
-        let idle = todo.is_empty() && watch.is_none();
-        let mode = if idle { ProgressMode::Never } else { options.progress };
-        let (progress, notes) = Progress::start(mode, bytes, self.division.lanes, self.setup.notes.clone());
-        tally.notes = notes;
+        let watch = options.watch.map(|idle| Watch::new(idle, options.selection));
+        self.setup.tell(Event::Begins {
+            frames: wanted.len(),
+            done: wanted.len() - todo.len(),
+            bytes: if watch.is_some() { 0 } else { todo.iter().map(|frame| frame.bytes()).sum() },
+            lanes: self.division.lanes,
+            followed: watch.is_some(),
+        });
 
         let (to_lanes, jobs) = mpsc::channel();
         let jobs = Mutex::new(jobs);
@@ -127,8 +119,8 @@ impl Conversion<'_> {
         let (results, outcomes) = mpsc::channel();
         let converted = std::thread::scope(|scope| {
             for lane in 0..self.division.lanes {
-                let (jobs, to_disk, progress) = (&jobs, to_disk.clone(), &progress);
-                scope.spawn(move || self.lane(lane, jobs, &to_disk, progress));
+                let (jobs, to_disk) = (&jobs, to_disk.clone());
+                scope.spawn(move || self.lane(lane, jobs, &to_disk));
             }
             drop(to_disk);
             let _at_last = AtLast(&self.settled);
@@ -146,13 +138,11 @@ impl Conversion<'_> {
             }
             drop(results);
             match followed {
-                Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally, &progress),
-                None => outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally, &progress)),
+                Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally),
+                None => outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally)),
             }
         });
-        progress.finish();
         converted?;
-        report_device(&*self.setup.resources.backend, tally.done, &tally.notes);
         tally.finish(&self.setup.frames()?)
     }
 
@@ -163,20 +153,19 @@ impl Conversion<'_> {
         to_lanes: Sender<Job>,
         outcomes: &Receiver<Outcome<Done>>,
         tally: &mut Tally,
-        progress: &Progress,
     ) -> Result<(), Error> {
-        let options = &self.setup.options.sequence;
+        let options = self.setup.simulation;
         let mut under_way = 0;
         loop {
-            if self.stop.load(Ordering::Relaxed) {
+            if self.is_over() {
                 drop(to_lanes);
-                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally, progress));
+                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally));
             }
             match outcomes.recv_timeout(POLL) {
                 Ok(outcome) => {
                     under_way -= 1;
                     let number = outcome.frame.number;
-                    self.note(outcome, tally, progress)?;
+                    self.note(outcome, tally)?;
                     watch.done(number);
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
@@ -189,7 +178,7 @@ impl Conversion<'_> {
                         }
                         under_way += 1;
                         tally.total += 1;
-                        progress.lengthen(size(&frame));
+                        self.setup.tell(Event::Came { bytes: frame.bytes() });
                         let _ = to_lanes.send(Job { frame, particles: None, again });
                     }
                     if under_way == 0 && watch.is_over() {
@@ -200,38 +189,36 @@ impl Conversion<'_> {
         }
     }
 
+    /// Whether no further frame is to be begun.
+    fn is_over(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.cancel().is_cancelled()
+    }
+
     /// Notes what became of a frame.
-    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally, progress: &Progress) -> Result<(), Error> {
+    fn note(&self, outcome: Outcome<Done>, tally: &mut Tally) -> Result<(), Error> {
         let Outcome { frame, result } = outcome;
-        let taken = tally.take(&frame, result, progress.has_bars());
+        let taken = tally.take(&frame, result);
         if !matches!(taken, Ok(false)) {
             self.stop.store(true, Ordering::Relaxed);
         }
-        taken?;
-        progress.advance(tally.done, tally.total, tally.failed.len(), || size(&frame));
-        Ok(())
+        taken.map(drop)
     }
 
     /// Converts frames until there are no more.
-    fn lane(
-        &self,
-        lane: usize,
-        jobs: &Mutex<Receiver<Job>>,
-        to_disk: &SyncSender<Outcome<Filled>>,
-        progress: &Progress,
-    ) {
+    fn lane(&self, lane: usize, jobs: &Mutex<Receiver<Job>>, to_disk: &SyncSender<Outcome<Filled>>) {
         // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
         let _pool = pool.build().expect("threads can be started");
         while let Some(Job { frame, particles, again }) = next(jobs) {
-            if self.stop.load(Ordering::Relaxed) {
+            if self.is_over() {
                 continue;
             }
-            let stage = |stage: &str| progress.stage(lane, || format!("frame {}: {stage}", frame.number));
+            let tell = |stage| self.setup.tell(Event::Stage { lane, frame: frame.number, stage });
+            let stage = |stage: Stage| tell(Some(stage));
             let opened = self.open(&frame, particles, again, &stage);
             let Some(settled) = self.settled.wait() else { return };
             let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
-            progress.stage(lane, String::new);
+            tell(None);
             if to_disk.send(Outcome { frame, result }).is_err() {
                 return;
             }
@@ -254,7 +241,12 @@ fn next<T>(receiver: &Mutex<Receiver<T>>) -> Option<T> {
     receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }
 
-/// What is left to do is told by this.
-fn size(frame: &FrameFile) -> u64 {
-    Stamp::of(&frame.path).map_or(0, |stamp| stamp.bytes)
+/// Converts frames, and those that come while a simulation is followed.
+pub(super) fn convert(
+    conversion: &Conversion<'_>,
+    known: Option<State>,
+    frames: &[FrameFile],
+    series: &Series,
+) -> Result<Summary, Error> {
+    conversion.run(known, frames, series)
 }

@@ -4,14 +4,14 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use meniscus::simulation::frozen::Stamp;
-use meniscus::simulation::inputs::{FrameFile, Selection};
+use super::frozen::Stamp;
+use super::inputs::{FrameFile, Selection};
 
 /// A file that has not changed for so long is taken to be complete.
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// What was seen of the frames so far.
-pub struct Watch {
+pub(super) struct Watch {
     /// Seconds without news after which the simulation is over.
     idle: f64,
     selection: Selection,
@@ -28,20 +28,20 @@ struct Seen {
 }
 
 /// A frame that is complete, as far as can be told.
-pub struct Ready {
-    pub frame: FrameFile,
+pub(super) struct Ready {
+    pub(super) frame: FrameFile,
     /// Whether it was given before, and has changed since.
-    pub again: bool,
+    pub(super) again: bool,
 }
 
 impl Watch {
-    pub fn new(idle: f64, selection: Selection) -> Self {
+    pub(super) fn new(idle: f64, selection: Selection) -> Self {
         Self { idle, selection, seen: BTreeMap::new(), last_news: Instant::now() }
     }
 
     /// The frames that have become complete since the last call, of those that are there now. Each is under way until it is
     /// [`done`](Self::done).
-    pub fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
+    pub(super) fn ready(&mut self, frames: &[FrameFile]) -> Vec<Ready> {
         let now = Instant::now();
         let mut ready = Vec::new();
         for frame in frames {
@@ -64,14 +64,14 @@ impl Watch {
     }
 
     /// Nothing more is done with a frame that was given until its file changes: it was made, or could not be read.
-    pub fn done(&mut self, number: u64) {
+    pub(super) fn done(&mut self, number: u64) {
         if let Some(seen) = self.seen.get_mut(&number) {
             seen.under_way = false;
         }
     }
 
     /// Whether nothing more is to be expected.
-    pub fn is_over(&self) -> bool {
+    pub(super) fn is_over(&self) -> bool {
         let Selection { end, step, .. } = self.selection;
         let last = self.seen.last_key_value();
         let complete = last.is_some_and(|(number, _)| number.saturating_add(step) > end)

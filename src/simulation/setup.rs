@@ -6,48 +6,54 @@ use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use meniscus::error::Error;
-use meniscus::error::SequenceError;
-use meniscus::field::calibration::Calibration;
-use meniscus::field::indicator::IndicatorKind;
-use meniscus::frame::{Resources, Sampling, Surfacing};
-use meniscus::io::input::file_and_step;
-use meniscus::io::output::MeshFormat;
-use meniscus::io::series::Series;
-use meniscus::io::{WriteError, WriteFault};
-use meniscus::reconstruction::SamplingRequest;
-use meniscus::simulation::frozen::{Frozen, Stamp};
-use meniscus::simulation::inputs::{FrameFile, Inputs};
-use meniscus::simulation::naming::Naming;
-use meniscus::simulation::state::{State, Store};
-use meniscus::surface::simplify::{BYTES_A_THREAD, Reduction};
+use crate::error::{Error, SequenceError};
+use crate::field::calibration::Calibration;
+use crate::field::indicator::IndicatorKind;
+use crate::frame::{Resources, Sampling};
+use crate::io::identity::Identity;
+use crate::io::input::file_and_step;
+use crate::io::mnf::is_packed;
+use crate::io::output::MeshFormat;
+use crate::io::series::Series;
+use crate::io::{WriteError, WriteFault};
+use crate::reconstruction::Checked;
+use crate::surface::simplify::BYTES_A_THREAD;
 
-use crate::identity::{Identity, two_purposes};
-use crate::lanes::Division;
-use crate::options::Options;
-use crate::run::Notes;
-use meniscus::io::mnf::is_packed;
+use super::builder::Simulation;
+use super::event::Event;
+use super::frozen::{Frozen, Stamp};
+use super::inputs::{FrameFile, Inputs};
+use super::lanes::Division;
+use super::naming::Naming;
+use super::state::{State, Store};
 
 /// Between two looks at a simulation that runs.
-pub const POLL: Duration = Duration::from_millis(250);
+pub(super) const POLL: Duration = Duration::from_millis(250);
 
-/// What is known before any frame is read.
-pub struct Setup<'a> {
-    pub options: &'a Options,
-    pub inputs: &'a Inputs,
-    pub naming: &'a Naming,
-    pub request: SamplingRequest,
-    pub surfacing: Surfacing,
-    pub reduction: Reduction,
-    pub resources: Resources,
-    pub notes: Notes,
+/// What is known of a sequence before any of its frames is read.
+pub(super) struct Setup<'a> {
+    pub(super) simulation: &'a Simulation,
+    pub(super) inputs: &'a Inputs,
+    pub(super) naming: &'a Naming,
+    pub(super) checked: &'a Checked,
+    pub(super) tell: &'a (dyn Fn(Event<'_>) + Sync),
     /// The inputs as they are from the first frame on: what else comes is none.
-    pub begun: OnceLock<Inputs>,
+    pub(super) begun: OnceLock<Inputs>,
 }
 
 impl Setup<'_> {
+    /// Tells the caller something.
+    pub(super) fn tell(&self, event: Event<'_>) {
+        (self.tell)(event);
+    }
+
+    /// Ends the work where the caller has asked for it.
+    pub(super) fn go_on(&self) -> Result<(), Error> {
+        self.checked.go_on()
+    }
+
     /// All frames that are there now.
-    pub fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
+    pub(super) fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
         let frames = self.begun.get().unwrap_or(self.inputs).list()?;
         if let Some(first) = frames.first() {
             self.begun.get_or_init(|| self.inputs.like(first));
@@ -56,44 +62,48 @@ impl Setup<'_> {
     }
 
     /// The frames of the sequence that are there now.
-    pub fn frames(&self) -> Result<Vec<FrameFile>, Error> {
-        Ok(self.options.sequence.selection().of(self.all_frames()?))
+    pub(super) fn frames(&self) -> Result<Vec<FrameFile>, Error> {
+        Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// How a frame is sampled by what all have in common.
-    pub fn sampling(
+    /// The way to sample a frame by what all have in common.
+    pub(super) fn sampling(
         &self,
         frozen: &Frozen,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
-        let field = frozen.field(self.request.field);
-        self.request.sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
+        let request = &self.checked.sampling;
+        let field = frozen.field(request.field);
+        request.sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
     }
 
-    /// How the machine is divided among so many frames.
-    pub fn division(&self, frames: usize) -> Division {
-        let frames = if self.resources.backend.divides() { frames } else { frames.min(2) };
-        let chunk = self.reduction.tolerance.map_or(0, |_| BYTES_A_THREAD);
-        Division::of(frames, rayon::current_num_threads(), self.resources.budget, chunk)
+    /// The division of the machine among so many frames.
+    pub(super) fn division(&self, frames: usize) -> Division {
+        let Checked { resources, reduction, threads, .. } = self.checked;
+        let frames = if resources.backend.divides() { frames } else { frames.min(2) };
+        let chunk = reduction.tolerance.map_or(0, |_| BYTES_A_THREAD);
+        Division::of(frames, *threads, resources.budget, chunk)
     }
 
-    /// What the outputs' names say, able to hold what is asked for.
-    pub fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
+    /// The format that the outputs' names say, able to hold what is asked for.
+    pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
         let path = self.naming.path(first);
         let unknown = || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
-        self.options.validate_format(format)?;
+        self.checked.asked.refuse_of_format(&self.simulation.output, format)?;
         Ok(format)
     }
 
     /// Refuses outputs that are inputs, by whatever name, or would be taken for some.
-    pub fn refuse_own_inputs(
+    pub(super) fn refuse_own_inputs(
         &self,
         frames: &[FrameFile],
         series: &Series,
         store: &Store,
     ) -> Result<(), Error> {
+        let two_purposes =
+            |path: &Path, other: &Path| Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() };
         let inputs: HashMap<Identity, &Path> =
             frames.iter().map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path)).collect();
         let begun = self.begun.get().unwrap_or(self.inputs);
@@ -110,26 +120,28 @@ impl Setup<'_> {
                 )));
             }
         }
-        let Some(stats) = &self.options.stats else { return Ok(()) };
-        let own = Identity::of(stats);
-        let outputs = frames.iter().map(|frame| self.naming.path(frame));
-        let others = outputs.chain(series.files()).chain([store.state_path()]);
-        let taken = inputs.get(&own).map(|input| input.to_path_buf());
-        match taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own)) {
-            None => Ok(()),
-            Some(other) => Err(two_purposes(stats, &other)),
+        for beside in &self.simulation.beside {
+            let own = Identity::of(beside);
+            let outputs = frames.iter().map(|frame| self.naming.path(frame));
+            let others = outputs.chain(series.files()).chain([store.state_path()]);
+            let taken = inputs.get(&own).map(|input| input.to_path_buf());
+            if let Some(other) = taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))
+            {
+                return Err(two_purposes(beside, &other));
+            }
         }
+        Ok(())
     }
 
     /// The state that is there, if it is of these settings and of these inputs.
-    pub fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Option<State>, Error> {
-        let anew = self.options.run.overwrite;
+    pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Option<State>, Error> {
+        let anew = self.simulation.overwrite;
         let state = match store.load() {
             Err(_) if anew => return Ok(None),
             found => found?,
         };
         let Some(state) = state else { return Ok(None) };
-        let mut differing = state.differing(&self.options.settings());
+        let mut differing = state.differing(&self.checked.asked.settings());
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
         if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)
         {
@@ -144,17 +156,16 @@ impl Setup<'_> {
             let damaged = SequenceError::State { path: store.state_path(), what };
             return if anew { Ok(None) } else { Err(damaged.into()) };
         }
-        if anew || self.options.sequence.resume {
-            self.notes
-                .say(format!("{}: of other settings ({differing}), made anew", store.state_path().display()));
+        if anew || self.simulation.resume {
+            self.tell(Event::Anew { state: &store.state_path(), differing: &differing });
             return Ok(None);
         }
         Err(SequenceError::Settings { path: store.state_path(), differing }.into())
     }
 
     /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of their own.
-    pub fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
-        match (self.request.field.indicator(), &state.frozen.calibration) {
+    fn is_calibrated(&self, state: &State, frames: &[FrameFile]) -> bool {
+        match (self.checked.sampling.field.indicator(), &state.frozen.calibration) {
             (None, _) => true,
             (Some(_), None) => false,
             (Some(asked), Some(known)) => {

@@ -2,7 +2,7 @@
 
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use meniscus::grid::units::MemoryBudget;
+use crate::grid::units::MemoryBudget;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// A lane that may not have so much is not worth a thread.
@@ -10,23 +10,23 @@ const LEAST: u64 = 64 << 20;
 
 /// How the machine is divided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Division {
+pub(super) struct Division {
     /// Frames at once.
-    pub lanes: usize,
+    pub(super) lanes: usize,
     /// Threads of each.
-    pub threads: usize,
+    pub(super) threads: usize,
     /// What a lane may take before it is known how large its frame is.
-    pub opening: MemoryBudget,
+    pub(super) opening: MemoryBudget,
     /// What a frame may take beside others.
-    pub share: MemoryBudget,
+    pub(super) share: MemoryBudget,
     /// What a frame may take alone.
-    pub alone: MemoryBudget,
+    pub(super) alone: MemoryBudget,
 }
 
 impl Division {
     /// For so many frames, with `chunk` bytes for each thread that are no frame's: one for each thread, and one more
     /// that makes up for uneven ones and for reading.
-    pub fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
+    pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // A lane has a thread at the least, and a frame that is alone has all.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
         let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
@@ -47,14 +47,14 @@ impl Division {
     }
 
     /// Bytes that the particles of a frame that waits may take in memory.
-    pub fn unpacked(&self) -> u64 {
+    pub(super) fn unpacked(&self) -> u64 {
         self.opening.0 / 2
     }
 }
 
 /// Lets frames compute side by side, or one alone.
 #[derive(Debug)]
-pub struct Gate {
+pub(super) struct Gate {
     lanes: usize,
     threads: usize,
     /// For who is alone.
@@ -71,14 +71,14 @@ struct State {
 
 /// Room in the gate, given back when dropped.
 #[derive(Debug)]
-pub struct Permit<'a> {
+pub(super) struct Permit<'a> {
     gate: &'a Gate,
     lanes: usize,
 }
 
 impl Gate {
     /// Who is alone has so many threads.
-    pub fn new(lanes: usize, threads: usize) -> Self {
+    pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
         Self { lanes, threads, all, state, changed }
     }
@@ -93,7 +93,7 @@ impl Gate {
     }
 
     /// Waits for a lane. Whoever waits to be alone comes first, or it would wait for ever.
-    pub fn enter(&self) -> Permit<'_> {
+    pub(super) fn enter(&self) -> Permit<'_> {
         let closed = |state: &mut State| state.waiting_alone > 0 || state.inside == self.lanes;
         let mut state = self.changed.wait_while(self.state(), closed).unwrap_or_else(PoisonError::into_inner);
         state.inside += 1;
@@ -101,7 +101,7 @@ impl Gate {
     }
 
     /// Waits until nobody else is inside.
-    pub fn enter_alone(&self) -> Permit<'_> {
+    pub(super) fn enter_alone(&self) -> Permit<'_> {
         let mut state = self.state();
         state.waiting_alone += 1;
         let busy = |state: &mut State| state.inside > 0;
@@ -114,7 +114,7 @@ impl Gate {
 
 impl Permit<'_> {
     /// Runs `act` with the threads of this lane, or alone with as many as there are.
-    pub fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
+    pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
         if self.lanes < self.gate.lanes { act() } else { self.gate.all().install(act) }
     }
 }

@@ -1,22 +1,17 @@
 //! What is measured once for all frames, on the first that can tell.
 
-use meniscus::error::SequenceError;
-use meniscus::error::{Cause, Error};
-use meniscus::field::calibration::{Calibration, Plateau};
-use meniscus::frame::{FrameError, Resources};
-use meniscus::grid::units::shown;
-use meniscus::io::input::open_particles;
-use meniscus::io::mnf::open_frame;
-use meniscus::io::{ParticleFile, ReadError};
-use meniscus::simulation::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
-use meniscus::simulation::inputs::FrameFile;
-use meniscus::simulation::state::{State, Store};
+use super::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
+use super::inputs::FrameFile;
+use super::state::{State, Store};
+use crate::error::{Cause, Error, SequenceError};
+use crate::frame::{FrameError, Resources};
+use crate::io::bytes::Unpacking;
+use crate::io::input::open_particles;
+use crate::io::mnf::{is_packed, open_frame};
+use crate::io::{ParticleFile, ReadError};
+use crate::reconstruction;
 
-use crate::interrupt;
-use crate::run::{Notes, unpacking};
-use crate::sampling::{origin, say_doubt};
-use meniscus::io::mnf::is_packed;
-
+use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
@@ -25,16 +20,15 @@ const LOOKED_AT: usize = 64;
 
 impl Setup<'_> {
     /// Measures what all frames have in common, and keeps it; the frame that it was measured on may still be open.
-    pub fn state(
+    pub(super) fn state(
         &self,
         store: &Store,
         frames: &[FrameFile],
         resources: &Resources,
-        notes: &Notes,
     ) -> Result<(State, Option<ParticleFile>), Error> {
-        let (frozen, file) = self.freeze(frames, resources, notes)?;
-        let state = State::new(self.options.settings(), frozen);
-        interrupt::undisturbed(|| store.save(&state))?;
+        let (frozen, file) = self.freeze(frames, resources)?;
+        let state = State::new(self.checked.asked.settings(), frozen);
+        self.checked.resources.control.cancel.undisturbed(|| store.save(&state))?;
         Ok((state, file))
     }
 
@@ -43,11 +37,10 @@ impl Setup<'_> {
         &self,
         frames: &[FrameFile],
         resources: &Resources,
-        notes: &Notes,
     ) -> Result<(Frozen, Option<ParticleFile>), Error> {
-        let idle = self.options.sequence.watch;
-        let mut watch = idle.map(|idle| Watch::new(idle, self.options.sequence.selection()));
-        let mut best: Option<(Frozen, Trust)> = None;
+        let idle = self.simulation.watch;
+        let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
+        let mut best: Option<(FrameFile, Frozen, Trust)> = None;
         let mut first_error = None;
         let mut looked_at = 0;
         let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
@@ -63,20 +56,22 @@ impl Setup<'_> {
                     break;
                 }
                 looked_at += 1;
-                let lattice = best.as_ref().filter(|(_, trust)| *trust == Trust::Lattice);
+                self.go_on()?;
+                let lattice = best.as_ref().filter(|(.., trust)| *trust == Trust::Lattice);
+                let lattice = lattice.map(|(_, frozen, _)| frozen);
                 match self.measure_on(&frame, lattice, resources) {
                     Ok((frozen, Trust::Sound, file)) => {
-                        let path = frame.path.display();
-                        notes.say(format!("measured on {path}: {}", describe(&frozen)));
+                        let (path, trust) = (&*frame.path, Trust::Sound);
+                        self.tell(Event::Measured { path, frozen: &frozen, trust });
                         return Ok((frozen, file));
                     }
                     Ok((frozen, trust, _)) => {
                         // Spray is farther apart than fluid, whose spacing would be estimated too large by it.
-                        let is_better = |(known, by): &(Frozen, Trust)| {
+                        let is_better = |(_, known, by): &(FrameFile, Frozen, Trust)| {
                             *by < trust || *by == trust && known.spacing > frozen.spacing
                         };
                         if best.as_ref().is_none_or(is_better) {
-                            best = Some((frozen, trust));
+                            best = Some((frame, frozen, trust));
                         }
                     }
                     // What is too fine for one frame, by its mu0 or where its lattice lies, need not be for another.
@@ -94,6 +89,7 @@ impl Setup<'_> {
             }
             match &mut watch {
                 Some(watch) if looked_at < LOOKED_AT && !watch.is_over() => {
+                    self.go_on()?;
                     std::thread::sleep(POLL);
                     current = self.frames()?;
                 }
@@ -101,16 +97,8 @@ impl Setup<'_> {
             }
         }
         match (best, first_error) {
-            (Some((frozen, trust)), _) => {
-                let what = match trust {
-                    Trust::Shallow => "next to no fluid is deeper than the filters reach",
-                    Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
-                };
-                notes.say(format!(
-                    "warning: {what}; measured on frame {}: {}",
-                    frozen.frame,
-                    describe(&frozen)
-                ));
+            (Some((FrameFile { path, .. }, frozen, trust)), _) => {
+                self.tell(Event::Measured { path: &path, frozen: &frozen, trust });
                 Ok((frozen, None))
             }
             (None, Some(error)) => Err(error),
@@ -122,36 +110,41 @@ impl Setup<'_> {
     fn measure_on(
         &self,
         frame: &FrameFile,
-        lattice: Option<&(Frozen, Trust)>,
+        lattice: Option<&Frozen>,
         resources: &Resources,
     ) -> Result<(Frozen, Trust, Option<ParticleFile>), Error> {
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
-        let in_file = |fault: FrameError| Error::Frame { path: Some(path.clone()), fault };
+        let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
-            self.options.validate_frame_input(path)?;
+            self.checked.asked.refuse_of_packed(path)?;
             let sampled = open_frame(path, resources.budget.0 / 4)?;
-            self.options.refuse_of_others(sampled.indicator.kind())?;
-            let measured = measure_sampled(&sampled, &self.surfacing, false);
+            self.checked.asked.refuse_of_others(sampled.indicator.kind())?;
+            let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, measured);
             return Ok((frozen, measured.trust, None));
         }
-        let file = open_particles(path, unpacking(resources))?;
-        let cells = self.request.cells(&file.particles, origin(path, &file))?;
-        say_doubt(&cells, &self.notes);
+        let file = open_particles(
+            path,
+            Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch },
+        )?;
+        let request = &self.checked.sampling;
+        let origin = reconstruction::Origin { path: Some(path), spacing: file.spacing };
+        let cells = request.cells(&file.particles, origin)?;
+        cells.doubt.iter().for_each(|doubt| self.tell(Event::Doubted(doubt)));
         let (grid, field) = match lattice {
-            Some((frozen, _)) => (frozen.grid()?, frozen.field(self.request.field)),
-            None => (self.request.grid(cells.size)?, self.request.field),
+            Some(frozen) => (frozen.grid()?, frozen.field(request.field)),
+            None => (request.grid(cells.size)?, request.field),
         };
-        let sampling =
-            self.request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
-        let settled = lattice.is_some() || self.options.sampling.origin_given();
+        let sampling = request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
+        let settled = lattice.is_some() || request.origin.is_some();
         let stays = if settled { Origin::Given } else { Origin::Free };
-        let measured = measure(&file.particles, &sampling, stays, &self.surfacing).map_err(in_file)?;
+        let measured =
+            measure(&file.particles, &sampling, stays, &self.checked.surfacing).map_err(in_file)?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, measured);
-        if let Some((first, _)) = lattice {
+        if let Some(first) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
         Ok((frozen, measured.trust, Some(file)))
@@ -167,29 +160,4 @@ fn frozen(
 ) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
     Frozen { frame, input, spacing, spacing_source, cell_size, origin, calibration }
-}
-
-pub fn describe(frozen: &Frozen) -> String {
-    let Frozen { spacing, spacing_source, cell_size, origin: [x, y, z], calibration, .. } = frozen;
-    let spacing_cells = spacing.map_or(1.0, |spacing| spacing / cell_size);
-    let spacing = match (spacing, spacing_source) {
-        (Some(spacing), Some(source)) => format!("spacing {} ({source}), ", shown(spacing.to_owned())),
-        _ => String::new(),
-    };
-    let mean = calibration.and_then(|known| known.mean());
-    let mu0 = mean.map_or(String::new(), |mean| format!(", mu0 {:.4}", mean.particles()));
-    let isovalue = match calibration {
-        Some(Calibration::Indicator { iso, .. }) => format!(", isovalue {:.4}", iso.value()),
-        Some(Calibration::Clouds { plateau }) => {
-            let nominal = Plateau::nominal(spacing_cells);
-            format!(", {:.4} particles in a cubed spacing", f64::from(*plateau) / nominal)
-        }
-        None => String::new(),
-    };
-    let origin = if [*x, *y, *z] == [0.0; 3] {
-        String::new()
-    } else {
-        format!(", origin {}", [*x, *y, *z].map(shown).join(","))
-    };
-    format!("{spacing}cell size {}{origin}{mu0}{isovalue}", shown(*cell_size))
 }

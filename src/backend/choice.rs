@@ -1,0 +1,129 @@
+//! Where a frame runs, where nobody has said it: on a fast device, if that is worth while.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytesize::ByteSize;
+
+use crate::grid::units::MemoryBudget;
+use crate::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, VulkanError};
+
+use super::{Backend, Cpu, Vulkan};
+
+/// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
+/// compile kernels, or find them in its cache: a million particles.
+const SMALL: u64 = 12_000_000;
+
+/// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
+const DRIVERS: MemoryBudget = MemoryBudget(1 << 30);
+
+/// Formats whose files do not tell how much their particles are: compressed, or in several pieces.
+const UNTOLD: [&str; 4] = ["gz", "mnf", "npz", "bi4"];
+
+/// Reasons to stay on the processor.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum OnCpu {
+    /// Drivers may need more memory than there is to be used: so many bytes.
+    LittleMemory(u64),
+    /// The machine has no GPU.
+    NoGpu,
+    /// Particles of so many bytes are done before a device is ready.
+    Small(u64),
+    /// The best device is no discrete GPU.
+    NotDiscrete(String),
+    /// The best device passes no conformance tests.
+    NotConformant(String),
+    /// No device can be used.
+    Vulkan(VulkanError),
+}
+
+impl fmt::Display for OnCpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::LittleMemory(needed) => {
+                write!(f, "drivers of GPUs may need {}, and less may be used", ByteSize(*needed))
+            }
+            Self::NoGpu => f.write_str("there is no GPU"),
+            Self::Small(bytes) => {
+                write!(f, "{} of particles are done before a GPU is ready", ByteSize(*bytes))
+            }
+            Self::NotDiscrete(name) => write!(f, "{name} is no discrete GPU"),
+            Self::NotConformant(name) => write!(f, "{name} passes no conformance tests"),
+            Self::Vulkan(error) => error.fmt(f),
+        }
+    }
+}
+
+/// Opens a device, and compiles its kernels, or finds them in a folder for such; it may take three quarters of what is free of its memory.
+///
+/// # Errors
+/// [`VulkanError`] where there is no such device, or it cannot be used.
+pub fn device(choice: &DeviceChoice, cache: Option<&Path>) -> Result<Arc<dyn Backend>, VulkanError> {
+    let instance = Instance::connect(false)?;
+    Ok(Arc::new(opened(&instance, &instance.choose(choice)?, cache)?))
+}
+
+/// Opens the best device if it is worth while for inputs of so many bytes, if that is known, under a budget; else says why not, and takes
+/// the processor.
+#[must_use]
+pub fn fastest(
+    budget: MemoryBudget,
+    input_bytes: impl FnOnce() -> Option<u64>,
+    cache: Option<&Path>,
+) -> (Arc<dyn Backend>, Option<OnCpu>) {
+    match fast_device(budget, input_bytes, cache) {
+        Ok(vulkan) => (Arc::new(vulkan), None),
+        Err(why) => (Arc::new(Cpu), Some(why)),
+    }
+}
+
+fn fast_device(
+    budget: MemoryBudget,
+    input_bytes: impl FnOnce() -> Option<u64>,
+    cache: Option<&Path>,
+) -> Result<Vulkan, OnCpu> {
+    if budget < DRIVERS {
+        return Err(OnCpu::LittleMemory(DRIVERS.0));
+    }
+    if !may_have_gpu() {
+        return Err(OnCpu::NoGpu);
+    }
+    if let Some(bytes) = input_bytes().filter(|&bytes| bytes < SMALL) {
+        return Err(OnCpu::Small(bytes));
+    }
+    let instance = Instance::connect(false).map_err(OnCpu::Vulkan)?;
+    let info = instance.choose(&DeviceChoice::Best).map_err(OnCpu::Vulkan)?;
+    if info.kind != DeviceKind::Discrete {
+        return Err(OnCpu::NotDiscrete(info.name));
+    }
+    if !info.is_conformant() {
+        return Err(OnCpu::NotConformant(info.name));
+    }
+    opened(&instance, &info, cache).map_err(OnCpu::Vulkan)
+}
+
+fn opened(instance: &Arc<Instance>, info: &DeviceInfo, cache: Option<&Path>) -> Result<Vulkan, VulkanError> {
+    let pipeline_cache = cache.map(PathBuf::from);
+    let options =
+        DeviceOptions { memory: Some(info.free / 4 * 3), pipeline_cache, ..DeviceOptions::default() };
+    let choice = DeviceChoice::Named(info.index.to_string());
+    Vulkan::new(Device::open(instance, &choice, &options)?)
+}
+
+/// Bytes of particles in some files, if all of them are there and tell.
+pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
+    let bytes = |file: &Path| {
+        let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
+        let told = UNTOLD.iter().all(|untold| extension != *untold);
+        std::fs::metadata(file).ok().filter(|_| told).map(|metadata| metadata.len())
+    };
+    files.into_iter().map(bytes).sum()
+}
+
+/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
+fn may_have_gpu() -> bool {
+    let nodes = ["/dev/dri", "/dev/nvidia0", "/dev/dxg"];
+    !cfg!(target_os = "linux") || nodes.iter().any(|node| Path::new(node).exists())
+}

@@ -1,0 +1,106 @@
+//! Settings that exclude each other, or what they are asked of.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use crate::baselines::Method;
+use crate::field::indicator::IndicatorKind;
+use crate::io::output::MeshFormat;
+
+/// A setting of a reconstruction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum Setting {
+    Spacing,
+    CellSize,
+    Cell,
+    Origin,
+    Walls,
+    Indicator,
+    MeanCount,
+    SkipInvalid,
+    Baseline,
+    Smooth,
+    Sigma,
+    Iso,
+    Details,
+    Normals,
+    Attributes,
+    Compression,
+    Up,
+    Backend,
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Spacing => "a spacing",
+            Self::CellSize | Self::Cell => "a size of cells",
+            Self::Origin => "an origin",
+            Self::Walls => "a tank",
+            Self::Indicator => "an indicator",
+            Self::MeanCount => "a mean number of particles (mu0)",
+            Self::SkipInvalid => "skipping invalid particles",
+            Self::Baseline => "a kernel method",
+            Self::Smooth => "how calm the water is",
+            Self::Sigma => "the width of a Gaussian (sigma)",
+            Self::Iso => "an isovalue",
+            Self::Details => "recovering details",
+            Self::Normals => "vertex normals",
+            Self::Attributes => "vertex attributes",
+            Self::Compression => "compression",
+            Self::Up => "another axis that points up",
+            Self::Backend => "a device",
+        })
+    }
+}
+
+/// What a setting does not go with.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Conflict {
+    /// The indicator that makes the field.
+    Indicator(IndicatorKind),
+    /// The kernel method that makes the field.
+    Baseline(Method),
+    /// A packed frame, of which the particles themselves are not there any more.
+    Packed(PathBuf),
+    /// The format of the mesh.
+    Format {
+        /// The mesh's file.
+        path: PathBuf,
+        /// The format by its name.
+        format: MeshFormat,
+    },
+}
+
+/// A setting that was given, and has no meaning for what it is asked of.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Unfit {
+    /// The setting.
+    pub setting: Setting,
+    /// What it does not go with.
+    pub with: Conflict,
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let setting = self.setting;
+        match &self.with {
+            Conflict::Indicator(kind) => {
+                write!(f, "{setting} has no meaning for the indicator {}", kind.name())
+            }
+            Conflict::Baseline(_) => write!(f, "{setting} has no meaning for this kernel method"),
+            Conflict::Packed(path) => {
+                write!(f, "{}: {setting} needs the particles themselves", path.display())
+            }
+            Conflict::Format { path, format } => {
+                write!(f, "{}: {format} cannot hold {setting}", path.display())
+            }
+        }
+    }
+}
+
+impl std::error::Error for Unfit {}

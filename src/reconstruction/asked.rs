@@ -1,0 +1,85 @@
+//! What a caller has asked for, as it was said: nothing is checked, and nothing filled in.
+
+use serde_json::{Map, Value, json};
+
+use crate::baselines::Method;
+use crate::field::indicator::IndicatorKind;
+use crate::io::UpAxis;
+
+use super::Attributes;
+
+/// Settings by their names, in the words of the program's options.
+pub type Settings = Map<String, Value>;
+
+/// All settings that show in the bytes of a mesh.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Asked {
+    pub(crate) spacing: Option<f64>,
+    pub(crate) cell_size: Option<f64>,
+    pub(crate) cell: Option<f64>,
+    pub(crate) origin: Option<[f64; 3]>,
+    pub(crate) walls: Option<[[f64; 3]; 2]>,
+    pub(crate) skip_invalid: bool,
+    pub(crate) indicator: Option<IndicatorKind>,
+    pub(crate) mean: Option<f64>,
+    pub(crate) baseline: Option<Method>,
+    pub(crate) smooth: Option<f64>,
+    pub(crate) sigma: Option<f64>,
+    pub(crate) iso: Option<f64>,
+    pub(crate) details: bool,
+    pub(crate) normals: bool,
+    /// `None` for the velocity, where the format can hold it.
+    pub(crate) attributes: Option<Attributes>,
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) least_volume_cells: Option<f64>,
+    pub(crate) smallest_drop: Option<u32>,
+    pub(crate) compress: bool,
+    pub(crate) up: Option<UpAxis>,
+    pub(crate) particles_up: Option<UpAxis>,
+}
+
+impl Asked {
+    /// The settings as a state file keeps them: whoever goes on with its frames asks for the same.
+    pub(crate) fn settings(&self) -> Settings {
+        let method = match self.baseline {
+            None => "dif",
+            Some(Method::Mueller { .. }) => "mueller",
+            Some(Method::ZhuBridson) => "zhu-bridson",
+            Some(Method::YuTurk { .. }) => "yu-turk",
+        };
+        // Held as the nearest step of the field.
+        let iso = self.iso.and_then(|iso| crate::grid::units::Isovalue::new(iso).ok());
+        let attributes = self.attributes.as_ref().and_then(|attributes| match attributes {
+            Attributes::Velocity => None,
+            Attributes::Named(names) if names.is_empty() => Some(vec!["none".to_owned()]),
+            Attributes::Named(names) => Some(names.clone()),
+        });
+        let settings = json!({
+            "spacing": self.spacing,
+            "cell-size": self.cell_size,
+            "cell": self.cell,
+            "origin": self.origin,
+            "domain": self.walls.map(|[[x0, y0, z0], [x1, y1, z1]]| [x0, y0, z0, x1, y1, z1]),
+            "indicator": self.indicator.unwrap_or_default().name(),
+            "mu0": self.mean,
+            "skip-invalid": self.skip_invalid,
+            "method": method,
+            "smooth": self.smooth,
+            "sigma": self.sigma,
+            "iso": iso.map_or(json!("auto"), |iso| json!(iso.value())),
+            "detail": self.details,
+            "normals": self.normals,
+            "attributes": attributes,
+            "simplify": self.tolerance,
+            "drop-smaller": self.least_volume_cells,
+            "smallest-drop": self.smallest_drop,
+            "compress": self.compress,
+            "up": self.up.map(|axis| axis.to_string()),
+            "particles-up": self.particles_up.map(|axis| axis.to_string()),
+        });
+        match settings {
+            Value::Object(map) => map,
+            _ => Settings::new(),
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! A request whose numbers are in range and whose settings go together, and the threads to run it.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::available_parallelism;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::backend::Cpu;
+use crate::baselines::Method;
+use crate::brick::InvalidParticles;
+use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::field::calibration::Calibration;
+use crate::field::indicator::{IndicatorKind, IndicatorRequest};
+use crate::field::recipe::Detail;
+use crate::frame::estimate::SMALLEST_BUDGET;
+use crate::frame::{FieldRequest, Resources, Surfacing};
+use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length};
+use crate::io::bytes::Unpacking;
+use crate::io::output::MeshFormat;
+use crate::particles::AttributeInfo;
+use crate::surface::dual_mc::Normals;
+use crate::surface::simplify::{BYTES_A_THREAD, Reduction};
+use crate::system::memory::default_memory;
+
+use super::asked::Asked;
+use super::builder::Reconstruction;
+use super::{Attributes, CellSize, SamplingRequest};
+
+/// Threads that a call may have at the most: more than any machine has cores, and few enough to start.
+const MOST_THREADS: usize = 1024;
+
+/// A request that can be run.
+#[derive(Debug, Clone)]
+pub(crate) struct Checked {
+    pub(crate) asked: Asked,
+    pub(crate) sampling: SamplingRequest,
+    pub(crate) surfacing: Surfacing,
+    pub(crate) reduction: Reduction,
+    pub(crate) calibration: Option<Calibration>,
+    pub(crate) threads: usize,
+    pub(crate) resources: Resources,
+}
+
+/// A request with threads of its own.
+#[derive(Debug, Clone)]
+pub(crate) struct Ready {
+    pub(crate) checked: Arc<Checked>,
+    pub(crate) threads: Arc<ThreadPool>,
+}
+
+impl Reconstruction {
+    /// Checks all numbers, and what of the settings can be checked without an input.
+    pub(crate) fn checked(&self) -> Result<Checked, Error> {
+        let asked = &self.asked;
+        let sampling = sampling(asked)?;
+        let surfacing = surfacing(asked)?;
+        let reduction = reduction(asked)?;
+        let budget = self.memory.unwrap_or_else(default_memory);
+        let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
+        if !(1..=MOST_THREADS).contains(&threads) {
+            return Err(Error::Threads(format!("their number must be 1 to {MOST_THREADS}")));
+        }
+        // Chunks are simplified whole, and every thread has its own.
+        let simplifying = reduction.tolerance.map(|_| threads);
+        let least = SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
+        if budget < SMALLEST_BUDGET {
+            return Err(Error::LittleMemory { least: SMALLEST_BUDGET.0, simplifying: None });
+        }
+        if budget.0 < least {
+            return Err(Error::LittleMemory { least, simplifying });
+        }
+        let backend = match sampling.field.indicator() {
+            Some(_) => Arc::clone(&self.backend),
+            None => Arc::new(Cpu),
+        };
+        let resources = Resources {
+            budget,
+            scratch: self.scratch.clone().unwrap_or_else(std::env::temp_dir),
+            backend,
+            control: self.control.clone(),
+        };
+        let (asked, calibration) = (asked.clone(), self.calibration);
+        Ok(Checked { asked, sampling, surfacing, reduction, calibration, threads, resources })
+    }
+}
+
+fn unfit<T>(setting: Setting, with: Conflict) -> Result<T, Error> {
+    Err(Unfit { setting, with }.into())
+}
+
+/// The first setting that was given of those that have no meaning.
+fn given<const N: usize>(settings: [(Setting, bool); N]) -> Option<Setting> {
+    settings.into_iter().find_map(|(setting, given)| given.then_some(setting))
+}
+
+fn sampling(asked: &Asked) -> Result<SamplingRequest, Error> {
+    let length = |what, length: Option<f64>| length.map(|length| positive_length(what, length)).transpose();
+    let cell =
+        match (length("the cell size", asked.cell_size)?, length("the cell size in spacings", asked.cell)?) {
+            (Some(size), _) => Some(CellSize::Length(size)),
+            (None, ratio) => ratio.map(CellSize::Spacings),
+        };
+    let request = SamplingRequest {
+        field: field(asked)?,
+        invalid: if asked.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
+        origin: asked.origin.map(Into::into),
+        walls: asked.walls.map(|corners| corners.map(Into::into)),
+        spacing: length("the spacing", asked.spacing)?,
+        cell,
+    };
+    request.validate()?;
+    Ok(request)
+}
+
+/// The maker of the field: refuses what has no meaning for kernels.
+fn field(asked: &Asked) -> Result<FieldRequest, Error> {
+    let kind = asked.indicator.unwrap_or_default();
+    let Some(method) = asked.baseline else {
+        if asked.mean.is_some() && !kind.counts() {
+            return unfit(Setting::MeanCount, Conflict::Indicator(kind));
+        }
+        return Ok(IndicatorRequest { kind, mean: asked.mean.map(MeanCount::new).transpose()? }.into());
+    };
+    let meaningless = given([
+        (Setting::Smooth, asked.smooth.is_some()),
+        (Setting::Sigma, asked.sigma.is_some()),
+        (Setting::Details, asked.details),
+        (Setting::Indicator, asked.indicator.is_some()),
+        (Setting::MeanCount, asked.mean.is_some()),
+        (Setting::Iso, method == Method::ZhuBridson && asked.iso.is_some()),
+    ]);
+    if let Some(setting) = meaningless {
+        return unfit(setting, Conflict::Baseline(method));
+    }
+    // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
+    let asked = asked.iso.map(Isovalue::new).transpose()?.map(Isovalue::value);
+    Ok(match method {
+        Method::Mueller { iso } => Method::Mueller { iso: asked.unwrap_or(iso) },
+        Method::YuTurk { iso } => Method::YuTurk { iso: asked.unwrap_or(iso) },
+        Method::ZhuBridson => method,
+    }
+    .into())
+}
+
+fn surfacing(asked: &Asked) -> Result<Surfacing, Error> {
+    Ok(Surfacing {
+        smooth: asked.smooth.map_or(Ok(Smooth::USUAL), Smooth::new)?,
+        sigma: asked.sigma.map(Sigma::new).transpose()?,
+        iso: asked.iso.map(Isovalue::new).transpose()?,
+        detail: if asked.details { Detail::Recovered } else { Detail::Smoothed },
+        normals: if asked.normals { Normals::Gradient } else { Normals::None },
+    })
+}
+
+fn reduction(asked: &Asked) -> Result<Reduction, Error> {
+    if let Some(value) = asked.least_volume_cells.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
+        return Err(UnitError::Volume(value).into());
+    }
+    Ok(Reduction {
+        tolerance: asked.tolerance.map(Tolerance::new).transpose()?,
+        least_volume_cells: asked.least_volume_cells,
+        // Every drop has one.
+        smallest_drop: asked.smallest_drop.filter(|&particles| particles > 1),
+    })
+}
+
+impl Asked {
+    /// Refuses settings of another indicator's surface.
+    pub(crate) fn refuse_of_others(&self, kind: IndicatorKind) -> Result<(), Error> {
+        let meaningless = match kind {
+            IndicatorKind::Cloud => given([
+                (Setting::Sigma, self.sigma.is_some()),
+                (Setting::Iso, self.iso.is_some()),
+                (Setting::Details, self.details),
+            ]),
+            IndicatorKind::Counting | IndicatorKind::Symmetry => {
+                given([(Setting::Smooth, self.smooth.is_some())])
+            }
+        };
+        meaningless.map_or(Ok(()), |setting| unfit(setting, Conflict::Indicator(kind)))
+    }
+
+    /// Refuses what a frame that was sampled before cannot give.
+    pub(crate) fn refuse_of_packed(&self, path: &Path) -> Result<(), Error> {
+        let names = |attributes: &Attributes| *attributes != Attributes::Named(Vec::new());
+        let meaningless = given([
+            (Setting::Spacing, self.spacing.is_some()),
+            (Setting::CellSize, self.cell_size.is_some()),
+            (Setting::Cell, self.cell.is_some()),
+            (Setting::Origin, self.origin.is_some()),
+            (Setting::Walls, self.walls.is_some()),
+            (Setting::Indicator, self.indicator.is_some()),
+            (Setting::MeanCount, self.mean.is_some()),
+            (Setting::SkipInvalid, self.skip_invalid),
+            (Setting::Baseline, self.baseline.is_some()),
+            (Setting::Attributes, self.attributes.as_ref().is_some_and(names)),
+        ]);
+        meaningless.map_or(Ok(()), |setting| unfit(setting, Conflict::Packed(path.to_owned())))
+    }
+
+    /// Refuses what is asked for and a format cannot hold.
+    pub(crate) fn refuse_of_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
+        let is_glb = matches!(format, MeshFormat::Glb(_));
+        let names = |attributes: &Attributes| *attributes != Attributes::Named(Vec::new());
+        let meaningless = given([
+            (Setting::Compression, self.compress && !is_glb),
+            (Setting::Up, is_glb && self.up == Some(crate::io::UpAxis::Z)),
+            (Setting::Normals, self.normals && !format.holds_normals()),
+            (Setting::Attributes, self.attributes.as_ref().is_some_and(names) && !format.holds_attributes()),
+        ]);
+        let with = || Conflict::Format { path: path.to_owned(), format };
+        meaningless.map_or(Ok(()), |setting| unfit(setting, with()))
+    }
+
+    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity goes where a format can hold it.
+    pub(crate) fn carried(
+        &self,
+        all: &[AttributeInfo],
+        format: Option<MeshFormat>,
+    ) -> Result<Vec<usize>, Error> {
+        match &self.attributes {
+            None if format.is_some_and(|format| !format.holds_attributes()) => Ok(Vec::new()),
+            None => Attributes::Velocity.among(all),
+            Some(wanted) => wanted.among(all),
+        }
+    }
+}
+
+impl Checked {
+    /// Starts threads for the request.
+    pub(crate) fn on_threads(self) -> Result<Ready, Error> {
+        let pool = ThreadPoolBuilder::new().num_threads(self.threads).build();
+        let threads = Arc::new(pool.map_err(|fault| Error::Threads(fault.to_string()))?);
+        Ok(Ready { checked: Arc::new(self), threads })
+    }
+
+    /// Refuses settings that the indicator that was asked for has no meaning for.
+    pub(crate) fn refuse_of_indicator(&self) -> Result<(), Error> {
+        match self.sampling.field.indicator() {
+            Some(asked) => self.asked.refuse_of_others(asked.kind),
+            None => Ok(()),
+        }
+    }
+
+    /// The memory for an input that has to be unpacked or decoded: an eighth of the budget.
+    pub(crate) fn unpacking(&self) -> Unpacking<'_> {
+        Unpacking { in_memory: self.resources.budget.0 / 8, scratch: &self.resources.scratch }
+    }
+}

@@ -1,0 +1,140 @@
+//! A frame that was sampled once, to be packed, or to be drawn as often as one likes.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::error::{Conflict, Error, Setting, Unfit};
+use crate::frame::{Counted, Frame as Engine};
+use crate::io::UpAxis;
+use crate::io::mnf::write_frame;
+use crate::particles::Particles;
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+use super::builder::Reconstruction;
+use super::checked::{Checked, Ready};
+use super::output::PackedOutput;
+use super::surface::Surface;
+use super::warning::{Warning, of_frame};
+use super::{Cells, ChosenSampling, Origin, Packed};
+
+/// A frame that was sampled: its discrete indicator function, and whatever its surface has to know of the particles.
+#[derive(Debug)]
+pub struct Frame {
+    pub(super) path: Option<PathBuf>,
+    pub(super) up: UpAxis,
+    pub(super) ready: Ready,
+    pub(super) sampled: Sampled,
+    pub(super) timings: Timings,
+}
+
+/// The samples, and what was chosen for them.
+#[derive(Debug)]
+pub(super) struct Sampled {
+    pub(super) engine: Engine,
+    pub(super) cells: Option<Cells>,
+    pub(super) moved: bool,
+}
+
+impl Ready {
+    pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
+        let checked = &self.checked;
+        let mut timings = Timings::default();
+        checked.go_on()?;
+        checked.refuse_of_indicator()?;
+        let sampled = self.threads.install(|| {
+            let chosen = checked.choose(particles, Origin::default())?;
+            timings.done("spacing");
+            checked.sampled(particles, chosen, &mut timings)
+        })?;
+        Ok(Frame { path: None, up: UpAxis::Y, ready: self, sampled, timings })
+    }
+}
+
+impl Checked {
+    /// Samples particles as it was chosen.
+    pub(super) fn sampled(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        chosen: ChosenSampling,
+        timings: &mut Timings,
+    ) -> Result<Sampled, Error> {
+        let ChosenSampling { sampling, cells, moved } = chosen;
+        self.resources.control.begins(Stage::Counting);
+        let counted = Counted::for_surface(particles, &sampling, &self.surfacing)?;
+        timings.done("count");
+        let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
+        Ok(Sampled { engine, cells: Some(cells), moved })
+    }
+}
+
+impl Frame {
+    /// Doubts about the frame, its spacing and its attributes.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<Warning> {
+        of_frame(&self.sampled.engine)
+    }
+
+    /// Draws the surface that was asked for when the particles were sampled.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] where there is none, or scratch files fail, and [`Error::Cancelled`].
+    pub fn surface(&self) -> Result<Surface, Error> {
+        self.draw(&self.ready.checked, self.timings.clone())
+    }
+
+    /// Draws a surface by other settings, of which those that say how particles are sampled do not count any more.
+    ///
+    /// Memory, threads, backend, attributes and normals' smoothing stay those of the frame.
+    ///
+    /// # Errors
+    /// [`Error::Unit`] and [`Error::Unfit`], and those of [`surface`](Self::surface).
+    pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
+        let mut checked = request.checked()?;
+        if let Some(sampled) = self.sampled.engine.dif() {
+            checked.asked.refuse_of_others(sampled.indicator.kind())?;
+        }
+        checked.resources = self.ready.checked.resources.clone();
+        checked.resources.control = request.control.clone();
+        self.draw(&Arc::new(checked), Timings::default())
+    }
+
+    fn draw(&self, checked: &Arc<Checked>, mut timings: Timings) -> Result<Surface, Error> {
+        timings.skip();
+        let threads = &self.ready.threads;
+        let drawn = threads.install(|| {
+            let known = checked.calibration.as_ref();
+            checked.draw(&self.sampled.engine, known, &mut timings)
+        });
+        let mut drawn = drawn.map_err(|error| match &self.path {
+            Some(path) => error.of_file(path),
+            None => error,
+        })?;
+        let report = &mut drawn.report;
+        (report.cells, report.moved, report.timings) =
+            (self.sampled.cells.clone(), self.sampled.moved, timings);
+        report.threads = threads.current_num_threads();
+        let (threads, asked) = (Arc::clone(threads), checked.asked.clone());
+        Ok(Surface { drawn, threads, asked, particles_up: self.up })
+    }
+
+    /// Writes the frame's samples to a file, to be drawn later.
+    ///
+    /// # Errors
+    /// [`Error::Unfit`] for kernels, which have none, and [`Error::Write`].
+    pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
+        let Ready { checked, threads } = &self.ready;
+        let Some(sampled) = self.sampled.engine.dif() else {
+            let with = Conflict::Packed(output.path().to_owned());
+            return Err(Unfit { setting: Setting::Baseline, with }.into());
+        };
+        checked.resources.control.begins(Stage::Writing);
+        let mut timings = self.timings.clone();
+        timings.skip();
+        let bytes = threads.install(|| output.write(|out| write_frame(out, sampled).map(drop)))?;
+        timings.done("write");
+        let dif = &sampled.dif;
+        let census = sampled.facts.census;
+        Ok(Packed { bytes, cells: dif.full_cells(), bricks: dif.bricks(), census, timings })
+    }
+}

@@ -1,0 +1,198 @@
+//! What a particle file, a packed frame or a mesh holds.
+
+use std::path::{Path, PathBuf};
+
+use glam::IVec3;
+use serde::Serialize;
+
+use crate::brick::InvalidParticles;
+use crate::error::Error;
+use crate::field::indicator::SampledDif;
+use crate::field::spacing;
+use crate::frame::{Counted, Resources};
+use crate::grid::units::{MeanCount, MemoryBudget};
+use crate::io::bytes::Unpacking;
+use crate::io::input::{holds_mesh, open_particles};
+use crate::io::mnf::{is_packed, open_frame};
+use crate::io::output::read_mesh;
+use crate::io::scene::spacing_beside;
+use crate::particles::{AttributeInfo, Particles, bounds};
+use crate::surface::mesh::measure::measure;
+use crate::system::memory::default_memory;
+
+use super::{Origin, SamplingRequest};
+
+/// Contents of a file.
+#[derive(Debug, Clone, Serialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Info {
+    /// A file of particles.
+    Particles(ParticlesInfo),
+    /// A packed frame.
+    Frame(FrameInfo),
+    /// A mesh.
+    Mesh(MeshInfo),
+}
+
+/// Contents of a particle file.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct ParticlesInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// The kind of file, in the words that people use for it.
+    pub format: &'static str,
+    /// The number of particles.
+    pub particles: usize,
+    /// The number of those whose coordinates are not finite.
+    pub not_finite: usize,
+    /// The lowest and the highest corner of the box around all others.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// The attributes beside positions.
+    pub attributes: Vec<AttributeInfo>,
+    /// Distance between neighbouring particles.
+    pub spacing: Option<f64>,
+    /// Where the spacing comes from.
+    pub spacing_source: Option<String>,
+    /// Bytes that reconstructing in memory takes by default.
+    pub memory_bytes: Option<u64>,
+}
+
+/// Contents of a packed frame.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct FrameInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// The number of particles that it was made of.
+    pub particles: usize,
+    /// Cells that are not 0 by what their own bin's particles leave in them.
+    pub cells: u64,
+    /// Bricks that are stored.
+    pub bricks: u64,
+    /// The lowest and the highest corner of the box around these cells.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// Edge of a cell.
+    pub cell_size: f64,
+    /// A corner of the grid's cells.
+    pub origin: [f64; 3],
+    /// The walls of the tank, if the fluid is in one.
+    pub domain: Option<[[f64; 3]; 2]>,
+    /// The indicator's name.
+    pub indicator: &'static str,
+    /// Mean number of particles in a full cell, where the indicator counts.
+    pub mu0: Option<f64>,
+}
+
+/// Contents of a mesh file.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct MeshInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// The number of vertices.
+    pub vertices: usize,
+    /// The number of triangles.
+    pub triangles: usize,
+    /// The lowest and the highest corner of the box around the vertices.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// The number of connected components.
+    pub components: usize,
+    /// Whether vertices have normals.
+    pub normals: bool,
+    /// The other attributes of the vertices.
+    pub attributes: Vec<AttributeInfo>,
+}
+
+/// Looks into a particle file, a packed frame or a mesh.
+///
+/// # Errors
+/// [`Error::Read`].
+pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
+    let path = path.as_ref();
+    if is_packed(path) {
+        frame(path).map(Info::Frame)
+    } else if holds_mesh(path)? {
+        mesh(path).map(Info::Mesh)
+    } else {
+        particles(path).map(Info::Particles)
+    }
+}
+
+fn frame(path: &Path) -> Result<FrameInfo, Error> {
+    let SampledDif { facts, indicator, dif, .. } = open_frame(path, 0)?;
+    let full = dif.infos().iter().map(|info| info.full).reduce(|a, b| a.union(&b));
+    let world = |cells: IVec3| facts.grid.world_from_cells(cells.as_dvec3()).to_array();
+    Ok(FrameInfo {
+        file: path.to_owned(),
+        particles: facts.census.binned,
+        cells: dif.full_cells(),
+        bricks: dif.bricks(),
+        bounds: full.map(|full| [world(full.lo), world(full.hi)]),
+        cell_size: facts.grid.cell_size(),
+        origin: facts.grid.origin().to_array(),
+        domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        indicator: indicator.kind().name(),
+        mu0: indicator.mean().map(MeanCount::particles),
+    })
+}
+
+fn mesh(path: &Path) -> Result<MeshInfo, Error> {
+    let mesh = read_mesh(path)?;
+    let measures = measure(&mesh);
+    let attributes = mesh.attributes.iter();
+    Ok(MeshInfo {
+        file: path.to_owned(),
+        vertices: mesh.positions.len(),
+        triangles: mesh.triangles.len(),
+        bounds: measures.bounds,
+        components: measures.components,
+        normals: mesh.normals.is_some(),
+        attributes: attributes
+            .map(|of| AttributeInfo { name: of.name.clone(), components: of.components })
+            .collect(),
+    })
+}
+
+fn particles(path: &Path) -> Result<ParticlesInfo, Error> {
+    let scratch = std::env::temp_dir();
+    let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
+    let file = open_particles(path, unpacking)?;
+    let particles = &file.particles;
+    let bounds = bounds(particles);
+    let (spacing, spacing_source) = if let Some(spacing) = file.spacing {
+        (Some(spacing), Some("the file".to_owned()))
+    } else if let Some((spacing, scene)) = spacing_beside(path) {
+        (Some(spacing), Some(scene.display().to_string()))
+    } else {
+        let estimate = spacing::estimate(particles);
+        (estimate, estimate.map(|_| "an estimate".to_owned()))
+    };
+    Ok(ParticlesInfo {
+        file: path.to_owned(),
+        format: file.format,
+        particles: particles.len(),
+        not_finite: particles.len() - bounds.map_or(0, |b| b.finite),
+        bounds: bounds.map(|b| [b.lo.to_array(), b.hi.to_array()]),
+        attributes: particles.attributes().to_vec(),
+        memory_bytes: spacing.and_then(|spacing| memory(particles, spacing)),
+        spacing,
+        spacing_source,
+    })
+}
+
+/// The bytes that reconstructing by default takes.
+fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
+    let request = SamplingRequest {
+        spacing: Some(spacing),
+        invalid: InvalidParticles::Skip,
+        ..SamplingRequest::default()
+    };
+    let cells = request.cells(particles, Origin::default()).ok()?;
+    let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
+    let grid = request.grid(cells.size).ok()?;
+    let sampling = request.sampling_on(grid, request.field, None, Vec::new(), resources).ok()?;
+    let counted = Counted::of(particles, &sampling).ok()?;
+    Some(counted.estimate().in_core())
+}

@@ -1,0 +1,204 @@
+//! An input that was opened: what it holds, what its surface would take, and its samples.
+
+use std::path::{Path, PathBuf};
+
+use crate::brick::Census;
+use crate::error::Error;
+use crate::field::indicator::{IndicatorKind, SampledDif};
+use crate::frame::estimate::Estimate;
+use crate::frame::{Counted, Frame as Engine, FrameError};
+use crate::io::ParticleFile;
+use crate::io::input::open_particles;
+use crate::io::mnf::{is_packed, open_frame};
+use crate::io::output::MeshFormat;
+use crate::particles::Particles;
+use crate::surface::simplify::BYTES_A_THREAD;
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+use super::checked::{Checked, Ready};
+use super::frame::{Frame, Sampled};
+use super::orientation::usual_up;
+use super::{Cells, ChosenSampling, Origin};
+
+/// An input that was opened, and is not sampled yet.
+#[derive(Debug)]
+pub struct Opened {
+    path: PathBuf,
+    ready: Ready,
+    input: Input,
+    timings: Timings,
+}
+
+#[derive(Debug)]
+enum Input {
+    Particles { file: ParticleFile, chosen: ChosenSampling },
+    Packed(SampledDif),
+}
+
+/// Needs of a frame that was counted and not sampled.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Needs {
+    /// Counts of particles, by what would become of them.
+    pub census: Census,
+    /// Edge of a cell.
+    pub cell_size: f64,
+    /// Bytes of memory that may be used.
+    pub budget: u64,
+    /// Bytes of memory that the frame takes within that, at the peak.
+    pub memory: u64,
+    /// Bytes of memory that it would take if there were enough.
+    pub in_core: u64,
+    /// The most bytes that go to scratch files.
+    pub scratch: u64,
+    /// The folder of scratch files.
+    pub scratch_folder: PathBuf,
+    /// Bytes that simplifying takes beside that: in memory, and in memory or scratch files.
+    pub simplifying: Option<[u64; 2]>,
+    /// Bytes that a writer takes that holds the mesh as a whole.
+    pub writing: Option<u64>,
+}
+
+impl Ready {
+    pub(super) fn open(self, path: &Path) -> Result<Opened, Error> {
+        let checked = &self.checked;
+        let mut timings = Timings::default();
+        checked.go_on()?;
+        checked.resources.control.begins(Stage::Reading);
+        let input = self.threads.install(|| {
+            if is_packed(path) {
+                checked.asked.refuse_of_packed(path)?;
+                let sampled = open_frame(path, checked.resources.budget.0 / 4)?;
+                timings.done("open");
+                checked.asked.refuse_of_others(sampled.indicator.kind())?;
+                return Ok(Input::Packed(sampled));
+            }
+            checked.refuse_of_indicator()?;
+            let file = open_particles(path, checked.unpacking())?;
+            timings.done("open");
+            let origin = Origin { path: Some(path), spacing: file.spacing };
+            let chosen = checked.choose(&file.particles, origin).map_err(|error| error.of_file(path))?;
+            timings.done("spacing");
+            Ok::<_, Error>(Input::Particles { file, chosen })
+        })?;
+        Ok(Opened { path: path.to_owned(), ready: self, input, timings })
+    }
+}
+
+impl Checked {
+    /// Ends the work where the caller has asked for it.
+    pub(crate) fn go_on(&self) -> Result<(), Error> {
+        if self.resources.control.cancel.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+
+    /// Chooses how to sample particles.
+    pub(super) fn choose(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        origin: Origin<'_>,
+    ) -> Result<ChosenSampling, Error> {
+        let carried = self.asked.carried(particles.attributes(), None)?;
+        self.sampling.sampling(particles, origin, carried, self.resources.clone())
+    }
+}
+
+impl Opened {
+    /// The number of particles: of a packed frame, those that it was made of.
+    #[must_use]
+    pub fn particles(&self) -> usize {
+        match &self.input {
+            Input::Particles { file, .. } => file.particles.len(),
+            Input::Packed(sampled) => sampled.facts.census.binned,
+        }
+    }
+
+    /// The kind of file, in the words that people use for it.
+    #[must_use]
+    pub fn format(&self) -> &str {
+        match &self.input {
+            Input::Particles { file, .. } => file.format,
+            Input::Packed(_) => "packed frame",
+        }
+    }
+
+    /// The cells that were chosen; `None` of a packed frame, which has its own.
+    #[must_use]
+    pub fn cells(&self) -> Option<&Cells> {
+        match &self.input {
+            Input::Particles { chosen, .. } => Some(&chosen.cells),
+            Input::Packed(_) => None,
+        }
+    }
+
+    /// The indicator that makes the field; `None` for kernels.
+    #[must_use]
+    pub fn indicator(&self) -> Option<IndicatorKind> {
+        match &self.input {
+            Input::Particles { chosen, .. } => chosen.sampling.field.indicator().map(|asked| asked.kind),
+            Input::Packed(sampled) => Some(sampled.indicator.kind()),
+        }
+    }
+
+    /// The origin that the grid was moved to, where all particles stand on a lattice that it has to suit.
+    #[must_use]
+    pub fn moved_to(&self) -> Option<[f64; 3]> {
+        match &self.input {
+            Input::Particles { chosen, .. } => chosen.moved.then(|| chosen.sampling.grid.origin().to_array()),
+            Input::Packed(_) => None,
+        }
+    }
+
+    /// Counts the particles, and says what their surface would take; `None` of a packed frame.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold.
+    pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
+        let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
+        let Ready { checked, threads } = &self.ready;
+        let counted = threads.install(|| {
+            let counted = Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing)?;
+            Ok((counted.census(), counted.estimate()))
+        });
+        let (census, estimate): (Census, Estimate) = counted.map_err(|fault| self.in_file(fault))?;
+        let resources = &checked.resources;
+        let plan = estimate.plan(resources.budget);
+        // Two passes hold the triangles that are left as three numbers of 64 bits.
+        let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
+        let holds = checked.asked.holds_whole_mesh(format);
+        Ok(Some(Needs {
+            census,
+            cell_size: chosen.sampling.grid.cell_size(),
+            budget: resources.budget.0,
+            memory: estimate.peak(plan),
+            in_core: estimate.in_core(),
+            scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
+            scratch_folder: resources.scratch.clone(),
+            simplifying: checked.reduction.tolerance.map(|_| simplified),
+            writing: holds.then_some(3 * estimate.surface),
+        }))
+    }
+
+    fn in_file(&self, fault: FrameError) -> Error {
+        Error::from(fault).of_file(&self.path)
+    }
+
+    /// Samples the particles, for surfaces that may be drawn otherwise again and again.
+    ///
+    /// # Errors
+    /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and [`Error::Cancelled`].
+    pub fn sample(self) -> Result<Frame, Error> {
+        let Self { path, ready, input, mut timings } = self;
+        let up = usual_up(&path);
+        let checked = &ready.checked;
+        let sampled = ready.threads.install(|| match input {
+            Input::Packed(sampled) => {
+                let engine = Engine::from_sampled(sampled, &checked.surfacing, checked.resources.clone());
+                Ok(Sampled { engine, cells: None, moved: false })
+            }
+            Input::Particles { file, chosen } => checked.sampled(&file.particles, chosen, &mut timings),
+        });
+        let sampled = sampled.map_err(|error| error.of_file(&path))?;
+        Ok(Frame { path: Some(path), up, ready, sampled, timings })
+    }
+}

@@ -1,0 +1,151 @@
+//! Files that are going to be written: refused before the work, if at all.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use crate::brick::Census;
+use crate::error::Error;
+use crate::io::identity::is_same_file;
+use crate::io::output::{MeshFormat, MeshOutput};
+use crate::io::whole::{FilledFile, Replace, WholeFile};
+use crate::io::{CoordinateWidth, WriteError, WriteFault};
+use crate::surface::mesh::source::MeshSource;
+use crate::system::cancel::{Cancel, Unfinished};
+use crate::system::timings::Timings;
+
+use super::SinglePrecision;
+use super::asked::Asked;
+
+/// A mesh file that is going to be written: whole or not at all.
+#[derive(Debug)]
+pub struct Output {
+    file: MeshOutput,
+    unfinished: Unfinished,
+    path: PathBuf,
+}
+
+/// A packed frame that is going to be written: whole or not at all.
+#[derive(Debug)]
+pub struct PackedOutput {
+    file: WholeFile,
+    unfinished: Unfinished,
+    path: PathBuf,
+}
+
+/// A packed frame that was written.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Packed {
+    /// The file's size.
+    pub bytes: u64,
+    /// Cells that are not 0.
+    pub cells: u64,
+    /// Bricks that are stored.
+    pub bricks: u64,
+    /// Counts of particles, by what became of them.
+    pub census: Census,
+    /// How long each stage took.
+    pub timings: Timings,
+}
+
+/// Refuses a file that is to be read or written and written again, which is a slip of the hand.
+pub(crate) fn refuse_same_file(path: &Path, other: &Path) -> Result<(), Error> {
+    if is_same_file(path, other) {
+        Err(Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() })
+    } else {
+        Ok(())
+    }
+}
+
+/// The width of coordinates in a file, by what f32 does to a surface's.
+pub(crate) fn coordinate_width(
+    precision: SinglePrecision,
+    format: MeshFormat,
+    path: &Path,
+) -> Result<CoordinateWidth, WriteError> {
+    match precision {
+        SinglePrecision::Enough => Ok(CoordinateWidth::F32),
+        SinglePrecision::TooCoarse | SinglePrecision::Exceeded if format.holds_f64() => {
+            Ok(CoordinateWidth::F64)
+        }
+        SinglePrecision::TooCoarse => Ok(CoordinateWidth::F32),
+        SinglePrecision::Exceeded => {
+            let what = format!("{format} holds coordinates as f32, which these exceed; use .ply");
+            Err(WriteError::new(path, WriteFault::Unsupported(what)))
+        }
+    }
+}
+
+impl Output {
+    /// Makes sure that a file can be written, and can hold what is asked for.
+    pub(crate) fn prepare(
+        asked: &Asked,
+        path: &Path,
+        replace: Replace,
+        cancel: &Cancel,
+    ) -> Result<Self, Error> {
+        let prepare = || MeshOutput::prepare(path, replace);
+        let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
+        asked.refuse_of_format(path, file.format())?;
+        Ok(Self { file, unfinished, path: path.to_owned() })
+    }
+
+    /// The format, by the file's extension.
+    #[must_use]
+    pub fn format(&self) -> MeshFormat {
+        self.file.format()
+    }
+
+    /// The file's path.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The same file laid out as it was asked for.
+    pub(crate) fn with_layout(mut self, layout: crate::io::glb::Layout) -> Self {
+        self.file = self.file.with_layout(layout);
+        self
+    }
+
+    /// Writes a mesh, without giving the file its name.
+    pub(crate) fn fill(
+        self,
+        mesh: &dyn MeshSource,
+        width: CoordinateWidth,
+    ) -> Result<(FilledFile, Unfinished), WriteError> {
+        Ok((self.file.fill(mesh, width)?, self.unfinished))
+    }
+
+    /// Writes a mesh, and gives the file its name.
+    pub(crate) fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
+        let bytes = self.file.write(mesh, width)?;
+        drop(self.unfinished);
+        Ok(bytes)
+    }
+}
+
+impl PackedOutput {
+    pub(super) fn prepare(path: &Path, replace: Replace, cancel: &Cancel) -> Result<Self, Error> {
+        if !crate::io::mnf::is_packed(path) {
+            return Err(Error::Request(format!("{}: packed frames are .mnf files", path.display())));
+        }
+        let (file, unfinished) = cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
+        Ok(Self { file, unfinished, path: path.to_owned() })
+    }
+
+    /// The file's path.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn write(
+        self,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send,
+    ) -> Result<u64, Error> {
+        let bytes = self.file.write(content)?;
+        drop(self.unfinished);
+        Ok(bytes)
+    }
+}

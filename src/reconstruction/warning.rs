@@ -1,0 +1,190 @@
+//! What may be wrong with a frame, or with the request for it, although there is a surface.
+
+use std::fmt;
+
+use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
+use crate::field::indicator::IndicatorKind;
+use crate::frame::{Frame as Engine, Shortfall};
+use crate::grid::units::{FULL, Isovalue, shown};
+use crate::io::output::MeshFormat;
+use crate::surface::simplify::Dropped;
+
+use super::Doubt;
+
+/// Particles that are so many times too dense for their spacing are half as far apart.
+const CROWDED: f64 = 8.0;
+
+/// So many particles in no surface are not worth a word.
+const FEW: u64 = 10;
+
+/// A doubt about a surface, or about the request for it.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Warning {
+    /// The spacing may not be that of the particles.
+    Spacing(Doubt),
+    /// There are many more particles than their spacing leaves room for.
+    Crowded {
+        /// How many times as many, at the least.
+        times: f64,
+        /// The spacing that they are taken to have.
+        spacing: f64,
+    },
+    /// Some particles lack a value of an attribute.
+    Lacking {
+        /// The attribute's name.
+        attribute: String,
+        /// How many particles have no such number.
+        without: usize,
+        /// How many particles there are.
+        of: usize,
+    },
+    /// The backend failed, and the processor stood in for it.
+    MadeGood(String),
+    /// A lattice of particles lies on the corners of cells, which symmetry does not bear.
+    OnCorners {
+        /// The mean indicator of full cells.
+        mean: f64,
+        /// An origin that moves the grid off them.
+        origin: [f64; 3],
+    },
+    /// An isovalue that was given is above values deep in the fluid.
+    Bubbles {
+        /// The isovalue.
+        iso: f64,
+        /// The lowest value deep in the fluid.
+        lowest: f64,
+    },
+    /// Particles are in no surface.
+    Lost {
+        /// How many, at the least.
+        lost: u64,
+        /// How many particles there are.
+        of: usize,
+        /// Whether smoothing by one of the paper's indicators loses them, where smaller cells would not help.
+        smoothed: bool,
+    },
+    /// The surface holds far less than its particles.
+    Shortfall {
+        /// By how much.
+        shortfall: Shortfall,
+        /// Whether clouds make the field.
+        clouds: bool,
+        /// The frame that its isovalue or plateau was measured on, if that is another.
+        measured_on: Option<u64>,
+    },
+    /// A format leaves vertices in the same place, and has nothing else to tell them by.
+    Merged {
+        /// How many.
+        vertices: u64,
+        /// The format.
+        format: MeshFormat,
+    },
+    /// A format holds coordinates as f32, too coarse for these.
+    Coarse {
+        /// The format.
+        format: MeshFormat,
+    },
+    /// A frame among others has no surface: its mesh is empty.
+    Empty {
+        /// The cause.
+        why: Emptiness,
+        /// Whether clouds make the field.
+        clouds: bool,
+        /// The frame that its isovalue or plateau was measured on, if that is another.
+        measured_on: Option<u64>,
+    },
+}
+
+/// Causes of an empty mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Emptiness {
+    /// The field is nowhere above the isovalue.
+    Field,
+    /// No cell's centre is inside of the surface.
+    Distances,
+    /// All components were too small to be kept.
+    Dropped(Dropped),
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Spacing(doubt) => doubt.fmt(f),
+            Self::Crowded { times, spacing } => {
+                write!(
+                    f,
+                    "there are {times:.1} times as many particles as {} apart have room",
+                    shown(*spacing)
+                )
+            }
+            Self::Lacking { attribute, without, of } => write!(
+                f,
+                "{without} of {of} particles have no {attribute} that is a finite number of 32 bits: the others alone tell that \
+                 of the vertices"
+            ),
+            Self::MadeGood(what) => f.write_str(what),
+            Self::OnCorners { mean, .. } => write!(
+                f,
+                "the particles lie on the corners of cells (mean indicator {mean:.4}), which harms the surface"
+            ),
+            Self::Bubbles { iso, lowest } => write!(
+                f,
+                "isovalue {iso:.4} is above the field's lowest interior value, {lowest:.4}: expect bubbles inside"
+            ),
+            Self::Lost { lost, of, .. } => write!(f, "at least {lost} of {of} particles are in no surface"),
+            Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
+            Self::Merged { vertices, format } => write!(
+                f,
+                "{vertices} vertices have the place of another in f32, and {format} has nothing else to tell them by; .ply keeps \
+                 them"
+            ),
+            Self::Coarse { format } => {
+                write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
+            }
+            Self::Empty { why, .. } => match why {
+                Emptiness::Field => f.write_str("the field is nowhere above the isovalue: an empty mesh"),
+                Emptiness::Distances => {
+                    f.write_str("no cell's centre is inside of the surface: an empty mesh")
+                }
+                Emptiness::Dropped(all) => {
+                    write!(f, "all components are below {}: an empty mesh", all.limits())
+                }
+            },
+        }
+    }
+}
+
+/// Doubts about a frame that was sampled.
+pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
+    let facts = engine.facts();
+    let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+    let spacing = facts.spacing.unwrap_or_default();
+    let crowded = engine.crowding().filter(|&times| times > CROWDED);
+    warnings.extend(crowded.map(|times| Warning::Crowded { times, spacing }));
+    warnings.extend(engine.lacking_attributes().map(|(name, without)| Warning::Lacking {
+        attribute: name.to_owned(),
+        without,
+        of: facts.census.binned,
+    }));
+    let symmetric = engine.dif().filter(|sampled| sampled.indicator.kind() == IndicatorKind::Symmetry);
+    let mean = symmetric.map(|sampled| sampled.dif.mean_of_full()).filter(|&mean| mean < ON_CORNERS);
+    warnings.extend(mean.map(|mean| Warning::OnCorners {
+        mean,
+        origin: (facts.grid.origin() + facts.grid.cell_size() / 2.0).to_array(),
+    }));
+    warnings
+}
+
+/// A doubt about an isovalue that was given, by what was measured on the frame.
+pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Option<Warning> {
+    let (Plateau::Interior { lowest, .. }, Some(given)) = (measured.plateau, given) else { return None };
+    let above = measured.calibration.iso().is_some() && given.threshold() >= lowest;
+    above.then(|| Warning::Bubbles { iso: given.value(), lowest: f64::from(lowest) / f64::from(FULL) })
+}
+
+/// A doubt about particles that are in no surface, if they are many.
+pub(crate) fn of_lost(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
+    (lost > FEW).then_some(Warning::Lost { lost, of, smoothed })
+}

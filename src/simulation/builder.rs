@@ -1,0 +1,175 @@
+//! The request for the meshes of a simulation's frames, step by step.
+
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, FPS, SequenceError};
+use crate::reconstruction::Reconstruction;
+
+use super::inputs::{Inputs, Selection};
+use super::naming::Naming;
+
+/// A request for the mesh of each frame of a simulation.
+///
+/// Grid and calibration are measured once and kept beside the outputs, so that all frames are alike, whoever makes them.
+///
+/// ```no_run
+/// use meniscus::Simulation;
+///
+/// Simulation::new("sim/frame_{}.bgeo", "mesh/frame_{}.ply").run(|event| println!("{event}"))?;
+/// # Ok::<(), meniscus::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+#[must_use]
+pub struct Simulation {
+    pub(super) inputs: Vec<PathBuf>,
+    pub(super) output: PathBuf,
+    pub(super) request: Reconstruction,
+    pub(super) selection: Selection,
+    pub(super) frames: (u64, u64),
+    pub(super) resume: bool,
+    pub(super) overwrite: bool,
+    pub(super) watch: Option<f64>,
+    pub(super) fps: Option<f64>,
+    pub(super) beside: Vec<PathBuf>,
+    /// Whether nothing is converted yet: all jobs may then plan, whatever is there.
+    pub(super) planned: bool,
+}
+
+impl Simulation {
+    /// Asks for the meshes of frames: a name with `{}` for the number, a folder, a glob, or a file of several steps; to a name with `{}`
+    /// or `{:04}`, or a folder.
+    pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
+        Self::of_files([input], output)
+    }
+
+    /// Asks for the meshes of frames that are named one by one.
+    pub fn of_files(
+        inputs: impl IntoIterator<Item = impl Into<PathBuf>>,
+        output: impl Into<PathBuf>,
+    ) -> Self {
+        Self {
+            inputs: inputs.into_iter().map(Into::into).collect(),
+            output: output.into(),
+            request: Reconstruction::new(),
+            selection: Selection::default(),
+            frames: (0, u64::MAX),
+            resume: false,
+            overwrite: false,
+            watch: None,
+            fps: None,
+            beside: Vec::new(),
+            planned: false,
+        }
+    }
+
+    /// Asks for a simulation where inputs and output name one; `None` where both name a single frame.
+    ///
+    /// # Errors
+    /// [`Error::Sequence`] for names that cannot be those of frames, and [`Error::Request`] for several inputs and one output.
+    pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
+        match (Inputs::of(inputs)?, Naming::of(output)?) {
+            (None, None) => Ok(None),
+            (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
+            (Some(inputs), None) => Err(Error::Request(format!(
+                "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder",
+                output.display(),
+                inputs.describe()
+            ))),
+        }
+    }
+
+    /// Reconstructs each frame so.
+    pub fn reconstruction(mut self, request: Reconstruction) -> Self {
+        self.request = request;
+        self
+    }
+
+    /// Begins the sequence at a frame's number.
+    pub fn start(mut self, number: u64) -> Self {
+        self.selection.start = number;
+        self
+    }
+
+    /// Ends the sequence at a frame's number, which is part of it.
+    pub fn end(mut self, number: u64) -> Self {
+        self.selection.end = number;
+        self
+    }
+
+    /// Takes every so many numbers from the first.
+    pub fn step(mut self, numbers: u64) -> Self {
+        self.selection.step = numbers;
+        self
+    }
+
+    /// Converts these frames of the sequence only, as one of several jobs; all jobs measure and keep the same.
+    pub fn frames(mut self, numbers: RangeInclusive<u64>) -> Self {
+        self.frames = numbers.into_inner();
+        self
+    }
+
+    /// Goes on with a conversion that was begun: skips what is done, whole, and made with the same settings.
+    pub fn resume(mut self) -> Self {
+        self.resume = true;
+        self
+    }
+
+    /// Replaces outputs that exist.
+    pub fn overwrite(mut self) -> Self {
+        self.overwrite = true;
+        self
+    }
+
+    /// Follows a simulation that runs, until its last frame, or until nothing has come for so many seconds.
+    pub fn watch(mut self, seconds: f64) -> Self {
+        self.watch = Some(seconds);
+        self
+    }
+
+    /// Sets frames a second, for times where the files have none.
+    pub fn fps(mut self, rate: f64) -> Self {
+        self.fps = Some(rate);
+        self
+    }
+
+    /// Names a file that the caller writes beside the meshes: refused where it is one of the conversion's own.
+    pub fn beside(mut self, file: impl Into<PathBuf>) -> Self {
+        self.beside.push(file.into());
+        self
+    }
+
+    /// The names of inputs and outputs.
+    pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
+        let Some(naming) = Naming::of(&self.output)? else {
+            let what = format!("{}: one file for all frames", self.output.display());
+            return Err(SequenceError::Names(what).into());
+        };
+        let inputs = Inputs::of(&self.inputs)?.unwrap_or_else(|| Inputs::Files(self.inputs.clone()));
+        Ok((inputs, naming))
+    }
+
+    /// Whether a frame of the sequence is one of those that are to be converted.
+    pub(super) fn wants(&self, number: u64) -> bool {
+        let (first, last) = self.frames;
+        (first..=last).contains(&number)
+    }
+
+    /// Refuses numbers that have no meaning.
+    pub(super) fn validate(&self) -> Result<(), Error> {
+        if let Some(fps) = self.fps.filter(|fps| !FPS.contains(fps)) {
+            return Err(SequenceError::Rate(fps).into());
+        }
+        if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
+            return Err(SequenceError::Wait(seconds).into());
+        }
+        let Selection { start, end, step } = self.selection;
+        if start > end {
+            return Err(SequenceError::Range { first: start, last: end }.into());
+        }
+        if step == 0 {
+            return Err(SequenceError::Step.into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,299 @@
+//! What a running conversion tells its caller.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use bytesize::ByteSize;
+
+use crate::brick::Census;
+use crate::error::Error;
+use crate::field::calibration::{Calibration, Plateau};
+use crate::grid::units::shown;
+use crate::io::series::SeriesFrame;
+use crate::reconstruction::{Doubt, Report, Warning};
+use crate::system::control::Stage;
+
+use super::frozen::{Frozen, Trust};
+use super::inputs::Gaps;
+
+/// News of a conversion, which prints as a line for people.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub enum Event<'a> {
+    /// There is no frame yet, and one is waited for.
+    Waiting {
+        /// The inputs, as they were asked for.
+        inputs: &'a str,
+    },
+    /// The spacing that a frame says, or looks like, may not be right.
+    Doubted(&'a Doubt),
+    /// The state of an earlier run is of other settings, and is made anew.
+    Anew {
+        /// The state's file.
+        state: &'a Path,
+        /// The settings that differ, by their names.
+        differing: &'a str,
+    },
+    /// The frames of an earlier run are gone on with.
+    GoesOn {
+        /// The state's file.
+        state: &'a Path,
+        /// What all frames have in common.
+        frozen: &'a Frozen,
+    },
+    /// What all frames have in common was measured.
+    Measured {
+        /// The file of the frame that it was measured on.
+        path: &'a Path,
+        /// What all frames have in common.
+        frozen: &'a Frozen,
+        /// How much this frame can tell of all others.
+        trust: Trust,
+    },
+    /// The frames that are to be made are known.
+    Begins {
+        /// How many are asked for; more may come where a simulation is followed.
+        frames: usize,
+        /// How many of them are done already.
+        done: usize,
+        /// Bytes of the inputs of all others.
+        bytes: u64,
+        /// Frames that are made side by side.
+        lanes: usize,
+        /// Whether the simulation is followed.
+        followed: bool,
+    },
+    /// A further frame has come.
+    Came {
+        /// Bytes of its input.
+        bytes: u64,
+    },
+    /// A lane has begun with a stage of a frame; with none, it is done with it.
+    Stage {
+        /// The lane's number, from 0.
+        lane: usize,
+        /// The frame's number.
+        frame: u64,
+        /// The stage.
+        stage: Option<Stage>,
+    },
+    /// A frame is done.
+    Done(&'a FrameDone),
+    /// A frame could not be made.
+    Failed(&'a FrameFailed),
+    /// One of several sequences could not be converted; the others are.
+    SequenceFailed(&'a Error),
+    /// All frames of a sequence are done, or have failed.
+    Ended(&'a Summary),
+}
+
+/// A frame whose mesh has its name.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct FrameDone {
+    /// The particles' file.
+    pub input: PathBuf,
+    /// The mesh's file.
+    pub output: PathBuf,
+    /// The mesh, as the sequence lists it.
+    pub mesh: SeriesFrame,
+    /// The frame's time in seconds, by its file or by the rate of frames.
+    pub time: Option<f64>,
+    /// A report on the surface; `None` where there are no particles.
+    pub report: Option<Report>,
+    /// Particles that are in no surface, at the least.
+    pub lost: u64,
+    /// Doubts about the frame.
+    pub warnings: Vec<Warning>,
+    /// How long it took in seconds.
+    pub seconds: f64,
+    /// Where the conversion is after it.
+    pub progress: Tallied,
+}
+
+/// A frame that could not be made.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct FrameFailed {
+    /// The frame's number.
+    pub frame: u64,
+    /// The particles' file.
+    pub input: PathBuf,
+    /// The error.
+    pub error: Error,
+    /// Where the conversion is after it.
+    pub progress: Tallied,
+}
+
+/// Counts of the frames of a conversion.
+#[derive(Debug, Clone, Copy, Default)]
+#[non_exhaustive]
+pub struct Tallied {
+    /// Frames that are done or have failed.
+    pub done: usize,
+    /// Frames that are to be made.
+    pub total: usize,
+    /// Frames that have failed.
+    pub failed: usize,
+    /// Bytes of this frame's input.
+    pub bytes: u64,
+}
+
+/// Particles and drops that surfaces leave out.
+#[derive(Debug, Default, Clone, Copy)]
+#[non_exhaustive]
+pub struct LeftOut {
+    /// Counts of particles.
+    pub census: Census,
+    /// Particles in no surface, at the least.
+    pub lost: u64,
+    /// Drops that were too small.
+    pub drops: u64,
+}
+
+impl LeftOut {
+    pub(super) fn add(&mut self, other: &Self) {
+        self.census.binned += other.census.binned;
+        self.census.not_finite += other.census.not_finite;
+        self.census.too_far += other.census.too_far;
+        self.census.outside += other.census.outside;
+        self.lost += other.lost;
+        self.drops += other.drops;
+    }
+}
+
+impl From<Census> for LeftOut {
+    fn from(census: Census) -> Self {
+        Self { census, ..Self::default() }
+    }
+}
+
+/// Frames that are missing between others.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Missing {
+    /// The first number.
+    pub first: u64,
+    /// The last number.
+    pub last: u64,
+    /// From one number to the next.
+    pub step: u64,
+    /// The names that their files would have.
+    pub paths: [PathBuf; 2],
+}
+
+impl fmt::Display for Missing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, last, paths: [from, to], .. } = self;
+        if first == last {
+            write!(f, "frame {first}: {}: missing", from.display())
+        } else {
+            write!(f, "frames {first} to {last}: {} to {}: missing", from.display(), to.display())
+        }
+    }
+}
+
+/// The end of a conversion.
+#[derive(Debug, Default)]
+#[non_exhaustive]
+pub struct Summary {
+    /// The inputs, as they were asked for.
+    pub inputs: String,
+    /// The folder of the meshes.
+    pub folder: PathBuf,
+    /// Frames that were made.
+    pub made: usize,
+    /// Frames that have failed.
+    pub failed: usize,
+    /// Frames that are missing between others.
+    pub missing: Vec<Missing>,
+    /// Numbers without a frame, where more are missing than there: a choice of frames, and not one with gaps.
+    pub chosen: Option<Gaps>,
+    /// Particles and drops that the surfaces leave out.
+    pub left_out: LeftOut,
+    /// Whether one of the paper's indicators makes the field, which loses drops that clouds keep.
+    pub smoothed: bool,
+    /// How long it took in seconds.
+    pub seconds: f64,
+}
+
+impl Summary {
+    /// Frames that are not there: failed, or missing between others.
+    #[must_use]
+    pub fn lacking(&self) -> u64 {
+        let missing =
+            self.missing.iter().map(|missing| (missing.last - missing.first) / missing.step.max(1) + 1);
+        missing.fold(self.failed as u64, u64::saturating_add)
+    }
+
+    /// Whether every frame is there.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.failed == 0 && self.missing.is_empty()
+    }
+}
+
+impl fmt::Display for Event<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
+            Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
+            Self::Anew { state, differing } => {
+                write!(f, "{}: of other settings ({differing}), made anew", state.display())
+            }
+            Self::GoesOn { state, frozen } => write!(f, "going on with {}: {frozen}", state.display()),
+            Self::Measured { path, frozen, trust: Trust::Sound } => {
+                write!(f, "measured on {}: {frozen}", path.display())
+            }
+            Self::Measured { frozen, trust, .. } => {
+                let what = match trust {
+                    Trust::Shallow => "next to no fluid is deeper than the filters reach",
+                    Trust::Lattice | Trust::Sound => "all particles stand on a lattice",
+                };
+                write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
+            }
+            Self::Begins { frames, done, .. } => write!(f, "{done} of {frames} frames are done already"),
+            Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(bytes)),
+            Self::Stage { frame, stage: Some(stage), .. } => write!(f, "frame {frame}: {stage}"),
+            Self::Stage { frame, stage: None, .. } => write!(f, "frame {frame}: meshed"),
+            Self::Done(FrameDone { output, mesh, seconds, progress, .. }) => write!(
+                f,
+                "{}: {} vertices, {} triangles, {} in {seconds:.2} s ({} of {})",
+                output.display(),
+                mesh.vertices,
+                mesh.triangles,
+                ByteSize(mesh.bytes),
+                progress.done,
+                progress.total,
+            ),
+            Self::Failed(FrameFailed { error, .. }) | Self::SequenceFailed(error) => error.fmt(f),
+            Self::Ended(Summary { folder, made, seconds, .. }) => {
+                write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
+            }
+        }
+    }
+}
+
+impl fmt::Display for Frozen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { spacing, spacing_source, cell_size, origin, calibration, .. } = self;
+        if let (Some(spacing), Some(source)) = (spacing, spacing_source) {
+            write!(f, "spacing {} ({source}), ", shown(*spacing))?;
+        }
+        write!(f, "cell size {}", shown(*cell_size))?;
+        if *origin != [0.0; 3] {
+            write!(f, ", origin {}", origin.map(shown).join(","))?;
+        }
+        if let Some(mean) = calibration.and_then(|known| known.mean()) {
+            write!(f, ", mu0 {:.4}", mean.particles())?;
+        }
+        match calibration {
+            Some(Calibration::Indicator { iso, .. }) => write!(f, ", isovalue {:.4}", iso.value()),
+            Some(Calibration::Clouds { plateau }) => {
+                let nominal = Plateau::nominal(spacing.map_or(1.0, |spacing| spacing / cell_size));
+                write!(f, ", {:.4} particles in a cubed spacing", f64::from(*plateau) / nominal)
+            }
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,336 @@
+//! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
+
+use std::path::{Path, PathBuf};
+
+use super::event::LeftOut;
+use super::frozen::{Frozen, Stamp};
+use super::inputs::FrameFile;
+use super::lanes::Permit;
+use super::records::Record;
+use super::setup::Setup;
+use super::shared::{Conversion, Settled};
+use crate::error::Error;
+use crate::field::calibration::Calibration;
+use crate::frame::{Counted, Frame, FrameError, Normals, Resources};
+use crate::grid::units::MemoryBudget;
+use crate::io::bytes::Unpacking;
+use crate::io::input::{file_and_step, open_particles};
+use crate::io::mnf::{is_packed, open_frame};
+use crate::io::series::SeriesFrame;
+use crate::io::whole::{FilledFile, Replace};
+use crate::io::{ParticleFile, ReadError, ReadFault};
+use crate::particles::{AttributeInfo, Particles, carried_infos};
+use crate::reconstruction::{
+    Checked, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, Warning, coordinate_width,
+    merged, refuse_same_file, usual_up,
+};
+use crate::surface::mesh::bounds::Bounded;
+use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::{Mesh, VertexAttribute};
+use crate::system::cancel::Unfinished;
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+/// A frame that was converted.
+pub(super) struct Done {
+    pub(super) mesh: SeriesFrame,
+    pub(super) time: Option<f64>,
+    pub(super) report: Option<Report>,
+    pub(super) left_out: LeftOut,
+    pub(super) warnings: Vec<Warning>,
+    pub(super) seconds: f64,
+}
+
+/// A frame whose mesh is written, but not known to be on disk.
+pub(super) struct Filled {
+    file: FilledFile,
+    unfinished: Unfinished,
+    record: Record,
+    done: Done,
+}
+
+/// A frame that was opened, and the output that waits for its mesh.
+pub(super) struct Opened {
+    input: Stamp,
+    target: PathBuf,
+    orientation: Orientation,
+    output: Output,
+    /// `None` where it was sampled before.
+    particles: Option<ParticleFile>,
+    timings: Timings,
+}
+
+/// A frame that waits to be meshed.
+struct Ready<'a> {
+    /// `None` where there are no particles.
+    frame: Option<Frame>,
+    left_out: LeftOut,
+    /// What its vertices carry.
+    infos: Vec<AttributeInfo>,
+    time: Option<f64>,
+    permit: Permit<'a>,
+}
+
+/// A surface that was drawn, if there is one, and a report on it.
+struct Surfaced {
+    mesh: Option<(Kept, SinglePrecision)>,
+    of: Report,
+}
+
+impl Conversion<'_> {
+    /// Makes sure that a frame's mesh can be written, in place of one that was made before if it is made `again`, and opens the frame,
+    /// unless its particles are open already.
+    pub(super) fn open(
+        &self,
+        frame: &FrameFile,
+        particles: Option<ParticleFile>,
+        again: bool,
+        stage: &dyn Fn(Stage),
+    ) -> Result<Opened, Error> {
+        let mut timings = Timings::default();
+        let Setup { simulation, checked, .. } = self.setup;
+        let path = &frame.path;
+        let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
+        let allowed = simulation.resume || simulation.overwrite || again;
+        let replace = if allowed { Replace::Allow } else { Replace::Refuse };
+        let target = self.output(frame);
+        refuse_same_file(&target, file_and_step(path).0)?;
+        let orientation = checked.asked.orientation(usual_up(path), self.format);
+        let output = Output::prepare(&checked.asked, &target, replace, self.cancel())?;
+        let output = output.with_layout(checked.asked.layout(orientation));
+        stage(Stage::Reading);
+        let particles = if is_packed(path) {
+            checked.asked.refuse_of_packed(path)?;
+            None
+        } else {
+            let scratch = &checked.resources.scratch;
+            let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
+            let file = particles.map_or_else(|| open_particles(path, unpacking), Ok)?;
+            timings.done("open");
+            Some(file)
+        };
+        Ok(Opened { input, target, orientation, output, particles, timings })
+    }
+
+    /// Converts a frame with the threads of its lane, or where it has to be alone with all.
+    pub(super) fn convert(
+        &self,
+        frame: &FrameFile,
+        opened: Opened,
+        settled: &Settled,
+        stage: &dyn Fn(Stage),
+    ) -> Result<Filled, Error> {
+        let Setup { simulation, checked, .. } = self.setup;
+        let path = &frame.path;
+        let frozen = &settled.state.frozen;
+        let Opened { input, target, orientation, output, particles, mut timings } = opened;
+        timings.skip();
+        let ready = match particles {
+            Some(file) => self.sample(path, file, frozen, stage, &mut timings),
+            None => self.unpack(path, &mut timings),
+        };
+        let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
+        let mut surface = None;
+        let mut report = None;
+        if let Some(sampled) = &sampled {
+            stage(Stage::Meshing);
+            let drawn = permit.run(|| self.surface(path, sampled, frozen, &mut left_out, &mut timings));
+            let Surfaced { mesh, of } = drawn?;
+            (surface, report) = (mesh, Some(of));
+        }
+
+        stage(Stage::Writing);
+        let empty;
+        let (mesh, precision) = match &surface {
+            Some((mesh, precision)) => (mesh.source(), *precision),
+            None => {
+                empty = empty_mesh(checked.surfacing.normals, infos);
+                (&empty as &dyn MeshSource, SinglePrecision::Enough)
+            }
+        };
+        let width = coordinate_width(precision, self.format, &target)?;
+        let mut warnings = report.as_mut().map_or(Vec::new(), |report| std::mem::take(&mut report.warnings));
+        warnings.extend(merged(mesh, self.format, &target)?);
+        let turned = orientation.turned(mesh);
+        let bounded = Bounded::new(&turned);
+        let (file, unfinished) = permit.run(|| output.fill(&bounded, width))?;
+        if Stamp::of(path).ok() != Some(input) {
+            return Err(ReadError::new(path, ReadFault::Changed).into());
+        }
+        let bytes = file.bytes();
+        drop(permit);
+        timings.done("write");
+
+        let particles = sampled.as_ref().map_or(0, |sampled| sampled.facts().census.binned);
+        let listed = SeriesFrame {
+            frame: frame.number,
+            time,
+            file: target.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            bytes,
+            particles: particles as u64,
+            vertices: mesh.vertex_count(),
+            triangles: mesh.triangle_count(),
+            bounds: orientation.shown_bounds(bounded.bounds()),
+            normals: mesh.has_normals(),
+            attributes: mesh.attributes(),
+        };
+        let (time, seconds) = (time.or(simulation.fps.map(|fps| frame.number as f64 / fps)), timings.total());
+        if let Some(report) = &mut report {
+            report.timings = timings;
+            report.threads = checked.threads;
+        }
+        let fingerprint = settled.fingerprint;
+        let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
+        let done = Done { mesh: listed, time, report, left_out, warnings, seconds };
+        Ok(Filled { file, unfinished, record, done })
+    }
+
+    /// Waits until the frame's mesh is on disk, gives it its name, and keeps its record.
+    pub(super) fn finish(&self, filled: Filled) -> Result<Done, Error> {
+        let Filled { file, unfinished, record, done } = filled;
+        file.keep()?;
+        drop(unfinished);
+        self.cancel().undisturbed(|| self.store.log.keep(&record))?;
+        Ok(done)
+    }
+
+    /// Reads a frame that was sampled before.
+    fn unpack(&self, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
+        let budget = self.frame_budget(self.division.share);
+        let permit = self.gate.enter();
+        let sampled = open_frame(path, budget.0 / 4)?;
+        timings.done("open");
+        let Setup { checked, .. } = self.setup;
+        checked.asked.refuse_of_others(sampled.indicator.kind())?;
+        let resources = Resources { budget, ..checked.resources.clone() };
+        let frame = Frame::from_sampled(sampled, &checked.surfacing, resources);
+        Ok(Ready { frame: Some(frame), left_out: LeftOut::default(), infos: Vec::new(), time: None, permit })
+    }
+
+    /// Samples the particles of a frame.
+    fn sample(
+        &self,
+        path: &Path,
+        file: ParticleFile,
+        frozen: &Frozen,
+        stage: &dyn Fn(Stage),
+        timings: &mut Timings,
+    ) -> Result<Ready<'_>, Error> {
+        let Checked { asked, surfacing, resources, .. } = self.setup.checked;
+        let in_file = |fault: FrameError| Error::from(fault).of_file(path);
+        let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
+        let opening = Resources { budget: self.division.opening, ..resources.clone() };
+        let carried = asked.carried(file.particles.attributes(), Some(self.format));
+        let carried = carried.map_err(|error| error.of_file(path))?;
+        let infos = carried_infos(file.particles.attributes(), &carried);
+        let mut sampling = self.setup.sampling(frozen, carried, opening)?;
+        stage(Stage::Counting);
+        let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing);
+        timings.done("count");
+        let fits = match &counted {
+            Ok(counted) => counted.estimate().in_core() <= share.0,
+            Err(FrameError::OverBudget(_)) => false,
+            Err(_) => true,
+        };
+        let beside = resources.backend.divides() && fits;
+        stage(Stage::Waiting);
+        let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
+        let budget = if beside { share } else { alone };
+        timings.done("wait");
+        if matches!(counted, Err(FrameError::OverBudget(_))) {
+            drop(counted);
+            sampling.resources.budget = budget;
+            counted = Counted::for_surface(&file.particles, &sampling, surfacing);
+        }
+        stage(Stage::Sampling);
+        let (frame, census) = match counted {
+            Err(FrameError::NoParticles(census)) => (None, census),
+            counted => {
+                let counted = counted.map_err(in_file)?;
+                let census = counted.census();
+                let sample = || Frame::sample_counted(counted, budget, timings).map_err(in_file);
+                (Some(permit.run(sample)?), census)
+            }
+        };
+        Ok(Ready { frame, left_out: census.into(), infos, time: file.time, permit })
+    }
+
+    /// What is left of a lane's memory for the frame, where as much as its surface takes is needed beside it: for the
+    /// triangles that are left, or for a writer that holds them all.
+    fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
+        let Checked { asked, reduction, .. } = self.setup.checked;
+        let holds = asked.holds_whole_mesh(self.format);
+        if self.division.lanes > 1 && (holds || !reduction.is_none()) {
+            MemoryBudget(lane.0 / 2)
+        } else {
+            lane
+        }
+    }
+
+    /// The mesh of a frame, and a report on it.
+    fn surface(
+        &self,
+        path: &Path,
+        sampled: &Frame,
+        frozen: &Frozen,
+        left_out: &mut LeftOut,
+        timings: &mut Timings,
+    ) -> Result<Surfaced, Error> {
+        let checked = self.setup.checked;
+        let clouds = matches!(frozen.calibration, Some(Calibration::Clouds { .. }));
+        let measured = checked.surfacing.iso.is_none() && frozen.calibration.is_some();
+        let by = measured.then_some(frozen.frame);
+        let lost_all = sampled.facts().census.binned as u64;
+        let (surface, mut report) = match checked.draw_whole(sampled, frozen.calibration.as_ref(), timings) {
+            Ok(drawn) => drawn,
+            Err(fault) => {
+                let why = match fault {
+                    FrameError::NoSurface { .. } => Emptiness::Field,
+                    FrameError::NoKernelSurface | FrameError::NoDistanceSurface => Emptiness::Distances,
+                    fault => return Err(Error::from(fault).of_file(path)),
+                };
+                let mut report = Report::of(sampled, &checked.surfacing);
+                report.calibration = frozen.calibration.filter(|_| report.indicator.is_some());
+                (report.lost, left_out.lost) = (lost_all, lost_all);
+                report.warnings.push(Warning::Empty { why, clouds, measured_on: by });
+                return Ok(Surfaced { mesh: None, of: report });
+            }
+        };
+        left_out.lost = report.lost;
+        // All frames together are told of at the end.
+        report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
+        for warning in &mut report.warnings {
+            if let Warning::Shortfall { measured_on, .. } = warning {
+                *measured_on = by;
+            }
+        }
+        let precision = SinglePrecision::of(&surface);
+        match checked.reduce(sampled, surface, &mut report, timings) {
+            Ok(mesh) => {
+                left_out.drops = report.dropped.map_or(0, |dropped| dropped.drops);
+                Ok(Surfaced { mesh: Some((mesh, precision)), of: report })
+            }
+            Err(FrameError::NothingLeft(all)) => {
+                left_out.drops = all.drops;
+                let why = Emptiness::Dropped(all);
+                report.warnings.push(Warning::Empty { why, clouds, measured_on: by });
+                Ok(Surfaced { mesh: None, of: report })
+            }
+            Err(fault) => Err(Error::from(fault).of_file(path)),
+        }
+    }
+}
+
+/// What is written where there is no surface: every program can load it, and finds what it expects.
+fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
+    let attribute = |info: AttributeInfo| VertexAttribute {
+        name: info.name,
+        components: info.components,
+        values: Vec::new(),
+    };
+    Mesh {
+        normals: (normals == Normals::Gradient).then(Vec::new),
+        attributes: infos.into_iter().map(attribute).collect(),
+        ..Mesh::default()
+    }
+}

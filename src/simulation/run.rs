@@ -1,0 +1,235 @@
+//! Frames of a simulation to meshes: side by side, whatever single frames bring, and resumable.
+
+use std::collections::HashSet;
+use std::fs::create_dir_all;
+use std::path::Path;
+use std::sync::OnceLock;
+use std::thread::sleep;
+use std::time::Instant;
+
+use crate::error::{Cause, Error, SequenceError};
+use crate::io::mnf::is_packed;
+use crate::io::series::Series;
+use crate::io::whole::sweep;
+use crate::io::{WriteError, WriteFault};
+use crate::reconstruction::{Checked, usual_up};
+use crate::system::control::Control;
+
+use super::builder::Simulation;
+use super::conversion::convert;
+use super::event::{Event, Summary};
+use super::forecast::Forecast;
+use super::inputs::{FrameFile, Inputs};
+use super::naming::Naming;
+use super::setup::{POLL, Setup};
+use super::shared::Conversion;
+use super::state::{State, Store};
+
+/// Whoever is told of events.
+type Tell<'a> = dyn Fn(Event<'_>) + Sync + 'a;
+
+/// A sequence that may be converted: nothing of it is refused.
+struct Begun<'a> {
+    setup: &'a Setup<'a>,
+    series: Series,
+    store: Store,
+    frames: Vec<FrameFile>,
+    kept: Option<State>,
+}
+
+impl Simulation {
+    /// Converts all frames, and tells of events from whatever thread they happen on. Returns a summary of each sequence that there is.
+    ///
+    /// A frame that cannot be made is an event, and the others are made all the same.
+    ///
+    /// # Errors
+    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames, [`Error::Sequence`], [`Error::TwoPurposes`],
+    /// [`Error::Write`] as soon as nothing can be written, [`Error::Vulkan`], and [`Error::Cancelled`].
+    pub fn run(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<Summary>, Error> {
+        self.each(&tell, |begun| {
+            let Begun { setup, series, store, frames, kept } = begun;
+            prepare_folder(setup, &store)?;
+            if let Some(state) = &kept {
+                setup.tell(Event::GoesOn { state: &store.state_path(), frozen: &state.frozen });
+            }
+            let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
+            convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
+        })
+    }
+
+    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers of the frames: for several jobs, each
+    /// of which converts [some](Self::frames).
+    ///
+    /// # Errors
+    /// Those of [`run`](Self::run).
+    pub fn plan(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<u64>, Error> {
+        let plan = Self { watch: None, planned: true, ..self.clone() };
+        let numbers = plan.each(&tell, |begun| {
+            let Begun { setup, store, frames, kept, .. } = begun;
+            prepare_folder(setup, &store)?;
+            match kept {
+                Some(state) => {
+                    setup.tell(Event::GoesOn { state: &store.state_path(), frozen: &state.frozen });
+                }
+                None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
+            }
+            let wanted = frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
+            Ok(wanted.collect::<Vec<_>>())
+        })?;
+        Ok(numbers.concat())
+    }
+
+    /// Finds out what converting would do and take, and writes nothing.
+    ///
+    /// # Errors
+    /// Those of [`run`](Self::run).
+    pub fn forecast(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<Forecast>, Error> {
+        self.each(&tell, |begun| {
+            let Begun { setup, store, frames, kept, .. } = begun;
+            let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
+            setup.forecast(kept, &store, &frames, &wanted)
+        })
+    }
+
+    /// Bytes of all frames that are wanted; `None` where more are waited for, or files do not tell how much their particles are.
+    #[must_use]
+    pub fn input_bytes(&self) -> Option<u64> {
+        if self.watch.is_some() {
+            return None;
+        }
+        let mut frames = Vec::new();
+        for inputs in self.names().ok()?.0.sequences().ok()? {
+            frames.extend(inputs.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
+        }
+        let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
+        crate::backend::choice::bytes_of(files)
+    }
+
+    /// Refuses what can be refused without an input.
+    ///
+    /// # Errors
+    /// [`Error::Unit`], [`Error::Unfit`] and [`Error::Sequence`].
+    pub fn check(&self) -> Result<(), Error> {
+        self.prepare().map(drop)
+    }
+
+    /// Checks all numbers, and what goes with what.
+    fn prepare(&self) -> Result<(Inputs, Naming, Checked), Error> {
+        self.validate()?;
+        let (inputs, naming) = self.names()?;
+        if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
+            let what = format!("{}: files can be followed, and not the steps of one", inputs.describe());
+            return Err(SequenceError::Names(what).into());
+        }
+        let mut request = self.request.clone();
+        request.scratch.get_or_insert_with(|| naming.folder().to_owned());
+        // Frames side by side would each tell of their own.
+        request.control = Control { progress: None, ..request.control };
+        let checked = request.checked()?;
+        // A packed frame says by itself what it is of.
+        if !self.inputs.iter().all(|input| is_packed(input)) {
+            checked.refuse_of_indicator()?;
+        }
+        Ok((inputs, naming, checked))
+    }
+
+    /// Does something with each sequence that is there, on threads of its own.
+    fn each<T: Send>(
+        &self,
+        tell: &Tell<'_>,
+        act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
+    ) -> Result<Vec<T>, Error> {
+        let (inputs, naming, checked) = self.prepare()?;
+        let sequences = inputs.sequences()?;
+        if sequences.len() > 1 && (self.planned || self.watch.is_some() || !told_apart(&sequences, &naming)?)
+        {
+            // Says which there are.
+            inputs.list()?;
+        }
+        let ready = checked.on_threads()?;
+        ready.threads.install(|| {
+            let mut results = Vec::new();
+            for inputs in &sequences {
+                let setup = Setup {
+                    simulation: self,
+                    inputs,
+                    naming: &naming,
+                    checked: &ready.checked,
+                    tell,
+                    begun: OnceLock::new(),
+                };
+                match self.begin(&setup).and_then(&act) {
+                    Ok(result) => results.push(result),
+                    // What is wrong with one fluid's files does not concern the others.
+                    Err(error) if error.cause() == Cause::Input && sequences.len() > 1 => {
+                        setup.tell(Event::SequenceFailed(&error));
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
+            Ok(results)
+        })
+    }
+
+    /// Refuses what a sequence's frames and outputs do not allow.
+    fn begin<'a>(&self, setup: &'a Setup<'a>) -> Result<Begun<'a>, Error> {
+        let frames = first_frames(setup)?;
+        let Some(first) = frames.first() else {
+            return Err(SequenceError::NoFrames(setup.inputs.describe()).into());
+        };
+        let naming = setup.naming;
+        let format = setup.format(first)?;
+        let sequence = naming.sequence(first);
+        let store = Store::beside(&sequence);
+        let up = setup.checked.asked.orientation(usual_up(&first.path), format).shown;
+        let series = Series { format, sequence, fps: self.fps, up };
+        setup.refuse_own_inputs(&frames, &series, &store)?;
+        let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
+        if wanted.is_empty() && self.watch.is_none() {
+            return Err(SequenceError::NoneWanted(setup.inputs.describe()).into());
+        }
+        let kept = setup.kept_state(&store, &frames)?;
+        if !self.resume && !self.overwrite && !self.planned {
+            let taken = wanted.iter().map(|frame| naming.path(frame)).find(|path| path.exists());
+            if let Some(path) = taken {
+                return Err(WriteError::new(&path, WriteFault::ExistsInSequence).into());
+            }
+        }
+        Ok(Begun { setup, series, store, frames, kept })
+    }
+}
+
+/// The frames that are there, once there are some where a simulation is followed.
+fn first_frames(setup: &Setup<'_>) -> Result<Vec<FrameFile>, Error> {
+    let frames = setup.frames()?;
+    let Some(idle) = setup.simulation.watch.filter(|_| frames.is_empty()) else { return Ok(frames) };
+    let begun = Instant::now();
+    setup.tell(Event::Waiting { inputs: &setup.inputs.describe() });
+    loop {
+        setup.go_on()?;
+        sleep(POLL);
+        let frames = setup.frames()?;
+        if !frames.is_empty() || begun.elapsed().as_secs_f64() > idle {
+            return Ok(frames);
+        }
+    }
+}
+
+/// Makes the folder of the outputs ready, and removes what killed processes have left there.
+fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
+    let folder = setup.naming.folder();
+    create_dir_all(folder).map_err(|fault| WriteError::new(folder, fault))?;
+    sweep(folder);
+    sweep(store.folder());
+    Ok(())
+}
+
+/// Whether the outputs of each sequence have names of their own.
+fn told_apart(sequences: &[Inputs], naming: &Naming) -> Result<bool, Error> {
+    let mut names = Vec::new();
+    for inputs in sequences {
+        names.extend(inputs.list()?.first().map(|first| naming.sequence(first)));
+    }
+    names.sort();
+    Ok(names.windows(2).all(|pair| pair[0] != pair[1]))
+}

@@ -1,0 +1,168 @@
+//! What became of the frames: noted one by one, listed for other programs, and summed up at the end.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use super::inputs::{FrameFile, gaps, missing_path};
+use super::records::Records;
+use crate::error::{Cause, Error};
+use crate::field::indicator::IndicatorKind;
+use crate::io::series::{Series, SeriesFrame};
+use rayon::prelude::*;
+
+use super::event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
+use super::one_frame::Done;
+use super::setup::Setup;
+use super::shared::Conversion;
+
+/// Between two writings of what lists all frames, at the least.
+const SERIES_PAUSE: Duration = Duration::from_millis(250);
+
+/// What became of the frames so far.
+pub(super) struct Tally<'a> {
+    conversion: &'a Conversion<'a>,
+    series: &'a Series,
+    /// All frames that can be loaded, of this run or another.
+    listed: BTreeMap<u64, SeriesFrame>,
+    /// The numbers of frames that could not be made.
+    pub(super) failed: BTreeSet<u64>,
+    fatal: Option<Error>,
+    pub(super) done: usize,
+    pub(super) total: usize,
+    left_out: LeftOut,
+    begun: Instant,
+    /// When the series was written last, or would have been.
+    series_written: Instant,
+}
+
+impl<'a> Tally<'a> {
+    pub(super) fn new(conversion: &'a Conversion<'a>, series: &'a Series) -> Self {
+        let begun = Instant::now();
+        Self {
+            conversion,
+            series,
+            listed: BTreeMap::new(),
+            failed: BTreeSet::new(),
+            fatal: None,
+            done: 0,
+            total: 0,
+            left_out: LeftOut::default(),
+            begun,
+            series_written: begun,
+        }
+    }
+
+    /// Lists what else is done already. Those whose bytes are looked at are done if these are as they were written.
+    pub(super) fn list(&mut self, frames: &[FrameFile], is_looked_at: impl Fn(&FrameFile) -> bool + Sync) {
+        let records = Records::read(self.conversion.store.folder());
+        let Self { conversion, listed, failed, .. } = self;
+        let done = |frame: &FrameFile| {
+            let number = frame.number;
+            let is_open = !listed.contains_key(&number) && !failed.contains(&number);
+            let record = conversion.current(&records, frame).filter(|_| is_open)?;
+            let is_done = !is_looked_at(frame) || record.is_whole(&conversion.output(frame));
+            is_done.then(|| (number, record.mesh.clone()))
+        };
+        let done: Vec<_> = frames.par_iter().filter_map(done).collect();
+        listed.extend(done);
+    }
+
+    /// Whether a frame is done.
+    pub(super) fn lists(&self, frame: &FrameFile) -> bool {
+        self.listed.contains_key(&frame.number)
+    }
+
+    /// Notes a frame; true where it makes no sense to go on with any other.
+    pub(super) fn take(&mut self, frame: &FrameFile, result: Result<Done, Error>) -> Result<bool, Error> {
+        let setup = self.conversion.setup;
+        if matches!(&result, Err(error) if error.cause() == Cause::Cancelled) {
+            self.fatal.get_or_insert(Error::Cancelled);
+            return Ok(true);
+        }
+        self.done += 1;
+        match result {
+            Ok(Done { mesh, time, report, left_out, warnings, seconds }) => {
+                self.left_out.add(&left_out);
+                self.failed.remove(&frame.number);
+                let done = FrameDone {
+                    input: frame.path.clone(),
+                    output: self.conversion.output(frame),
+                    mesh,
+                    time,
+                    report,
+                    lost: left_out.lost,
+                    warnings,
+                    seconds,
+                    progress: self.tallied(frame),
+                };
+                setup.tell(Event::Done(&done));
+                self.listed.insert(frame.number, done.mesh);
+                if self.series_written.elapsed() > SERIES_PAUSE {
+                    self.write_series()?;
+                }
+            }
+            Err(error) => {
+                self.failed.insert(frame.number);
+                let (input, progress) = (frame.path.clone(), self.tallied(frame));
+                let failed = FrameFailed { frame: frame.number, input, error, progress };
+                setup.tell(Event::Failed(&failed));
+                if matches!(failed.error.cause(), Cause::Output | Cause::Device) {
+                    self.fatal.get_or_insert(failed.error);
+                    return Ok(true);
+                }
+            }
+        }
+        Ok(false)
+    }
+
+    fn tallied(&self, frame: &FrameFile) -> Tallied {
+        Tallied { done: self.done, total: self.total, failed: self.failed.len(), bytes: frame.bytes() }
+    }
+
+    fn write_series(&mut self) -> Result<(), Error> {
+        let listed: Vec<_> = self.listed.values().cloned().collect();
+        self.conversion.cancel().undisturbed(|| self.series.write(&listed))?;
+        self.series_written = Instant::now();
+        Ok(())
+    }
+
+    /// Lists all frames that are there, moves the records of ended jobs together, and sums up.
+    pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
+        let Setup { simulation, inputs, naming, checked, .. } = self.conversion.setup;
+        // Other jobs may have done frames meanwhile, and the last of them lists all.
+        let alone = self.conversion.store.locked();
+        self.list(&self.conversion.setup.all_frames()?, |_| false);
+        let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
+        let (listed, merged) = std::thread::scope(|scope| {
+            let merging = scope.spawn(|| cancel.undisturbed(|| log.merge()));
+            (self.write_series(), merging.join())
+        });
+        listed?;
+        merged.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        drop(alone);
+        if cancel.is_cancelled() && self.done < self.total {
+            self.fatal.get_or_insert(Error::Cancelled);
+        }
+        let (first, last) = simulation.frames;
+        let missing = gaps(frames).within(first, last);
+        let chosen = Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
+        let each = |&(first, last): &(u64, u64)| {
+            let paths = [first, last].map(|number| missing_path(frames, number));
+            Missing { first, last, step: missing.step, paths }
+        };
+        let indicator = checked.sampling.field.indicator();
+        let summary = Summary {
+            inputs: inputs.describe(),
+            folder: naming.folder().to_owned(),
+            made: self.done - self.failed.len().min(self.done),
+            failed: self.failed.len(),
+            missing: if chosen.is_some() { Vec::new() } else { missing.ranges.iter().map(each).collect() },
+            chosen,
+            left_out: self.left_out,
+            smoothed: indicator.is_some_and(|asked| asked.kind != IndicatorKind::Cloud),
+            seconds: self.begun.elapsed().as_secs_f64(),
+        };
+        self.conversion.setup.tell(Event::Ended(&summary));
+        self.fatal.map_or(Ok(summary), Err)
+    }
+}

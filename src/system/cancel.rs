@@ -1,0 +1,123 @@
+//! Ending work early, at any time and from any thread, without leaving half-written files.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
+
+/// A handle to end work early; its clones are one.
+///
+/// ```
+/// use meniscus::{Cancel, Cause, Reconstruction};
+///
+/// let cancel = Cancel::new();
+/// let request = Reconstruction::new().spacing(1.0).cancel(cancel.clone());
+/// cancel.cancel();
+/// let error = request.run(&[[0.0; 3]][..]).unwrap_err();
+/// assert_eq!(error.cause(), Cause::Cancelled);
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Cancel(Arc<Shared>);
+
+#[derive(Debug, Default)]
+struct Shared {
+    asked: AtomicBool,
+    /// The temporary files of outputs in progress.
+    unfinished: Mutex<Vec<PathBuf>>,
+    /// Held by everyone whom no end of the process may disturb, and for good by that end itself.
+    undisturbed: RwLock<()>,
+}
+
+impl Cancel {
+    /// Makes a handle by which nothing is cancelled yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Asks all work with this handle to end soon, by an error whose cause is that. Between frames and batches of blocks it looks.
+    pub fn cancel(&self) {
+        self.0.asked.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether it was asked to end.
+    #[must_use]
+    pub fn is_cancelled(&self) -> bool {
+        self.0.asked.load(Ordering::Relaxed)
+    }
+
+    /// Removes all half-written outputs, for a process that exits now: whoever would create another waits for ever.
+    ///
+    /// Files that have their names already stay; records of frames that are being kept are kept first.
+    pub fn abandon(&self) {
+        let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
+        for path in &*self.unfinished() {
+            let _ = std::fs::remove_file(path);
+        }
+        std::mem::forget(held);
+    }
+
+    fn unfinished(&self) -> MutexGuard<'_, Vec<PathBuf>> {
+        self.0.unfinished.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn hold(&self) -> RwLockReadGuard<'_, ()> {
+        self.0.undisturbed.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does something short that no [`abandon`](Self::abandon) comes between.
+    pub(crate) fn undisturbed<T>(&self, act: impl FnOnce() -> T) -> T {
+        let _held = self.hold();
+        act()
+    }
+
+    /// Prepares an output whose `temporary` file is removed when all is abandoned, also if that comes right after.
+    pub(crate) fn guard<T, E>(
+        &self,
+        prepare: impl FnOnce() -> Result<T, E>,
+        temporary: impl Fn(&T) -> Option<&Path>,
+    ) -> Result<(T, Unfinished), E> {
+        let _held = self.hold();
+        let output = prepare()?;
+        let path = temporary(&output).map(Path::to_owned);
+        self.unfinished().extend(path.clone());
+        Ok((output, Unfinished { of: self.clone(), path }))
+    }
+}
+
+/// An output in progress: as long as this lives, its temporary file is removed when all is abandoned.
+#[derive(Debug)]
+pub(crate) struct Unfinished {
+    of: Cancel,
+    path: Option<PathBuf>,
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        let _held = self.of.hold();
+        self.of.unfinished().retain(|path| Some(path) != self.path.as_ref());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn what_is_abandoned_leaves_no_file_and_what_is_finished_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let [done, begun] = ["done", "begun"].map(|name| folder.path().join(name));
+        let cancel = Cancel::new();
+        let create = |path: &PathBuf| {
+            let prepare = || fs::write(path, "half").map(|()| path.clone());
+            cancel.guard(prepare, |path| Some(path)).unwrap().1
+        };
+        drop(create(&done));
+        let unfinished = create(&begun);
+        cancel.abandon();
+        assert!(done.exists() && !begun.exists());
+        assert!(!cancel.is_cancelled());
+        // Dropped, it would wait for the end of the process.
+        std::mem::forget(unfinished);
+    }
+}
