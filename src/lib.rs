@@ -158,7 +158,8 @@ pub use reconstruction::{
     Cells, Doubt, Emptiness, Frame, Needs, Opened, Reconstruction, Report, SpacingSource, Surface, Warning,
 };
 pub use simulation::{
-    Event, Forecast, FrameDone, FrameFailed, Largest, LeftOut, Missing, Simulation, Summary, Tallied,
+    Event, Forecast, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation, Missing, Simulation, Summary,
+    Tallied,
 };
 pub use surface::simplify::Dropped;
 pub use system::cancel::Cancel;

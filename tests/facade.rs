@@ -122,9 +122,9 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
     let (spacing, source) = report.cells.as_ref().unwrap().spacing.clone().unwrap();
     assert!((0.45..0.55).contains(&spacing), "{spacing}");
     assert_eq!(source, SpacingSource::Estimated);
-    assert_eq!(report.grid.cell_size(), spacing / 2.0);
-    assert_eq!((report.census.not_finite, report.census.binned), (1, particles.len() - 1));
-    assert!(report.measured.is_some() && report.dropped.is_some() && report.made_good.is_empty());
+    assert_eq!(report.facts.grid.cell_size(), spacing / 2.0);
+    assert_eq!((report.facts.census.not_finite, report.facts.census.binned), (1, particles.len() - 1));
+    assert!(report.measured.is_some() && report.dropped.is_some() && report.warnings.is_empty());
     assert!(report.timings.seconds().iter().any(|(stage, _)| *stage == "mesh"));
     let again = Reconstruction::new().calibrated(report.measured.unwrap().calibration);
     let again = again.skip_invalid().smallest_drop(3).run(&particles[..]).unwrap();

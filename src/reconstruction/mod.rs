@@ -24,7 +24,7 @@ pub use asked::Settings;
 pub use attributes::Attributes;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
-pub(crate) use checked::Checked;
+pub(crate) use checked::{Checked, Ready};
 pub(crate) use draw::Kept;
 pub use frame::Frame;
 pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info};

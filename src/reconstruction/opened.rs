@@ -32,7 +32,7 @@ pub struct Opened {
 
 #[derive(Debug)]
 enum Input {
-    Particles { file: ParticleFile, chosen: ChosenSampling },
+    Particles { file: Box<ParticleFile>, chosen: Box<ChosenSampling> },
     Packed(SampledDif),
 }
 
@@ -80,7 +80,7 @@ impl Ready {
             let origin = Origin { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, origin).map_err(|error| error.of_file(path))?;
             timings.done("spacing");
-            Ok::<_, Error>(Input::Particles { file, chosen })
+            Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         })?;
         Ok(Opened { path: path.to_owned(), ready: self, input, timings })
     }
@@ -196,7 +196,7 @@ impl Opened {
                 let engine = Engine::from_sampled(sampled, &checked.surfacing, checked.resources.clone());
                 Ok(Sampled { engine, cells: None, moved: false })
             }
-            Input::Particles { file, chosen } => checked.sampled(&file.particles, chosen, &mut timings),
+            Input::Particles { file, chosen } => checked.sampled(&file.particles, *chosen, &mut timings),
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;
         Ok(Frame { path: Some(path), up, ready, sampled, timings })

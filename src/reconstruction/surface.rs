@@ -25,11 +25,11 @@ use super::warning::Warning;
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
-    pub(super) drawn: Drawn,
+    pub(crate) drawn: Drawn,
     /// The threads that it was made by, and is written by.
-    pub(super) threads: Arc<ThreadPool>,
-    pub(super) asked: Asked,
-    pub(super) particles_up: UpAxis,
+    pub(crate) threads: Arc<ThreadPool>,
+    pub(crate) asked: Asked,
+    pub(crate) particles_up: UpAxis,
 }
 
 impl Surface {

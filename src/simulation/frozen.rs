@@ -188,14 +188,20 @@ impl Frozen {
         Grid::new(self.origin.into(), self.cell_size)
     }
 
-    /// How the field of all frames is made: an indicator by the mu0 that was measured.
+    /// The maker of the field of all frames: an indicator by the mu0 that was measured.
     #[must_use]
     pub fn field(&self, asked: FieldRequest) -> FieldRequest {
-        match (asked, &self.calibration) {
-            (FieldRequest::Indicator(asked), Some(known)) => {
-                FieldRequest::Indicator(IndicatorRequest { mean: known.mean(), ..asked })
-            }
-            _ => asked,
+        known_field(asked, self.calibration.as_ref())
+    }
+}
+
+/// The maker of a field by a calibration: an indicator has the mu0 that was measured.
+#[must_use]
+pub fn known_field(asked: FieldRequest, known: Option<&Calibration>) -> FieldRequest {
+    match (asked, known) {
+        (FieldRequest::Indicator(asked), Some(known)) => {
+            FieldRequest::Indicator(IndicatorRequest { mean: known.mean(), ..asked })
         }
+        _ => asked,
     }
 }

@@ -20,6 +20,7 @@ fn in_options(error: &Error) -> Option<String> {
     Some(match error {
         Error::Unfit(unfit) => unfit_options(unfit),
         Error::Unit(UnitError::Smooth(_)) => format!("--{error}"),
+        Error::Unit(UnitError::Isovalue(_)) => format!("--iso: {error}"),
         Error::Unit(UnitError::Tolerance(_)) => format!("--simplify: {error}"),
         Error::Unit(UnitError::Volume(value)) => {
             format!("--drop-smaller must be a positive volume; {value} is not")
