@@ -1,18 +1,5 @@
 //! Watertight surface meshes from particle fluids, by discrete indicator functions.
 //!
-//! ```text
-//! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
-//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  field::calibration
-//! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  field, surface, backend
-//! block surfaces --stitch--> mesh --write--> file                           surface::stitch, io
-//! ```
-//!
-//! Everything from a particle to the field is integer, so the result depends on nothing but the input: not
-//! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
-//! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
-//!
-//! The formulas, their sources and a glossary are in [`method`].
-//!
 //! ```
 //! use meniscus::Reconstruction;
 //!
@@ -26,6 +13,24 @@
 //! surface.write(folder.path().join("ball.ply"))?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; a [`Frame`] is sampled once and drawn
+//! as often as one likes. The frames of a simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
+//! fails is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
+//!
+//! ```text
+//! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
+//! DIF bricks --calibrate--> plateau, and for the paper's ones the isovalue  field::calibration
+//! DIF bricks --gather(halo)--> blocks --blur--> [--distances--> | --detail-->] --dual MC-->  field, surface, backend
+//! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
+//! ```
+//!
+//! Everything from a particle to the field is integer, so the result depends on nothing but the input: not
+//! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
+//! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
+//!
+//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to know in [`guide`]. The rooms of the
+//! pipeline are in [`internals`], for whoever changes them.
 
 mod backend;
 mod baselines;
@@ -100,45 +105,57 @@ pub mod devices {
     };
 }
 
-#[allow(missing_docs)]
 /// All rooms of the house, for its own tests and tools: what is in here may change from one version to the next.
 pub mod internals {
+    /// Backends for the stages of a frame: the processor's cores, or a Vulkan device.
     pub mod backend {
         pub use crate::backend::*;
     }
+    /// The kernel methods that the paper compares against (section 3), on the same bins, dual grid and stitching.
     pub mod baselines {
         pub use crate::baselines::*;
     }
+    /// Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
     pub mod brick {
         pub use crate::brick::*;
     }
+    /// From particles to the field whose level the surface is: indicators, filters, the recipe that joins them, and the calibration that says which level.
     pub mod field {
         pub use crate::field::*;
     }
+    /// One frame, within its memory budget: particles to a field, the field to a surface.
     pub mod frame {
         pub use crate::frame::*;
     }
+    /// Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of a tank.
     pub mod grid {
         pub use crate::grid::*;
     }
+    /// Files: one format each, readers and writers side by side, chosen by extension.
     pub mod io {
         pub use crate::io::*;
     }
+    /// The interface to particles: read by range, from several threads, as often as the pipeline likes.
     pub mod particles {
         pub use crate::particles::*;
     }
+    /// Particles to a surface in one call, with everything chosen that is not said: the facade, and the policy behind it.
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }
+    /// The frames of a simulation: which files they are, what is measured once for all of them, and what is known of each that is done.
     pub mod simulation {
         pub use crate::simulation::*;
     }
+    /// From the field to a mesh: dual marching cubes, attributes, stitching and simplifying, and what a mesh is checked and compared by.
     pub mod surface {
         pub use crate::surface::*;
     }
+    /// What the pipeline takes of the machine: memory and its budget, scratch files, time, and an early end.
     pub mod system {
         pub use crate::system::*;
     }
+    /// Compute on a Vulkan device: choosing one, its memory, its kernels, and batches of commands.
     pub mod vulkan {
         pub use crate::vulkan::*;
     }

@@ -14,7 +14,7 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 15] = [
+const ROOMS: [&str; 16] = [
     "grid",
     "system",
     "particles",
@@ -29,6 +29,7 @@ const ROOMS: [&str; 15] = [
     "error",
     "reconstruction",
     "simulation",
+    "lib",
     "bin",
 ];
 
@@ -94,4 +95,48 @@ fn no_message_of_the_library_names_an_option_of_the_program() {
         !file.starts_with("bin/") && option
     });
     assert_eq!(named.collect::<Vec<_>>(), []);
+}
+
+#[test]
+fn the_program_uses_nothing_of_the_library_but_its_facade() {
+    let program = imports::files(&source().join("bin"));
+    assert!(program.len() > 15, "only {} files were seen", program.len());
+    for file in program {
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(!text.contains("internals"), "{}: uses what may change", file.display());
+    }
+}
+
+/// Words with which a line goes on from another, and does not stand alone.
+const GOING_ON: [&str; 18] = [
+    "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So", "Whose",
+    "Who", "Which", "There", "Another", "Such",
+];
+
+#[test]
+fn first_lines_of_docs_stand_alone() {
+    let (mut seen, mut going_on) = (0, Vec::new());
+    for file in imports::files(&source()) {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let mut before = None;
+        for (number, line) in text.lines().enumerate() {
+            let line = line.trim_start();
+            let kind = ["///", "//!"].into_iter().find(|kind| line.starts_with(kind));
+            if let Some(kind) = kind.filter(|_| kind != before) {
+                let first = line.trim_start_matches(kind).trim_start();
+                let begins = |word: &&str| {
+                    first
+                        .strip_prefix(*word)
+                        .is_some_and(|rest| rest.starts_with(|c: char| !c.is_alphanumeric()))
+                };
+                seen += 1;
+                if GOING_ON.iter().any(|word| begins(word)) {
+                    going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
+                }
+            }
+            before = kind;
+        }
+    }
+    assert!(seen > 2000, "only {seen} were seen");
+    assert!(going_on.is_empty(), "{going_on:#?}");
 }

@@ -9,7 +9,7 @@ use bytesize::ByteSize;
 use thiserror::Error;
 
 pub use crate::brick::BinError;
-pub use crate::field::calibration::TooFine;
+pub use crate::field::calibration::{Remedy, TooFine};
 pub use crate::field::indicator::IndicatorKind;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;

@@ -3,8 +3,7 @@
 //!
 //! One folder a stage: `mod.rs` states the formula and the promise, `cpu.rs` computes it, `vulkan.rs` has kernels do so.
 //!
-#![doc = include_str!("choosing.md")]
-#![doc = include_str!("accuracy.md")]
+//! Which of them to choose is said in `choosing.md`, how near they come in `accuracy.md`: both are pages of the docs.
 
 pub mod blur;
 pub mod calibration;

@@ -3,7 +3,7 @@
 //! [`Frame`] is the one engine, whatever makes the field and wherever stages run: it counts, bins, samples, calibrates and meshes.
 //! [`resident`] takes the same steps for particles and meshes that stay on a device.
 //!
-#![doc = include_str!("speed.md")]
+//! Speed and memory are in `speed.md`, a page of the docs.
 
 mod binned;
 mod counted;

@@ -1,6 +1,6 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 //!
-#![doc = include_str!("formats.md")]
+//! All formats are in `formats.md`, a page of the docs.
 
 pub mod bgeo;
 pub mod bi4;

@@ -1,24 +1,20 @@
 //! The request for a surface, step by step.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::backend::{Backend, Cpu};
 use crate::baselines::Method;
-use crate::error::Error;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::units::MemoryBudget;
 use crate::io::UpAxis;
-use crate::io::mnf::is_packed;
-use crate::io::whole::Replace;
-use crate::particles::Particles;
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
 
+use super::Attributes;
 use super::asked::{Asked, Settings};
-use super::{Attributes, Frame, Opened, Output, PackedOutput, Surface};
 
 /// A request for the surface of particles: what is not said is measured, or as usual.
 ///
@@ -34,7 +30,7 @@ use super::{Attributes, Frame, Opened, Output, PackedOutput, Surface};
 ///
 /// let surface = Reconstruction::new().spacing(1.0).run(&ball[..])?;
 /// let mesh = surface.to_mesh()?;
-/// assert!(meniscus::surface::mesh::check::check(&mesh).is_closed_oriented_manifold());
+/// assert!(meniscus::mesh::check(&mesh).is_closed_oriented_manifold());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]
@@ -55,7 +51,6 @@ impl Default for Reconstruction {
     }
 }
 
-/// What is asked for.
 impl Reconstruction {
     /// Asks for the usual surface.
     pub fn new() -> Self {
@@ -243,72 +238,10 @@ impl Reconstruction {
     pub fn settings(&self) -> Settings {
         self.asked.settings()
     }
-}
-
-/// What is done with it.
-impl Reconstruction {
-    /// Refuses, before the work, what can be refused without reading an input.
-    ///
-    /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and [`Error::Threads`].
-    pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
-        let (checked, input) = (self.checked()?, input.as_ref());
-        if is_packed(input) { self.asked.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
-    }
 
     /// The device that it runs on, unless that is the processor.
     #[must_use]
     pub fn device(&self) -> Option<&Device> {
         self.backend.device()
-    }
-
-    /// Reconstructs the surface of particles in memory.
-    ///
-    /// # Errors
-    /// [`Error::Unit`] for numbers out of range, [`Error::Unfit`] for settings that exclude each other, [`Error::Domain`],
-    /// [`Error::NoSpacing`], [`Error::NoAttribute`], [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or
-    /// do not fit the memory.
-    pub fn run(&self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
-        self.sample(particles)?.surface()
-    }
-
-    /// Reconstructs the surface of the particles in a file, or of a frame that was packed.
-    ///
-    /// # Errors
-    /// [`Error::Read`], and those of [`run`](Self::run).
-    pub fn run_file(&self, path: impl AsRef<Path>) -> Result<Surface, Error> {
-        self.open(path)?.sample()?.surface()
-    }
-
-    /// Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
-    ///
-    /// # Errors
-    /// Those of [`run`](Self::run).
-    pub fn sample(&self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
-        self.checked()?.on_threads()?.sample(particles)
-    }
-
-    /// Opens a file of particles, or a frame that was packed.
-    ///
-    /// # Errors
-    /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<Opened, Error> {
-        self.checked()?.on_threads()?.open(path.as_ref())
-    }
-
-    /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked for.
-    ///
-    /// # Errors
-    /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
-    pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
-        Output::prepare(&self.asked, path.as_ref(), replace, &self.control.cancel)
-    }
-
-    /// Makes sure, before the work, that a packed frame can be written.
-    ///
-    /// # Errors
-    /// [`Error::Write`].
-    pub fn packed_output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<PackedOutput, Error> {
-        PackedOutput::prepare(path.as_ref(), replace, &self.control.cancel)
     }
 }

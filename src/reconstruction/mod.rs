@@ -1,6 +1,6 @@
 //! Particles to a surface in one call, with everything chosen that is not said: the facade, and the policy behind it.
 //!
-#![doc = include_str!("limits.md")]
+//! Limits are in `limits.md`, a page of the docs.
 
 mod asked;
 mod attributes;
@@ -16,6 +16,7 @@ mod orientation;
 mod output;
 mod report;
 mod request;
+mod run;
 mod surface;
 mod warning;
 mod width;

@@ -6,7 +6,7 @@
 //! when and where, gets the same bytes. A frame that is done leaves a record beside the state; the record is
 //! written after the output has got its name, so an output with a record is whole.
 //!
-#![doc = include_str!("guide.md")]
+//! How simulations are converted is said in `guide.md`, a page of the docs.
 
 mod builder;
 mod conversion;

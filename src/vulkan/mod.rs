@@ -2,7 +2,7 @@
 //!
 //! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
 //!
-#![doc = include_str!("guide.md")]
+//! How devices are used and tried is said in `guide.md`, a page of the docs.
 
 mod batch;
 mod buffer;

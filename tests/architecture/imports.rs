@@ -80,7 +80,7 @@ fn add_texts(tokens: TokenStream, add: &mut dyn FnMut(String)) {
 }
 
 /// The files of Rust below a folder.
-fn files(folder: &Path) -> Vec<PathBuf> {
+pub fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
         if entry.is_dir() {

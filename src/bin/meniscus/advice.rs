@@ -2,8 +2,8 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, SequenceError, Setting, TooFine, Unfit,
-    UnitError, WriteFault,
+    BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, Remedy, SequenceError, Setting, TooFine,
+    Unfit, UnitError, WriteFault,
 };
 use meniscus::{Doubt, Dropped, Emptiness, Warning};
 
@@ -104,7 +104,7 @@ fn unfit_options(unfit: &Unfit) -> String {
     }
 }
 
-fn advice(error: &Error) -> &'static str {
+fn advice(error: &Error) -> String {
     match error {
         Error::NoSpacing { .. } => "; give --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
@@ -117,9 +117,16 @@ fn advice(error: &Error) -> &'static str {
         Error::Sequence(SequenceError::Settings { .. }) => {
             "; --resume makes them again, --overwrite begins anew"
         }
+        Error::Frame {
+            fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
+            ..
+        } => {
+            return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
+        }
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
     }
+    .to_owned()
 }
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {

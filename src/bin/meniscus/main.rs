@@ -7,6 +7,7 @@ mod info;
 mod inspect;
 mod interrupt;
 mod method;
+mod notes;
 mod options;
 mod outcome;
 mod pack;
@@ -17,6 +18,7 @@ mod run;
 mod sampling;
 mod say;
 mod sequence;
+mod sequence_options;
 mod shells;
 mod stats;
 

@@ -8,7 +8,7 @@ use meniscus::{Error, Method, Reconstruction, UpAxis};
 use crate::method::MethodName;
 use crate::run::RunOptions;
 use crate::sampling::SamplingOptions;
-use crate::sequence::SequenceOptions;
+use crate::sequence_options::SequenceOptions;
 
 #[derive(Args)]
 pub struct Options {

@@ -10,7 +10,7 @@ use meniscus::{Error, Reconstruction};
 use crate::interrupt;
 use crate::outcome::Verdict;
 use crate::reconstruct::refuse_same_file;
-use crate::report::{report_census, report_opened, report_stages};
+use crate::report::{report_census, report_opened, report_stages, warn_all};
 use crate::run::{RunOptions, bytes_of};
 use crate::sampling::SamplingOptions;
 
@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let opened = request.open(input)?;
     report_opened(input, &opened, &notes);
     let frame = opened.sample()?;
-    notes.warn_all(&frame.warnings(), None);
+    warn_all(&frame.warnings(), None, &notes);
     let packed = frame.pack(packed)?;
     report_census(&packed.census, &notes);
     notes.say(format!(

@@ -9,7 +9,7 @@ use meniscus::{Error, Needs, Opened, Simulation};
 use crate::interrupt;
 use crate::options::Options;
 use crate::outcome::{Verdict, print};
-use crate::report::{report, report_device, report_opened, report_stages};
+use crate::report::{report, report_device, report_opened, report_stages, warn_all};
 use crate::run::bytes_of;
 use crate::sequence;
 use crate::stats::{Made, record};
@@ -62,7 +62,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     drop(frame);
     let mut stages = surface.report().timings.clone();
     report(options, surface.report(), surface.mesh(), &notes);
-    notes.warn_all(&surface.warnings_in(format)?, Some(options));
+    warn_all(&surface.warnings_in(format)?, Some(options), &notes);
     stages.skip();
     let bytes = surface.write_to(output)?;
     stages.done("write");

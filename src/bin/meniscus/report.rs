@@ -6,11 +6,11 @@ use bytesize::ByteSize;
 use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::shown;
 use meniscus::mesh::MeshSource;
-use meniscus::{Calibrated, Census, Isovalue, Opened, Plateau, Report, Timings};
+use meniscus::{Calibrated, Census, Isovalue, Opened, Plateau, Report, Timings, Warning};
 
-use crate::advice::{doubted, on_lost};
+use crate::advice::{doubted, on_lost, warned};
+use crate::notes::Notes;
 use crate::options::Options;
-use crate::run::Notes;
 
 /// Says what was opened, and what was chosen for it.
 pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
@@ -27,7 +27,7 @@ pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
 
 /// Says all that there is to know of a surface.
 pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: &Notes) {
-    notes.warn_all(&report.warnings, Some(options));
+    warn_all(&report.warnings, Some(options), notes);
     report.measured.iter().for_each(|measured| report_calibration(report, measured, options, notes));
     report_census(&report.facts.census, notes);
     let Some(left_out) = report.dropped else { return };
@@ -132,4 +132,9 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     for (stage, seconds) in timings.seconds() {
         notes.detail(format!("  {stage:<10} {:>9.1} ms", seconds * 1e3));
     }
+}
+
+/// Says what may be wrong with a surface, and what to do about it, by what else was asked for.
+pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
+    warnings.iter().for_each(|warning| notes.warn(&warned(warning, options)));
 }

@@ -1,17 +1,14 @@
-//! Options on what a run takes and says: threads, memory, scratch, and notes on standard error.
+//! Options on what a run takes and says: threads, memory, scratch.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytesize::ByteSize;
 use clap::{Args, ValueEnum};
-use indicatif::MultiProgress;
 use meniscus::devices::{self, Backend, DeviceChoice, OnCpu};
-use meniscus::{Error, MemoryBudget, Reconstruction, Warning, default_memory};
+use meniscus::{Error, MemoryBudget, Reconstruction, default_memory};
 
-use crate::advice::warned;
-use crate::options::Options;
-use crate::say::say;
+use crate::notes::Notes;
 
 /// More than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
@@ -121,7 +118,7 @@ impl RunOptions {
     }
 
     pub fn notes(&self) -> Notes {
-        Notes { quiet: self.quiet, verbose: self.verbose, bars: None }
+        Notes::new(self.quiet, self.verbose)
     }
 }
 
@@ -133,58 +130,4 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
 /// Whether an output is a device, beside which nothing else is to be written.
 fn is_device(output: &Path) -> bool {
     output.starts_with("/dev")
-}
-
-/// The notes that a run makes for people, on standard error.
-#[derive(Clone, Default)]
-pub struct Notes {
-    quiet: bool,
-    verbose: bool,
-    /// Bars that stand below the notes.
-    bars: Option<MultiProgress>,
-}
-
-impl Notes {
-    /// The same notes above bars.
-    pub fn above(self, bars: MultiProgress) -> Self {
-        Self { bars: Some(bars), ..self }
-    }
-
-    /// Says what may be wrong.
-    pub fn warn(&self, text: &str) {
-        self.say(format!("warning: {text}"));
-    }
-
-    /// Says what may be wrong with a surface, and what to do about it.
-    pub fn warn_all(&self, warnings: &[Warning], options: Option<&Options>) {
-        warnings.iter().for_each(|warning| self.warn(&warned(warning, options)));
-    }
-
-    pub fn is_quiet(&self) -> bool {
-        self.quiet
-    }
-
-    pub fn say(&self, text: impl AsRef<str>) {
-        if !self.quiet {
-            self.print(text.as_ref());
-        }
-    }
-
-    pub fn detail(&self, text: impl AsRef<str>) {
-        if self.verbose {
-            self.print(text.as_ref());
-        }
-    }
-
-    /// Says what even a quiet run has to say.
-    pub fn error(&self, text: impl AsRef<str>) {
-        self.print(text.as_ref());
-    }
-
-    fn print(&self, text: &str) {
-        match &self.bars {
-            Some(bars) => bars.suspend(|| say(text)),
-            None => say(text),
-        }
-    }
 }

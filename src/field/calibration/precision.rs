@@ -83,17 +83,18 @@ pub enum TooFine {
 pub enum Remedy {
     /// Cells of this edge.
     Cells(f64),
-    /// A grid on which particles do not lie on the corners of cells, where symmetry sees next to nothing.
-    Origin,
+    /// A grid on which particles do not lie on the corners of cells, where symmetry sees next to nothing: one with this origin.
+    Origin([f64; 3]),
 }
 
 impl fmt::Display for Remedy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Cells(size) => write!(f, "use cells of {size} or more"),
-            Self::Origin => write!(
+            Self::Origin([x, y, z]) => write!(
                 f,
-                "its particles lie on corners of cells, where symmetry sees next to nothing: move the grid's origin"
+                "its particles lie on corners of cells, where symmetry sees next to nothing: move the grid's origin to \
+                 {x},{y},{z}"
             ),
         }
     }
@@ -139,7 +140,8 @@ pub fn refuse_too_fine(frame: &SampledDif, smoothing: &Smoothing, plateau: Plate
     let (kind, cell_size) = (frame.indicator.kind(), frame.facts.grid.cell_size());
     refuse_steps(f64::from(plateau.value().max(1)), smoothing.width(), cell_size, |step_cells| {
         if kind == IndicatorKind::Symmetry && frame.dif.mean_of_full() < ON_CORNERS {
-            return Remedy::Origin;
+            let grid = frame.facts.grid;
+            return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
         }
         // The plateau grows with the cell's volume.
         Remedy::Cells(roundly_above(cell_size * (step_cells / COARSEST_STEP).cbrt()))

@@ -39,7 +39,7 @@
 //!
 //! Version 1 differed for clouds alone, each of which was as large as mu0 said: such a frame is refused, all others are read.
 //!
-#![doc = include_str!("packed.md")]
+//! What packed frames are good for is said in `packed.md`, a page of the docs.
 
 mod read;
 mod write;

@@ -9,7 +9,7 @@
 //! Chunks know nothing of threads or memory, and nothing is held but the chunks in work, a bit a vertex, and
 //! what the budget allows of the triangles.
 //!
-#![doc = include_str!("guide.md")]
+//! What it gains is said in `guide.md`, a page of the docs.
 
 mod collapse;
 mod drops;

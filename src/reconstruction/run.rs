@@ -1,0 +1,72 @@
+//! Running a request: from particles, or from a file, to a surface in one call, or step by step.
+
+use std::path::Path;
+
+use crate::error::Error;
+use crate::io::mnf::is_packed;
+use crate::io::whole::Replace;
+use crate::particles::Particles;
+
+use super::builder::Reconstruction;
+use super::{Frame, Opened, Output, PackedOutput, Surface};
+
+impl Reconstruction {
+    /// Refuses, before the work, what can be refused without reading an input.
+    ///
+    /// # Errors
+    /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and [`Error::Threads`].
+    pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
+        let (checked, input) = (self.checked()?, input.as_ref());
+        if is_packed(input) { self.asked.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
+    }
+
+    /// Reconstructs the surface of particles in memory.
+    ///
+    /// # Errors
+    /// [`Error::Unit`] for numbers out of range, [`Error::Unfit`] for settings that exclude each other, [`Error::Domain`],
+    /// [`Error::NoSpacing`], [`Error::NoAttribute`], [`Error::Cancelled`], and [`Error::Frame`] for particles that have no surface or
+    /// do not fit the memory.
+    pub fn run(&self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
+        self.sample(particles)?.surface()
+    }
+
+    /// Reconstructs the surface of the particles in a file, or of a frame that was packed.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and those of [`run`](Self::run).
+    pub fn run_file(&self, path: impl AsRef<Path>) -> Result<Surface, Error> {
+        self.open(path)?.sample()?.surface()
+    }
+
+    /// Samples particles in memory once, for surfaces that may be drawn otherwise again and again.
+    ///
+    /// # Errors
+    /// Those of [`run`](Self::run).
+    pub fn sample(&self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
+        self.checked()?.on_threads()?.sample(particles)
+    }
+
+    /// Opens a file of particles, or a frame that was packed.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and those of [`run`](Self::run) that need no particles.
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Opened, Error> {
+        self.checked()?.on_threads()?.open(path.as_ref())
+    }
+
+    /// Makes sure, before the work, that a mesh file can be written, and can hold what is asked for.
+    ///
+    /// # Errors
+    /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
+    pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
+        Output::prepare(&self.asked, path.as_ref(), replace, &self.control.cancel)
+    }
+
+    /// Makes sure, before the work, that a packed frame can be written.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn packed_output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<PackedOutput, Error> {
+        PackedOutput::prepare(path.as_ref(), replace, &self.control.cancel)
+    }
+}
