@@ -130,7 +130,7 @@ fn first_lines_of_docs_stand_alone() {
                         .is_some_and(|rest| rest.starts_with(|c: char| !c.is_alphanumeric()))
                 };
                 seen += 1;
-                if GOING_ON.iter().any(|word| begins(word)) {
+                if GOING_ON.iter().any(begins) {
                     going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
                 }
             }
