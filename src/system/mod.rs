@@ -1,4 +1,4 @@
-//! What the pipeline takes of the machine: memory and its budget, scratch files, time, and an early end.
+//! Resources of the machine: memory and its budget, scratch files, time, and an early end.
 
 pub mod cancel;
 pub mod control;

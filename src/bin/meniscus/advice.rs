@@ -45,6 +45,9 @@ fn in_options(error: &Error) -> Option<String> {
         Error::Sequence(SequenceError::Wait(seconds)) => {
             format!("--watch takes seconds; {seconds} are none")
         }
+        Error::Sequence(SequenceError::Steps(inputs)) => {
+            format!("{inputs}: --watch follows files, and not the steps of one")
+        }
         Error::Sequence(SequenceError::Range { first, last }) => {
             format!("there are no frames from --start {first} to --end {last}")
         }
@@ -159,7 +162,7 @@ pub fn doubted(doubt: &Doubt) -> String {
 }
 
 /// The advice on particles that are in no surface.
-pub fn on_lost(smoothed: bool) -> &'static str {
+fn on_lost(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud keeps drops" } else { "smaller cells keep more" }
 }
 
