@@ -16,6 +16,7 @@ pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::DomainError;
 pub use crate::grid::units::{UnitError, shown};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
+pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
@@ -191,6 +192,7 @@ impl Error {
                 fault:
                     FrameError::NoParticles(_)
                     | FrameError::Bin(_)
+                    | FrameError::Unread(_)
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface

@@ -3,5 +3,6 @@
 pub mod cancel;
 pub mod control;
 pub mod memory;
+pub mod positioned;
 pub mod scratch;
 pub mod timings;

@@ -3,7 +3,7 @@
 use bytesize::ByteSize;
 use meniscus::error::{
     BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, Remedy, SequenceError, Setting, TooFine,
-    Unfit, UnitError, WriteFault,
+    Unfit, UnitError, Unread, WriteFault,
 };
 use meniscus::{Doubt, Dropped, Emptiness, Warning};
 
@@ -134,6 +134,7 @@ fn advice(error: &Error) -> String {
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
+        FrameError::Unread(Unread::Changed) => "; convert it once it is written",
         FrameError::Bin(BinError::NotFinite { .. }) => "; --skip-invalid drops such particles",
         FrameError::Bin(BinError::TooFar { .. }) => {
             "; use a larger cell size, move --origin, or drop such particles with --skip-invalid"
