@@ -104,10 +104,10 @@ impl Particles for Restless {
 fn a_particle_that_moves_to_another_bin_between_two_readings_is_an_error_in_memory_and_beyond() {
     // To a bin that there is, to one that is empty, and to none.
     for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
-        for budget in [MemoryBudget(1 << 30), MemoryBudget(16 << 20)] {
+        for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
             let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
             // Of so fine cells no places are kept from the first reading: there is a second.
-            let request = Reconstruction::new().spacing(0.5).cell(0.25).memory(budget);
+            let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
             let restless = |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };
             let calm = restless(usize::MAX);
             request.sample(&calm).unwrap();

@@ -59,7 +59,7 @@ impl Checked {
         timings: &mut Timings,
     ) -> Result<(Stitched, Report), FrameError> {
         self.resources.control.begins(Stage::Meshing);
-        let calibrated = engine.calibrate(&self.surfacing, known, timings)?;
+        let calibrated = engine.calibrate(&self.surfacing, known, timings)?.heard_by(&self.resources.control);
         let measured = calibrated.measured();
         let surface = calibrated.surface(timings)?;
         let mut report = Report::of(engine, &self.surfacing);
@@ -76,6 +76,7 @@ impl Checked {
         let warning = |shortfall| Warning::Shortfall { shortfall, clouds, measured_on: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();
+        self.resources.control.ends(Stage::Meshing);
         Ok((surface, report))
     }
 
@@ -90,7 +91,10 @@ impl Checked {
         if self.reduction.is_none() {
             return Ok(Kept::Whole(surface));
         }
+        self.resources.go_on()?;
+        self.resources.control.begins(Stage::Simplifying);
         let simplified = engine.simplify(surface, &self.reduction, timings)?;
+        self.resources.control.ends(Stage::Simplifying);
         report.dropped = Some(simplified.dropped());
         Ok(Kept::Reduced(simplified))
     }

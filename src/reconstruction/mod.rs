@@ -24,7 +24,7 @@ mod width;
 pub use asked::Settings;
 pub use attributes::Attributes;
 pub use builder::Reconstruction;
-pub use cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
+pub use cells::{CellSize, Cells, Doubt, Source, SpacingSource};
 pub(crate) use checked::{Checked, Ready};
 pub(crate) use draw::Kept;
 pub use frame::Frame;
