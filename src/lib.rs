@@ -168,7 +168,7 @@ pub use field::calibration::{Calibrated, Calibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
 pub use frame::Shortfall;
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
-pub use grid::{Domain, Grid};
+pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
 pub use particles::{Particles, StridedPositions};
 pub use reconstruction::{

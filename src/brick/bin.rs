@@ -88,6 +88,19 @@ pub enum BinError {
         /// How many are allowed.
         limit: usize,
     },
+    /// A particle of a periodic box is not in it.
+    #[error(
+        "particle {index} at ({}, {}, {}) is outside of the periodic box along {axis}",
+        position[0], position[1], position[2]
+    )]
+    OutsideBox {
+        /// Counted from 0 in the order of the file.
+        index: usize,
+        /// The particle's position.
+        position: [f64; 3],
+        /// x, y or z.
+        axis: char,
+    },
     /// A coordinate is beyond the addressable grid.
     #[error(
         "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin",
@@ -112,7 +125,7 @@ pub struct Census {
     pub not_finite: usize,
     /// Beyond the addressable grid; dropped.
     pub too_far: usize,
-    /// Outside of the domain's walls; not counted by the method.
+    /// Outside of the domain's walls, or of a periodic box; not counted by the method.
     pub outside: usize,
 }
 

@@ -13,7 +13,7 @@ pub use crate::field::calibration::{Remedy, TooFine};
 pub use crate::field::indicator::IndicatorKind;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
-pub use crate::grid::DomainError;
+pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::grid::units::{UnitError, shown};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::surface::mesh::compare::CompareError;
@@ -49,6 +49,9 @@ pub enum Error {
     /// A box that cannot be a domain.
     #[error(transparent)]
     Domain(#[from] DomainError),
+    /// A box that cannot be periodic.
+    #[error(transparent)]
+    Periodic(#[from] PeriodicError),
     /// An input file.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -169,6 +172,7 @@ impl Error {
             | Self::TwoPurposes { .. }
             | Self::Unit(_)
             | Self::Domain(_)
+            | Self::Periodic(_)
             | Self::NoAttribute { .. }
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
@@ -181,6 +185,7 @@ impl Error {
                     | FrameError::Kernels(_)
                     | FrameError::TooFine(_)
                     | FrameError::TooManyVertices
+                    | FrameError::FewImages { .. }
                     | FrameError::NoSpace { .. },
                 ..
             } => Cause::Request,

@@ -49,6 +49,17 @@ pub enum FrameError {
     /// The calibration was measured on a frame of another indicator, and says nothing of this one.
     #[error("it was packed with another indicator than the frame that all are drawn by")]
     OtherIndicator,
+    /// Images were made for filters that do not see as far.
+    #[error(
+        "the frame has images up to {there} cells beyond its periodic faces, and these filters see {needed}: ask for as much \
+         smoothing when the particles are sampled"
+    )]
+    FewImages {
+        /// How far the filters see beyond a face, in cells.
+        needed: i32,
+        /// How far images stand beyond it.
+        there: i32,
+    },
     /// Kernels are as wide as the spacing says.
     #[error("kernel methods have to know the spacing of the particles")]
     NoSpacing,

@@ -12,10 +12,10 @@ use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Plan;
 use crate::grid::units::Sigma;
 use crate::grid::{CellBox, Grid};
-use crate::surface::dual_mc::{Crossings, Normals};
+use crate::surface::dual_mc::Crossings;
 
 use super::surface::Drawn;
-use super::{FrameError, Resources};
+use super::{FrameError, Resources, Surfacing};
 
 /// The kernels of a frame.
 #[derive(Debug)]
@@ -47,8 +47,8 @@ impl SampledKernels {
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, normals: Normals) -> Drawn<'_> {
-        let walls = self.facts.walls();
+    pub(super) fn drawn(&self, &Surfacing { normals, periodic_mesh, .. }: &Surfacing) -> Drawn<'_> {
+        let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         Drawn {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,

@@ -12,7 +12,7 @@ use crate::field::calibration::Calibrated;
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
-use crate::grid::CellBox;
+use crate::grid::{CellBox, Domain};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::vertex_values;
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -22,7 +22,7 @@ use crate::surface::stitch::Stitched;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::{FrameError, Resources};
+use super::{FrameError, Resources, Surfacing};
 
 /// Blocks that are meshed at once at the most, so that a caller is heard within a second or so.
 const MOST_BLOCKS_A_THREAD: usize = 2048;
@@ -53,15 +53,15 @@ impl<'a> Drawn<'a> {
         stages: &'a dyn Stages,
         recipe: Recipe,
         attribute_smoothing: Smoothing,
-        normals: Normals,
+        &Surfacing { normals, periodic_mesh, .. }: &Surfacing,
     ) -> Self {
         Self {
-            regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
+            regions: Surfaces { sampled, recipe: &recipe, normals, periodic_mesh }.regions(),
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
             contour: Box::new(move |regions, finish, push| {
-                let surfaces = Surfaces { sampled, recipe: &recipe, normals };
+                let surfaces = Surfaces { sampled, recipe: &recipe, normals, periodic_mesh };
                 stages.contour(&surfaces, regions, &mut |blocks| {
                     let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
                     blocks.par_iter_mut().try_for_each(finish)?;
@@ -81,6 +81,8 @@ pub struct CalibratedFrame<'a> {
     pub(super) surface_share: u64,
     pub(super) measured: Option<Calibrated>,
     pub(super) normals: Normals,
+    /// The walls at which the mesh ends.
+    pub(super) walls: Option<Domain>,
     pub(super) drawn: Drawn<'a>,
 }
 
@@ -105,7 +107,7 @@ impl CalibratedFrame<'_> {
         if spool.is_empty() {
             return Err(self.drawn.nothing);
         }
-        Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
+        Ok(Stitched::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
     }
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many

@@ -4,6 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
+use crate::grid::PeriodicMesh;
 use crate::io::UpAxis;
 
 use super::Attributes;
@@ -19,6 +20,8 @@ pub(crate) struct Asked {
     pub(crate) cell: Option<f64>,
     pub(crate) origin: Option<[f64; 3]>,
     pub(crate) walls: Option<[[f64; 3]; 2]>,
+    pub(crate) periodic: Option<[Option<[f64; 2]>; 3]>,
+    pub(crate) periodic_mesh: Option<PeriodicMesh>,
     pub(crate) skip_invalid: bool,
     pub(crate) indicator: Option<IndicatorKind>,
     pub(crate) mean: Option<f64>,
@@ -60,6 +63,8 @@ impl Asked {
             "cell": self.cell,
             "origin": self.origin,
             "domain": self.walls.map(|[[x0, y0, z0], [x1, y1, z1]]| [x0, y0, z0, x1, y1, z1]),
+            "periodic": self.periodic.map(|faces| [0, 1].map(|side| faces.map(|faces| faces.map(|faces| faces[side])))),
+            "periodic-mesh": self.periodic_mesh.unwrap_or_default().name(),
             "indicator": self.indicator.unwrap_or_default().name(),
             "mu0": self.mean,
             "skip-invalid": self.skip_invalid,

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::brick::{Bins, Pages};
+use crate::brick::{Bins, Block, Pages};
 use crate::field::indicator::{PageRule, indicate};
 use crate::grid::CellBox;
 use crate::grid::units::MemoryBudget;
@@ -99,10 +99,17 @@ impl Stages for Cpu {
 
 /// The surfaces through some regions, which share what they can where that takes so many bytes at the most.
 fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox], together: u64) -> Vec<Option<BlockMesh>> {
-    let &Surfaces { sampled, recipe, normals } = surfaces;
-    let walls = surfaces.walls();
+    let &Surfaces { sampled, recipe, normals, .. } = surfaces;
+    let walls = surfaces.mesh_walls();
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let boxes: Vec<_> = regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
     let fields = regions.iter().zip(cut_fields(recipe, sampled, &boxes, together));
-    fields.map(|(&region, field)| block_mesh(&field?, region, recipe.iso, normals, walls)).collect()
+    let mesh = |(&region, field): (_, Option<Block>)| {
+        let mut field = field?;
+        // Beyond a periodic face is what the filters have to see, and the mesh must not.
+        let cut = walls.filter(|_| sampled.facts.periodic.is_some());
+        cut.into_iter().for_each(|faces| field.repeat_edges(faces));
+        block_mesh(&field, region, recipe.iso, normals, walls)
+    };
+    fields.map(mesh).collect()
 }
