@@ -37,7 +37,7 @@ fn sample(
         .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]);
-    let facts = FrameFacts { grid, domain, census, spacing: Some(0.5) };
+    let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
     // What a particle adds is told by the spacing.
     let mean = match indicator {
         IndicatorKind::Cloud => (grid.cell_size() / 0.5).powi(3),

@@ -4,6 +4,7 @@
 pub mod dense;
 pub mod device;
 pub mod distances;
+pub mod periodic;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 

@@ -176,6 +176,7 @@ pub fn sampling(grid: Grid, spacing: f64, field: impl Into<FieldRequest>) -> Sam
     Sampling {
         grid,
         domain: None,
+        periodic: None,
         field,
         invalid: InvalidParticles::Refuse,
         side: field.brick_side(),
