@@ -152,7 +152,8 @@ impl Images<'_> {
             let range = group_range(particles, group);
             let mut positions = vec![[0.0; 3]; range.len()];
             particles.positions(range.start, &mut positions);
-            let all = positions.iter().enumerate().flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
+            let all =
+                positions.iter().enumerate().flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
             let numbered = (self.before[group]..).zip(all).filter(|(number, _)| wanted.contains(number));
             let (own, images): (Vec<usize>, Vec<[f64; 3]>) = numbered.map(|(_, image)| image).unzip();
             take(range.clone(), &own, &images);
@@ -282,7 +283,8 @@ mod tests {
             let moved = [0, 2].map(|a| (position[a] - own[a]).abs());
             assert!(moved.iter().all(|d| *d < 1e-5 || (d - 1.0).abs() < 1e-5) && moved != [0.0; 2]);
             assert_eq!(position[1], own[1]);
-            let beyond = |a: usize| !(0.0..1.0).contains(&position[a]) && (-0.061..1.061).contains(&position[a]);
+            let beyond =
+                |a: usize| !(0.0..1.0).contains(&position[a]) && (-0.061..1.061).contains(&position[a]);
             assert!(beyond(0) || beyond(2), "{position:?}");
         }
         for step in [1, 7, 512, 3000] {

@@ -125,7 +125,9 @@ fn explain(census: &Census) -> String {
     match *census {
         Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
         Census { not_finite, too_far, outside, .. } => {
-            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
+            format!(
+                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain or the periodic box"
+            )
         }
     }
 }

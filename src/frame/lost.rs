@@ -42,7 +42,8 @@ impl Occupied {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
             let coord = bins.keys()[bin].coord();
-            let cells = contents.packed().iter().map(|&record| IVec3::from(unpack(record).0.map(|at| at as i32)));
+            let cells =
+                contents.packed().iter().map(|&record| IVec3::from(unpack(record).0.map(|at| at as i32)));
             let (mut tiles, mut full) = (0, Fullness { particles: bins.count(bin) as u64, cells: 0 });
             match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
                 None => cells.clone().for_each(|cell| tiles |= bit_of(cell / TILE)),
@@ -77,7 +78,8 @@ impl Occupied {
 
     /// Particles of a tile that holds any, on average.
     pub fn mean(&self) -> f64 {
-        let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| self.bins.iter().map(|bin| f64::from(of(bin))).sum();
+        let sum =
+            |of: fn(&(IVec3, u32, TileMask)) -> u32| self.bins.iter().map(|bin| f64::from(of(bin))).sum();
         let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
         particles / tiles.max(1.0)
     }

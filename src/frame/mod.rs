@@ -301,7 +301,8 @@ impl Frame {
     pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
         let facts = self.facts();
         let Some(spacing) = facts.spacing else { return Ok(None) };
-        Shortfall::of(surface, facts.own_cells(), facts.census.binned, spacing).map_err(self.resources.scratch_error())
+        Shortfall::of(surface, facts.own_cells(), facts.census.binned, spacing)
+            .map_err(self.resources.scratch_error())
     }
 
     /// How many times as many particles there are, at the least, as their spacing leaves room for in the tiles that they are in. `None`

@@ -207,8 +207,7 @@ impl Pipeline {
         }
         let recipe = surfacing.recipe(&sampled, &calibration);
         let periodic_mesh = surfacing.periodic_mesh;
-        let surfaces =
-            Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
+        let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
         let parts = frame.contour(&surfaces)?;
         frame.check()?;
         if parts.blocks.is_empty() {

@@ -51,7 +51,9 @@ impl PeriodicMesh {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum PeriodicError {
     /// The corners are not in order, or not finite.
-    #[error("the periodic box's corners must be finite, and the second above the first along every axis that is not open")]
+    #[error(
+        "the periodic box's corners must be finite, and the second above the first along every axis that is not open"
+    )]
     Corners,
     /// No axis is periodic.
     #[error("the periodic box is open along every axis")]
@@ -212,7 +214,8 @@ impl Periodic {
             let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
             Some(grid.origin()[axis] + grid.cell_size() * cells)
         });
-        let moved = image.iter().zip(0..).fold(0_u32, |moved, (x, axis)| moved | u32::from(x.is_some()) << axis);
+        let moved =
+            image.iter().zip(0..).fold(0_u32, |moved, (x, axis)| moved | u32::from(x.is_some()) << axis);
         (1..8_u32).filter(move |some| some & !moved == 0).map(move |some| {
             let along = |axis: usize| if some >> axis & 1 == 1 { image[axis] } else { None };
             [0, 1, 2].map(|axis| along(axis).unwrap_or(world[axis]))

@@ -63,8 +63,6 @@ impl Asked {
             "cell": self.cell,
             "origin": self.origin,
             "domain": self.walls.map(|[[x0, y0, z0], [x1, y1, z1]]| [x0, y0, z0, x1, y1, z1]),
-            "periodic": self.periodic.map(|faces| [0, 1].map(|side| faces.map(|faces| faces.map(|faces| faces[side])))),
-            "periodic-mesh": self.periodic_mesh.unwrap_or_default().name(),
             "indicator": self.indicator.unwrap_or_default().name(),
             "mu0": self.mean,
             "skip-invalid": self.skip_invalid,
@@ -82,9 +80,19 @@ impl Asked {
             "up": self.up.map(|axis| axis.to_string()),
             "particles-up": self.particles_up.map(|axis| axis.to_string()),
         });
-        match settings {
+        let mut settings = match settings {
             Value::Object(map) => map,
             _ => Settings::new(),
+        };
+        if let Some(faces) = self.periodic {
+            let ends = |side: usize| faces.map(|faces| faces.map(|faces| faces[side]));
+            settings.insert("periodic".into(), json!([ends(0), ends(1)].as_flattened()));
         }
+        // Also said of packed frames, which have their own box.
+        let ends = self.periodic_mesh.unwrap_or_default();
+        if self.periodic.is_some() || ends != PeriodicMesh::default() {
+            settings.insert("periodic-mesh".into(), ends.name().into());
+        }
+        settings
     }
 }

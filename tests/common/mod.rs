@@ -57,7 +57,11 @@ pub fn dif(frame: &Frame) -> &SampledDif {
 /// A frame of so much DIF, in cells of edge 1, and no particles.
 pub fn sampled(dif: DifField) -> SampledDif {
     let (grid, census) = (sampling().grid, Census::default());
-    SampledDif::new(FrameFacts { grid, domain: None, periodic: None, census, spacing: None }, Indicator::Symmetry, dif)
+    SampledDif::new(
+        FrameFacts { grid, domain: None, periodic: None, census, spacing: None },
+        Indicator::Symmetry,
+        dif,
+    )
 }
 
 /// A frame's recipe, and what it was calibrated by.

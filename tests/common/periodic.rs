@@ -30,7 +30,9 @@ pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     };
     let mut particles = Vec::new();
     let size = edges.as_ivec3();
-    for cell in (0..size.z).flat_map(|z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z)))) {
+    for cell in
+        (0..size.z).flat_map(|z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))))
+    {
         let jitter = DVec3::new(random.unit(), random.unit(), random.unit());
         let p = cell.as_dvec3() + jitter;
         if is_wet(p) || random.unit() < 0.002 {

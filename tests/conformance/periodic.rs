@@ -73,7 +73,8 @@ pub fn the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated(place: &Place) {
                 let mean = calibration.and_then(|known| known.mean());
                 let field = IndicatorRequest { kind, mean }.into();
                 let alone = Sampling { field, ..sampling.clone() };
-                let (expected, _) = drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
+                let (expected, _) =
+                    drawn(&repeated(&particles, faces), &alone, &surfacing, calibration.as_ref());
                 // Between the outermost centres and the faces the mesh is cut, and its gradient ends there.
                 let margin = if mesh == PeriodicMesh::Cut { 1.51 * cell } else { 0.0 };
                 let [found, expected] = [&found, &expected].map(|mesh| triangles_within(mesh, faces, margin));
@@ -91,7 +92,8 @@ pub fn a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is
     let particles: Vec<[f64; 3]> =
         steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
     for cell in [0.9, 0.5] {
-        let in_box = in_box(&sampling(place, IndicatorKind::Cloud, cell), &surfacing(), [Some([0.0, edge]); 3]);
+        let in_box =
+            in_box(&sampling(place, IndicatorKind::Cloud, cell), &surfacing(), [Some([0.0, edge]); 3]);
         let (mesh, _) = drawn(&particles, &in_box, &surfacing(), None);
         assert_watertight(&mesh, "a full box");
         let found = measure(&mesh);
@@ -107,7 +109,9 @@ pub fn a_periodic_mesh_is_the_same_on_every_backend(place: &Place) {
     // Cells do not divide the box, and wide ones even less.
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let particles = fluid(9, edges);
-    for (kind, cell) in [(IndicatorKind::Cloud, 0.3), (IndicatorKind::Cloud, 0.7), (IndicatorKind::Counting, 0.7)] {
+    for (kind, cell) in
+        [(IndicatorKind::Cloud, 0.3), (IndicatorKind::Cloud, 0.7), (IndicatorKind::Counting, 0.7)]
+    {
         for mesh in [PeriodicMesh::Cut, PeriodicMesh::Overlap] {
             let surfacing = Surfacing { normals: Normals::Gradient, periodic_mesh: mesh, ..surfacing() };
             let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];

@@ -45,8 +45,7 @@ pub fn indicate<B: Binned>(
     asked: IndicatorRequest,
     side: BrickSide,
 ) -> Result<(Indicator, B::Made), B::Error> {
-    let measured =
-        |full: Fullness| MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
+    let measured = |full: Fullness| MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
     let known = match (asked.kind, asked.mean) {
         (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
         (IndicatorKind::Cloud, _) => Some(Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one()))),
