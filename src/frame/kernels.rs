@@ -11,11 +11,11 @@ use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Plan;
 use crate::grid::units::Sigma;
-use crate::grid::{CellBox, Grid};
-use crate::surface::dual_mc::Crossings;
+use crate::grid::{CellBox, Grid, PeriodicMesh};
+use crate::surface::dual_mc::{Crossings, Normals};
 
 use super::surface::Drawn;
-use super::{FrameError, Resources, Surfacing};
+use super::{FrameError, Resources};
 
 /// The kernels of a frame.
 #[derive(Debug)]
@@ -47,7 +47,7 @@ impl SampledKernels {
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, &Surfacing { normals, periodic_mesh, .. }: &Surfacing) -> Drawn<'_> {
+    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> Drawn<'_> {
         let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         Drawn {
             regions: self.field.regions(walls),

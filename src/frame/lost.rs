@@ -32,7 +32,7 @@ pub(super) struct Occupied {
 }
 
 impl Occupied {
-    /// Of the particles in some cells, if others are images.
+    /// Begins with none; particles outside of `own` cells, if those are given, are images that do not count.
     pub fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
     }

@@ -237,7 +237,7 @@ impl Frame {
         known: Option<&Calibration>,
         timings: &mut Timings,
     ) -> Result<CalibratedFrame<'_>, FrameError> {
-        let normals = surfacing.normals;
+        let &Surfacing { normals, periodic_mesh, .. } = surfacing;
         self.refuse_farther(surfacing)?;
         let (drawn, measured) = match &self.field {
             Field::Dif { sampled, stages } => {
@@ -258,9 +258,9 @@ impl Frame {
                 let recipe = surfacing.recipe(sampled, &calibration);
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(sampled.indicator.kind(), *spacing, grid);
-                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, surfacing), measured)
+                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh), measured)
             }
-            Field::Kernels(sampled) => (sampled.drawn(surfacing), None),
+            Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
         };
         Ok(CalibratedFrame {
             facts: self.facts(),
@@ -269,7 +269,7 @@ impl Frame {
             surface_share: self.surface_share,
             measured,
             normals,
-            walls: self.facts().mesh_walls(surfacing.periodic_mesh),
+            walls: self.facts().mesh_walls(periodic_mesh),
             drawn,
         })
     }

@@ -33,7 +33,7 @@ impl Shortfall {
         particles: usize,
         spacing: f64,
     ) -> io::Result<Option<Self>> {
-        let share = surface.volume(around)? / (particles as f64 * spacing.powi(3));
+        let share = surface.volume_within(around)? / (particles as f64 * spacing.powi(3));
         Ok((share < EXPECTED).then_some(Self { share, particles, spacing }))
     }
 }

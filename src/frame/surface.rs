@@ -12,7 +12,7 @@ use crate::field::calibration::Calibrated;
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
-use crate::grid::{CellBox, Domain};
+use crate::grid::{CellBox, Domain, PeriodicMesh};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::vertex_values;
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -22,7 +22,7 @@ use crate::surface::stitch::Stitched;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::{FrameError, Resources, Surfacing};
+use super::{FrameError, Resources};
 
 /// Blocks that are meshed at once at the most, so that a caller is heard within a second or so.
 const MOST_BLOCKS_A_THREAD: usize = 2048;
@@ -53,7 +53,8 @@ impl<'a> Drawn<'a> {
         stages: &'a dyn Stages,
         recipe: Recipe,
         attribute_smoothing: Smoothing,
-        &Surfacing { normals, periodic_mesh, .. }: &Surfacing,
+        normals: Normals,
+        periodic_mesh: PeriodicMesh,
     ) -> Self {
         Self {
             regions: Surfaces { sampled, recipe: &recipe, normals, periodic_mesh }.regions(),

@@ -16,13 +16,13 @@ const AXES: [char; 3] = ['x', 'y', 'z'];
 /// A box that repeats itself along some axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Periodic {
-    /// Its faces: an axis that is open has none.
+    /// Faces of the box: an axis that is open has none.
     faces: Domain,
     /// How far beyond its faces images stand, in cells.
     reach: i32,
     /// Steps from a particle to its image, along each axis.
     period: [i64; 3],
-    /// The same in the unit of the grid, but for the rest of a step.
+    /// How far beyond its faces images stand, in the unit of the grid.
     reach_length: f64,
 }
 

@@ -127,12 +127,20 @@ impl Stitched {
         self.spool.bytes()
     }
 
-    /// The volume inside, as far as it is in some cells if they are given, told by where columns of cells along x enter and leave
-    /// it: the mesh's own, but for what the surface bends within a cell.
+    /// The volume inside, told by where columns of cells along x enter and leave it: the mesh's own, but for what the surface
+    /// bends within a cell.
     ///
     /// # Errors
     /// Where the scratch file cannot be read.
-    pub fn volume(&self, within: Option<CellBox>) -> io::Result<f64> {
+    pub fn volume(&self) -> io::Result<f64> {
+        self.volume_within(None)
+    }
+
+    /// The [volume](Self::volume) inside, as far as it is in some cells, if they are given.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn volume_within(&self, within: Option<CellBox>) -> io::Result<f64> {
         let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block, within));
         let columns: Vec<f64> =
             (0..self.pieces()).into_par_iter().map(of_piece).collect::<io::Result<_>>()?;
