@@ -8,7 +8,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::grid::{Domain, Grid, Periodic, Unplaced};
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::place::Placer;
 use super::{BinError, Census, InvalidParticles};
@@ -154,7 +154,10 @@ impl Images<'_> {
             particles.positions(range.start, &mut positions);
             let all =
                 positions.iter().enumerate().flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
-            let numbered = (self.before[group]..).zip(all).filter(|(number, _)| wanted.contains(number));
+            // Particles that have moved meanwhile have other images: none where there are fewer, which whoever bins them finds out.
+            let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
+            let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
+            let numbered = numbered.filter(|(number, _)| wanted.contains(number));
             let (own, images): (Vec<usize>, Vec<[f64; 3]>) = numbered.map(|(_, image)| image).unzip();
             take(range.clone(), &own, &images);
             particles.release(range);
@@ -188,6 +191,10 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
             to.copy_from_slice(positions);
             rest = later;
         });
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.particles.check()
     }
 
     fn resident_bytes(&self) -> u64 {
@@ -301,5 +308,35 @@ mod tests {
         }
         let counted = Census { binned: len - 2, not_finite: 2, too_far: 0, outside: 0 };
         assert_eq!(all.census(counted), Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1 });
+    }
+
+    /// Particles that are elsewhere each time they are read.
+    struct Restless(std::sync::atomic::AtomicUsize);
+
+    impl Particles for Restless {
+        fn len(&self) -> usize {
+            3000
+        }
+
+        fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+            let read = self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            for (i, to) in (first..).zip(out) {
+                *to = [((i * 7919 + 131 * read * (first + 1)) % 1009) as f64 / 1009.0, 0.5, 0.5];
+            }
+        }
+    }
+
+    #[test]
+    fn particles_that_move_between_two_readings_fill_what_is_asked_for_and_no_more() {
+        let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
+        let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
+        let restless = Restless(0.into());
+        let invalid = InvalidParticles::Refuse;
+        let all = WithImages::of(&restless, &grid, None, Some(&periodic), invalid).unwrap();
+        for first in [0, 2990, 3000, 3100, all.len() - 5] {
+            let mut positions = vec![[7.0; 3]; all.len() - first];
+            all.positions(first, &mut positions);
+            assert!(positions.iter().all(|p| p[1] != 7.0), "from {first} on");
+        }
     }
 }

@@ -25,10 +25,14 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let Sampling { grid, domain, periodic, invalid, resources, .. } = sampling;
         let domain = domain.as_ref();
         let given = particles;
-        let particles = WithImages::of(given, grid, domain, periodic.as_ref(), *invalid)?;
+        let particles = WithImages::of(given, grid, domain, periodic.as_ref(), *invalid);
+        given.check()?;
+        let particles = particles?;
         resources.go_on()?;
         let room = CountingRoom::within(resources.budget.0);
-        let plan = match BinPlan::count(&particles, grid, domain, *invalid, room) {
+        let plan = BinPlan::count(&particles, grid, domain, *invalid, room);
+        given.check()?;
+        let plan = match plan {
             Err(BinError::TooManyBins { .. }) => {
                 return Err(FrameError::OverBudget(OverBudget {
                     cell_size: grid.cell_size(),
