@@ -50,7 +50,7 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, what to choose, how accurate and how fast it is, GPUs, and limits.
+/// Guides: what goes in and out, simulations, periodic boxes, what to choose, how accurate and how fast it is, GPUs, and limits.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -64,6 +64,8 @@ pub mod guide {
     pub mod limits {}
     #[doc = include_str!("io/mnf/packed.md")]
     pub mod packed {}
+    #[doc = include_str!("reconstruction/periodic.md")]
+    pub mod periodic {}
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
     #[doc = include_str!("simulation/guide.md")]
@@ -175,7 +177,7 @@ pub use field::calibration::{Calibrated, Calibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
 pub use frame::Shortfall;
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
-pub use grid::{Domain, Grid};
+pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
 pub use particles::{Particles, StridedPositions};
 pub use reconstruction::{

@@ -14,7 +14,7 @@ use meniscus::internals::field::indicator::{
     Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate,
 };
 use meniscus::internals::grid::units::MeanCount;
-use meniscus::internals::grid::{CellBox, Domain, Grid};
+use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
 use meniscus::internals::io::ReadFault;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
@@ -37,7 +37,7 @@ fn sample(
         .unwrap();
     let census = plan.census();
     let bins = plan.fill(particles, &[]).unwrap();
-    let facts = FrameFacts { grid, domain, census, spacing: Some(0.5) };
+    let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
     // What a particle adds is told by the spacing.
     let mean = match indicator {
         IndicatorKind::Cloud => (grid.cell_size() / 0.5).powi(3),
@@ -154,6 +154,51 @@ fn facts_survive_at_their_extremes() {
     }
 }
 
+/// A frame of a box that is periodic along y, between the walls of a tank.
+fn small_periodic() -> SampledDif {
+    let (open, mut frame) = (f64::INFINITY, small());
+    let grid = frame.facts.grid;
+    let walls = [DVec3::new(-13.0, -open, -11.0), DVec3::new(12.0, open, 14.0)];
+    let domain = Some(Domain::new(&grid, walls[0], walls[1]).unwrap());
+    let periodic = Some(Periodic::new(&grid, [None, Some([-15.0, 9.5]), None], 9).unwrap());
+    frame.facts = FrameFacts { domain, periodic, ..frame.facts };
+    frame
+}
+
+#[test]
+fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
+    let folder = Folder::new();
+    let frame = small_periodic();
+    let good = encoded(&frame);
+    let found = open_frame(&folder.file(&good), 0).unwrap();
+    assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
+    assert!(encoded(&found) == good);
+    let Layout { footer, index } = Layout::of(&good);
+    let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
+    let cases: [(usize, Vec<u8>, &str); 7] = [
+        (faces, 0_f64.to_le_bytes().into(), "corners"),
+        (faces + 8, 9.5_f64.to_le_bytes().into(), "corners"),
+        (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
+        (faces + 32, 2.5_f64.to_le_bytes().into(), "less than two reaches"),
+        (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
+        (faces + 52, 1_u32.to_le_bytes().into(), "no periodic box"),
+        (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),
+    ];
+    for (at, patch, expected) in cases {
+        let mut bad = good.clone();
+        bad[at..at + patch.len()].copy_from_slice(&patch);
+        layout.seal(&mut bad);
+        let found = refusal(&folder, &bad);
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+    }
+    for at in (0..good.len()).filter(|at| (footer..layout.index).contains(at)) {
+        let mut bad = good.clone();
+        bad[at] ^= 0x80;
+        assert!(open_frame(&folder.file(&bad), 0).is_err(), "byte {at}");
+        assert!(open_frame(&folder.file(&good[..at]), 0).is_err(), "a prefix of {at} bytes");
+    }
+}
+
 #[test]
 fn a_frame_without_pages_is_a_frame() {
     let folder = Folder::new();
@@ -235,7 +280,8 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         (12, 8_u32.to_le_bytes().into(), "not of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
         (footer + 24, 0_f64.to_le_bytes().into(), "cell size"),
-        (footer + 32, 2_u32.to_le_bytes().into(), "walls"),
+        (footer + 32, 4_u32.to_le_bytes().into(), "walls"),
+        (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
         (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
         (footer + 36, 0_u32.to_le_bytes().into(), ""),

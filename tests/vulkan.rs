@@ -25,7 +25,7 @@ use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
 use meniscus::internals::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::internals::grid::{BIN, CellBox, Domain, Grid};
+use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
 use meniscus::internals::surface::mesh::Mesh;
@@ -493,7 +493,12 @@ fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
     let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
     let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, Isovalue::new(0.5).unwrap());
-    let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
+    let surfaces = Surfaces {
+        sampled: &sampled(dif),
+        recipe: &recipe,
+        normals: Normals::None,
+        periodic_mesh: PeriodicMesh::Cut,
+    };
     let regions = surfaces.regions();
     let budget = MemoryBudget(8 << 30);
     let expected = contoured(&*Cpu.start(budget), &surfaces, &regions);

@@ -20,8 +20,8 @@ use crate::brick::{Bins, DifField, Pages};
 use crate::field::indicator::{PageRule, SampledDif};
 use crate::field::recipe::{Filters, Recipe};
 use crate::grid::units::MemoryBudget;
-use crate::grid::{BLOCK, CellBox};
-use crate::surface::dual_mc::Normals;
+use crate::grid::{BLOCK, CellBox, PeriodicMesh};
+use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 use crate::vulkan::Device;
@@ -108,6 +108,8 @@ pub struct Surfaces<'a> {
     pub recipe: &'a Recipe,
     /// Whether vertices get normals.
     pub normals: Normals,
+    /// Where the mesh ends at periodic faces.
+    pub periodic_mesh: PeriodicMesh,
 }
 
 impl Surfaces<'_> {
@@ -117,10 +119,17 @@ impl Surfaces<'_> {
         // A dual cell reaches one cell up from its lowest corner.
         let dif = &self.sampled.dif;
         let reach = dif.reach() + self.recipe.filters.reach();
-        let within = self.walls().map(|walls| walls.grown(1, 0));
+        let walls = self.mesh_walls();
+        let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
+        // Behind a face that cuts it, a fluid is deep however near that is.
+        let faces = walls.filter(|_| self.sampled.facts.periodic.is_some());
+        let not_inside = |cells: CellBox| match faces {
+            Some(faces) if !faces.covers(&dual_cells(cells)) => cells,
+            _ => self.recipe.filters.not_inside(cells),
+        };
         let regions = dif.regions(reach + 1, reach);
-        let regions = regions.into_par_iter().map(|cells| self.recipe.filters.not_inside(cut(cells)));
+        let regions = regions.into_par_iter().map(cut).filter(|cells| !cells.is_empty()).map(not_inside);
         regions.filter(|cells| !cells.is_empty()).collect()
     }
 
@@ -131,8 +140,14 @@ impl Surfaces<'_> {
         }
     }
 
+    /// The cells within walls, beyond which the field repeats its edge cells.
     fn walls(&self) -> Option<CellBox> {
         self.sampled.facts.walls()
+    }
+
+    /// The cells of which a surface is drawn: within walls, and between the periodic faces that cut it.
+    fn mesh_walls(&self) -> Option<CellBox> {
+        self.sampled.facts.mesh_walls(self.periodic_mesh).map(|walls| walls.cells())
     }
 }
 

@@ -57,6 +57,18 @@ impl Method {
         }
     }
 
+    /// How far particles of a spacing in cells decide the field, in cells: by their kernels, and by the neighbours that tell of these.
+    #[must_use]
+    pub fn reach(self, spacing: f64) -> i32 {
+        let support = Spacing::SUPPORT * spacing;
+        let reach = match self {
+            Self::Mueller { .. } => 2.0 * support,
+            Self::ZhuBridson => support,
+            Self::YuTurk { .. } => yu_turk::REACH * support,
+        };
+        reach.ceil() as i32
+    }
+
     /// Bytes of a particle's kernel, which is kept until the surface is done.
     #[must_use]
     pub fn kernel_bytes(self) -> u64 {

@@ -32,6 +32,9 @@ const K_N: f64 = 0.5;
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, over h.
 const NEIGHBOURHOOD: f64 = 2.0;
+/// How far particles decide the field, over h: the neighbours of one, and its kernel, which in a fluid is hardly longer than twice
+/// as far as it reaches where the density is uniform.
+pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
 /// The eigenvalues of C, over R^2, where the density is uniform.
 const UNIFORM: f64 = 0.15;
 

@@ -87,6 +87,19 @@ pub enum BinError {
         /// How many are allowed.
         limit: usize,
     },
+    /// A particle of a periodic box is not in it.
+    #[error(
+        "particle {index} at ({}, {}, {}) is outside of the periodic box along {axis}",
+        position[0], position[1], position[2]
+    )]
+    OutsideBox {
+        /// Counted from 0 in the order of the file.
+        index: usize,
+        /// The particle's position.
+        position: [f64; 3],
+        /// x, y or z.
+        axis: char,
+    },
     /// A coordinate is beyond the addressable grid.
     #[error(
         "particle {index} at ({}, {}, {}) is more than {} cells of {} from the origin",
@@ -111,7 +124,7 @@ pub struct Census {
     pub not_finite: usize,
     /// Particles that are dropped, for they are beyond the addressable grid.
     pub too_far: usize,
-    /// Particles that are not counted, for they are outside of the domain's walls.
+    /// Particles that are not counted, for they are outside of the domain's walls, or of a periodic box.
     pub outside: usize,
 }
 

@@ -71,7 +71,7 @@ impl Placer<'_> {
                 Ok(domain.contains(position).then(clamped))
             }
             // What lies outside of the domain is no concern of the grid.
-            (Err(Unplaced::TooFar), Some(_)) => Ok(None),
+            (Err(Unplaced::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
             (Err(fault), _) => Err(fault),
         }
     }

@@ -13,8 +13,8 @@ pub use crate::field::calibration::{Remedy, TooFine};
 pub use crate::field::indicator::IndicatorKind;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
-pub use crate::grid::DomainError;
 pub use crate::grid::units::{UnitError, shown, significant};
+pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
@@ -50,6 +50,9 @@ pub enum Error {
     /// A box that cannot be a domain.
     #[error(transparent)]
     Domain(#[from] DomainError),
+    /// A box that cannot be periodic.
+    #[error(transparent)]
+    Periodic(#[from] PeriodicError),
     /// An input file that cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -170,6 +173,7 @@ impl Error {
             | Self::TwoPurposes { .. }
             | Self::Unit(_)
             | Self::Domain(_)
+            | Self::Periodic(_)
             | Self::NoAttribute { .. }
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
@@ -182,6 +186,7 @@ impl Error {
                     | FrameError::Kernels(_)
                     | FrameError::TooFine(_)
                     | FrameError::TooManyVertices
+                    | FrameError::FewImages { .. }
                     | FrameError::NoSpace { .. },
                 ..
             } => Cause::Request,

@@ -79,6 +79,15 @@ impl Filters {
         }
     }
 
+    /// How far from a cell particles decide its field, in cells.
+    #[must_use]
+    pub fn halo(&self) -> i32 {
+        match self {
+            Self::Paper(paper) => paper.halo(),
+            Self::Distances(distances) => distances.halo(),
+        }
+    }
+
     /// The weights of all stages.
     #[must_use]
     pub fn kernels(&self) -> Vec<&Kernel> {

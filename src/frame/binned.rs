@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::backend::Stages;
 use crate::brick::{BinPlan, BinnedParticles, Bins};
-use crate::field::calibration::Binned;
+use crate::field::calibration::{Binned, Fullness};
 use crate::field::indicator::PageRule;
 use crate::frame::estimate::Plan;
 use crate::particles::Particles;
@@ -45,7 +45,7 @@ impl Binned for HostBins<'_> {
     type Made = (FieldSink, Occupied, Option<Arc<Bins>>);
     type Error = FrameError;
 
-    fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), FrameError> {
+    fn make_pages(self, rule: &PageRule) -> Result<(Fullness, Self::Made), FrameError> {
         let Self { binned, stages, mut sink, mut occupied, resources, keep } = self;
         let take = |bins: &Bins| {
             occupied.add(bins)?;
@@ -63,6 +63,7 @@ impl Binned for HostBins<'_> {
             spilled => spilled.visit(take).map(|()| None),
         };
         let kept = kept.map_err(resources.scratch_error())?;
-        Ok((sink.full_cells(), (sink, occupied, kept)))
+        let full = occupied.fullness(sink.full_cells());
+        Ok((full, (sink, occupied, kept)))
     }
 }

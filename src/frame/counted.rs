@@ -1,6 +1,6 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
-use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
+use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, WithImages};
 use crate::frame::estimate::{Estimate, OverBudget};
 use crate::grid::Grid;
 use crate::particles::Particles;
@@ -9,9 +9,10 @@ use super::{FieldRequest, FrameError, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
-    pub(super) particles: &'a P,
+    pub(super) particles: WithImages<'a, P>,
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan<'a>,
+    census: Census,
     surfacing: Surfacing,
 }
 
@@ -21,25 +22,32 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// # Errors
     /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, invalid, resources, .. } = sampling;
+        let Sampling { grid, domain, periodic, invalid, resources, .. } = sampling;
+        let domain = domain.as_ref();
+        let given = particles;
+        let particles = WithImages::of(given, grid, domain, periodic.as_ref(), *invalid);
+        given.check()?;
+        let particles = particles?;
+        resources.go_on()?;
         let room = CountingRoom::within(resources.budget.0);
-        let plan = BinPlan::count(particles, grid, domain.as_ref(), *invalid, room);
-        particles.check()?;
+        let plan = BinPlan::count(&particles, grid, domain, *invalid, room);
+        given.check()?;
         let plan = match plan {
             Err(BinError::TooManyBins { .. }) => {
                 return Err(FrameError::OverBudget(OverBudget {
                     cell_size: grid.cell_size(),
                     budget: resources.budget.0,
-                    fitting_cell_size: fitting_cell_size(particles, sampling, room),
+                    fitting_cell_size: fitting_cell_size(given, sampling, room),
                 }));
             }
             plan => plan?,
         };
         resources.go_on()?;
-        if plan.census().binned == 0 {
-            return Err(FrameError::NoParticles(plan.census()));
+        let census = particles.census(plan.census());
+        if census.binned == 0 {
+            return Err(FrameError::NoParticles(census));
         }
-        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN })
+        Ok(Self { particles, sampling, plan, census, surfacing: Surfacing::PLAIN })
     }
 
     /// Refuses what such a surface cannot be drawn through, then counts the particles for it.
@@ -58,7 +66,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// Returns how many particles went into bins, and how many were left out and why.
     #[must_use]
     pub fn census(&self) -> Census {
-        self.plan.census()
+        self.census
     }
 
     /// Estimates the memory and disk space that the frame will take.
@@ -75,9 +83,9 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match *field {
             FieldRequest::Indicator(_) => estimate,
-            // Kernels are kept until the surface is done, and so are the particles at the most.
+            // Kernels are kept until the surface is done, and so are the particles at the most. Images have them as well.
             FieldRequest::Kernels(method) => {
-                let kernels = self.census().binned as u64 * method.kernel_bytes();
+                let kernels = self.plan.census().binned as u64 * method.kernel_bytes();
                 Estimate { particles: estimate.particles + kernels, carried: true, ..estimate }
             }
         }

@@ -53,6 +53,17 @@ pub enum FrameError {
     /// The calibration was measured on a frame of another indicator, and says nothing of this one.
     #[error("it was packed with another indicator than the frame that all are drawn by")]
     OtherIndicator,
+    /// Images were made for filters that do not see as far.
+    #[error(
+        "the frame has images up to {there} cells beyond its periodic faces, and these filters see {needed}: ask for as much \
+         smoothing when the particles are sampled"
+    )]
+    FewImages {
+        /// How far the filters see beyond a face, in cells.
+        needed: i32,
+        /// How far images stand beyond it.
+        there: i32,
+    },
     /// Kernels are as wide as the spacing says.
     #[error("kernel methods have to know the spacing of the particles")]
     NoSpacing,
@@ -118,7 +129,9 @@ fn explain(census: &Census) -> String {
     match *census {
         Census { not_finite: 0, too_far: 0, outside: 0, .. } => "there are none".into(),
         Census { not_finite, too_far, outside, .. } => {
-            format!("{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain")
+            format!(
+                "{not_finite} not finite, {too_far} beyond the grid, {outside} outside of the domain or the periodic box"
+            )
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::field::blur::Smoothing;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::estimate::Plan;
 use crate::grid::units::Sigma;
-use crate::grid::{CellBox, Grid};
+use crate::grid::{CellBox, Grid, PeriodicMesh};
 use crate::surface::dual_mc::{Crossings, Normals};
 
 use super::surface::Drawn;
@@ -47,8 +47,8 @@ impl SampledKernels {
     }
 
     /// All that the surface is drawn by.
-    pub(super) fn drawn(&self, normals: Normals) -> Drawn<'_> {
-        let walls = self.facts.walls();
+    pub(super) fn drawn(&self, normals: Normals, periodic_mesh: PeriodicMesh) -> Drawn<'_> {
+        let walls = self.facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         Drawn {
             regions: self.field.regions(walls),
             crossings: Crossings::Fractions,

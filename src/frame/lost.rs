@@ -9,7 +9,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, unpack};
-use crate::grid::{BIN, BLOCK, TILE, local_from_morton};
+use crate::field::calibration::Fullness;
+use crate::grid::{BIN, BLOCK, CellBox, TILE, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
 use crate::surface::stitch::Stitched;
@@ -23,25 +24,62 @@ const FIRST: TileMask = 0x1111_1111_1111_1111;
 
 /// The tiles that hold particles, by bin, and how many particles are in each bin.
 #[derive(Debug, Default)]
-pub(super) struct Occupied(Vec<(IVec3, u32, TileMask)>);
+pub(super) struct Occupied {
+    bins: Vec<(IVec3, u32, TileMask)>,
+    /// The cells whose particles count, where those of others are images.
+    own: Option<CellBox>,
+    full: Fullness,
+}
 
 impl Occupied {
+    /// Begins with none; particles outside of `own` cells, if those are given, are images that do not count.
+    pub fn among(own: Option<CellBox>) -> Self {
+        Self { own, ..Self::default() }
+    }
+
     /// Adds what bins hold.
     pub fn add(&mut self, bins: &Bins) -> io::Result<()> {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
-            let place = |&record: &u64| unpack(record).0.map(|cell| cell as i32 / TILE).into();
-            let tiles = contents.packed().iter().map(place).fold(0, |tiles, place| tiles | bit_of(place));
-            Ok((bins.keys()[bin].coord(), u32::try_from(bins.count(bin)).unwrap_or(u32::MAX), tiles))
+            let coord = bins.keys()[bin].coord();
+            let cells =
+                contents.packed().iter().map(|&record| IVec3::from(unpack(record).0.map(|at| at as i32)));
+            let (mut tiles, mut full) = (0, Fullness { particles: bins.count(bin) as u64, cells: 0 });
+            match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
+                None => cells.clone().for_each(|cell| tiles |= bit_of(cell / TILE)),
+                Some(own) => {
+                    let own = cells.clone().filter(|&cell| own.contains(coord * BIN + cell));
+                    full.particles = own.inspect(|&cell| tiles |= bit_of(cell / TILE)).count() as u64;
+                }
+            }
+            if let Some(own) = self.own {
+                let of_cell = |cell: IVec3| (cell.x + BIN * (cell.y + BIN * cell.z)) as usize;
+                let mut held = [0_u64; BIN.pow(3) as usize / 64];
+                cells.filter(|&cell| own.contains(coord * BIN + cell)).map(of_cell).for_each(|cell| {
+                    held[cell / 64] |= 1 << (cell % 64);
+                });
+                full.cells = held.iter().map(|held| u64::from(held.count_ones())).sum();
+            }
+            Ok((coord, full, tiles))
         };
         let added: Vec<_> = (0..bins.keys().len()).into_par_iter().map(of_bin).collect::<io::Result<_>>()?;
-        self.0.extend(added);
+        for (coord, full, tiles) in added.into_iter().filter(|(.., tiles)| *tiles != 0) {
+            self.full.particles += full.particles;
+            self.full.cells += full.cells;
+            self.bins.push((coord, u32::try_from(full.particles).unwrap_or(u32::MAX), tiles));
+        }
         Ok(())
+    }
+
+    /// How full cells are: all that hold particles, which are so many unless some are images.
+    pub fn fullness(&self, all_cells: u64) -> Fullness {
+        Fullness { cells: if self.own.is_some() { self.full.cells } else { all_cells }, ..self.full }
     }
 
     /// Particles of a tile that holds any, on average.
     pub fn mean(&self) -> f64 {
-        let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| self.0.iter().map(|bin| f64::from(of(bin))).sum();
+        let sum =
+            |of: fn(&(IVec3, u32, TileMask)) -> u32| self.bins.iter().map(|bin| f64::from(of(bin))).sum();
         let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
         particles / tiles.max(1.0)
     }
@@ -101,7 +139,7 @@ impl Row {
     /// All bins that hold particles, or that a surface passes through, row by row.
     fn sorted(occupied: &Occupied, surface: &Stitched) -> io::Result<Vec<Self>> {
         let holding = |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
-        let mut all: Vec<Self> = occupied.0.iter().map(holding).collect();
+        let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
         for piece in 0..surface.pieces() {
             let first = surface.block(piece) * (BLOCK / TILE);
             for tile in &*surface.tiles(piece)? {
@@ -110,7 +148,7 @@ impl Row {
                 let behind = tile.corners[1] >> (TILE - 1) & 1;
                 let bin = place.div_euclid(IVec3::splat(SIDE));
                 // Tiles are in Morton order: those of a bin come one after another.
-                if all.len() == occupied.0.len() || all.last().is_some_and(|last| last.bin != bin) {
+                if all.len() == occupied.bins.len() || all.last().is_some_and(|last| last.bin != bin) {
                     all.push(Self { bin, ..Self::default() });
                 }
                 let Some(last) = all.last_mut() else { continue };

@@ -96,13 +96,14 @@ impl Frame {
         budget: MemoryBudget,
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
-        let estimate = counted.estimate();
+        let (estimate, census) = (counted.estimate(), counted.census());
         let Counted { particles, sampling, plan: bin_plan, .. } = counted;
-        let Sampling { grid, domain, field, side, carried, spacing, resources, .. } = sampling;
+        let Sampling { grid, domain, periodic, field, side, carried, spacing, resources, .. } = sampling;
         let resources = Resources { budget, ..resources.clone() };
         let in_scratch = resources.scratch_error();
-        let (plan, census) = (estimate.plan(budget), bin_plan.census());
-        let facts = FrameFacts { grid: *grid, domain: *domain, census, spacing: *spacing };
+        let plan = estimate.plan(budget);
+        let facts =
+            FrameFacts { grid: *grid, domain: *domain, periodic: *periodic, census, spacing: *spacing };
         if let FieldRequest::Kernels(_) = field {
             kernel_spacing(*spacing, grid)?;
         }
@@ -110,10 +111,10 @@ impl Frame {
         resources.control.begins(Stage::Sampling);
         resources.check_room(estimate.least_scratch(plan))?;
 
-        let binned = binned::sorted(bin_plan, particles, carried, plan, &resources)?;
+        let binned = binned::sorted(bin_plan, &particles, carried, plan, &resources)?;
         particles.check()?;
         let keep = !carried.is_empty();
-        let mut occupied = Occupied::default();
+        let mut occupied = Occupied::among(facts.own_cells());
         let (field, occupied, bins) = match *field {
             FieldRequest::Indicator(asked) => {
                 timings.done("bin");
@@ -238,7 +239,8 @@ impl Frame {
         known: Option<&Calibration>,
         timings: &mut Timings,
     ) -> Result<CalibratedFrame<'_>, FrameError> {
-        let normals = surfacing.normals;
+        let &Surfacing { normals, periodic_mesh, .. } = surfacing;
+        self.refuse_farther(surfacing)?;
         let (drawn, measured) = match &self.field {
             Field::Dif { sampled, stages } => {
                 let (calibration, measured) = match known {
@@ -258,9 +260,9 @@ impl Frame {
                 let recipe = surfacing.recipe(sampled, &calibration);
                 let FrameFacts { spacing, grid, .. } = &sampled.facts;
                 let smoothing = surfacing.attribute_smoothing(sampled.indicator.kind(), *spacing, grid);
-                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals), measured)
+                (Drawn::of_dif(sampled, &**stages, recipe, smoothing, normals, periodic_mesh), measured)
             }
-            Field::Kernels(sampled) => (sampled.drawn(normals), None),
+            Field::Kernels(sampled) => (sampled.drawn(normals, periodic_mesh), None),
         };
         Ok(CalibratedFrame {
             facts: self.facts(),
@@ -270,8 +272,20 @@ impl Frame {
             surface_share: self.surface_share,
             measured,
             normals,
+            walls: self.facts().mesh_walls(periodic_mesh),
             drawn,
         })
+    }
+
+    /// Refuses filters that see farther beyond a periodic face than there are images.
+    fn refuse_farther(&self, surfacing: &Surfacing) -> Result<(), FrameError> {
+        let FrameFacts { periodic: Some(periodic), spacing, grid, .. } = self.facts() else { return Ok(()) };
+        let field = match &self.field {
+            Field::Dif { sampled, .. } => sampled.indicator.kind().into(),
+            Field::Kernels(sampled) => sampled.method.into(),
+        };
+        let (needed, there) = (surfacing.reach(field, *spacing, grid), periodic.reach());
+        if needed > there { Err(FrameError::FewImages { needed, there }) } else { Ok(()) }
     }
 
     /// The surface of the frame, calibrated on itself.
@@ -288,9 +302,10 @@ impl Frame {
     /// # Errors
     /// [`FrameError::Scratch`] where the surface is in a scratch file that cannot be read.
     pub fn shortfall(&self, surface: &Stitched) -> Result<Option<Shortfall>, FrameError> {
-        let FrameFacts { census, spacing, .. } = self.facts();
-        let Some(spacing) = *spacing else { return Ok(None) };
-        Shortfall::of(surface, census.binned, spacing).map_err(self.resources.scratch_error())
+        let facts = self.facts();
+        let Some(spacing) = facts.spacing else { return Ok(None) };
+        Shortfall::of(surface, facts.own_cells(), facts.census.binned, spacing)
+            .map_err(self.resources.scratch_error())
     }
 
     /// How many times as many particles there are, at the least, as their spacing leaves room for in the tiles that they are in. `None`

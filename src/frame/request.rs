@@ -9,7 +9,7 @@ use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideC
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
 use crate::grid::units::{Isovalue, Sigma, Smooth};
-use crate::grid::{BLOCK, Domain, Grid};
+use crate::grid::{BLOCK, Domain, Grid, Periodic, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, vertices_alone};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
@@ -22,6 +22,8 @@ pub struct Sampling {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
+    /// The box that repeats itself, if one does.
+    pub periodic: Option<Periodic>,
     /// How the field is made.
     pub field: FieldRequest,
     /// Treatment of particles that are not finite or too far away.
@@ -144,6 +146,8 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Normals on the vertices, or not.
     pub normals: Normals,
+    /// Where the mesh ends at the faces of a periodic box.
+    pub periodic_mesh: PeriodicMesh,
 }
 
 impl Surfacing {
@@ -154,6 +158,7 @@ impl Surfacing {
         iso: None,
         detail: Detail::Smoothed,
         normals: Normals::None,
+        periodic_mesh: PeriodicMesh::Cut,
     };
 
     /// Refuses cells that are too fine for it, as far as the particles' spacing tells before there is a DIF.
@@ -190,6 +195,25 @@ impl Surfacing {
                 Filters::Paper(PaperFilters::new(kind, sigma, self.detail))
             }
         }
+    }
+
+    /// How far beyond a periodic face particles tell of the surface before it, in cells.
+    #[must_use]
+    pub fn reach(&self, field: FieldRequest, spacing: Option<f64>, grid: &Grid) -> i32 {
+        /// Cells beyond the face whose field is needed: a dual cell that goes across it, and normals there; and one for where in its
+        /// cell the face is.
+        const BEYOND: i32 = 3;
+        let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
+        let [field, attributes] = match field {
+            FieldRequest::Kernels(method) => {
+                [method.reach(spacing_cells), attribute_smoothing(spacing_cells).halo()]
+            }
+            FieldRequest::Indicator(IndicatorRequest { kind, .. }) => [
+                self.filters(kind, spacing, grid).halo(),
+                self.attribute_smoothing(kind, spacing, grid).halo(),
+            ],
+        };
+        field.max(attributes) + BEYOND
     }
 
     /// Returns the smoothing of attributes: the field's, or for clouds one of a width between drops and bulk.

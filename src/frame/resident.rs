@@ -12,7 +12,7 @@
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
 use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
-use crate::field::calibration::{Binned, Calibrated, Calibration, indicate};
+use crate::field::calibration::{Binned, Calibrated, Calibration, Fullness, indicate};
 use crate::field::indicator::{IndicatorRequest, PageRule, SampledDif};
 use crate::grid::units::Isovalue;
 use crate::grid::{Domain, Grid};
@@ -187,7 +187,7 @@ impl Pipeline {
             return Err(FrameError::NoParticles(census));
         }
         let frame = self.vulkan.start_resident();
-        let facts = FrameFacts { grid, domain, census, spacing };
+        let facts = FrameFacts { grid, domain, periodic: None, census, spacing };
         let side = indicator.kind.brick_side();
         let binned = ResidentBins { frame: &frame, bins };
         let (indicator, stored) = indicate(binned, &facts, indicator, side)?;
@@ -206,7 +206,8 @@ impl Pipeline {
             return Err(FrameError::OtherIndicator);
         }
         let recipe = surfacing.recipe(&sampled, &calibration);
-        let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None };
+        let periodic_mesh = surfacing.periodic_mesh;
+        let surfaces = Surfaces { sampled: &sampled, recipe: &recipe, normals: Normals::None, periodic_mesh };
         let parts = frame.contour(&surfaces)?;
         frame.check()?;
         if parts.blocks.is_empty() {
@@ -270,8 +271,9 @@ impl Binned for ResidentBins<'_> {
     type Made = DifField;
     type Error = FrameError;
 
-    fn make_pages(self, rule: &PageRule) -> Result<(u64, DifField), FrameError> {
+    fn make_pages(self, rule: &PageRule) -> Result<(Fullness, DifField), FrameError> {
         let field = self.frame.indicate(&self.bins, rule)?;
-        Ok((field.full_cells(), field))
+        let full = Fullness { particles: self.bins.census.binned as u64, cells: field.full_cells() };
+        Ok((full, field))
     }
 }

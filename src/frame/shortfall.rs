@@ -3,6 +3,7 @@
 use std::fmt;
 use std::io;
 
+use crate::grid::CellBox;
 use crate::grid::units::shown;
 use crate::surface::stitch::Stitched;
 
@@ -21,12 +22,18 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
-    /// Compares a surface with so many particles, so far apart; `None` where it holds what one expects.
+    /// Compares a surface, as far as it is around some cells, with so many particles, so far apart; `None` where it holds what one
+    /// expects.
     ///
     /// # Errors
     /// Where the surface is in a scratch file that cannot be read.
-    pub fn of(surface: &Stitched, particles: usize, spacing: f64) -> io::Result<Option<Self>> {
-        let share = surface.volume()? / (particles as f64 * spacing.powi(3));
+    pub fn of(
+        surface: &Stitched,
+        around: Option<CellBox>,
+        particles: usize,
+        spacing: f64,
+    ) -> io::Result<Option<Self>> {
+        let share = surface.volume_within(around)? / (particles as f64 * spacing.powi(3));
         Ok((share < EXPECTED).then_some(Self { share, particles, spacing }))
     }
 }

@@ -12,7 +12,7 @@ use crate::field::calibration::Calibrated;
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
-use crate::grid::CellBox;
+use crate::grid::{CellBox, Domain, PeriodicMesh};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::vertex_values;
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -51,14 +51,15 @@ impl<'a> Drawn<'a> {
         recipe: Recipe,
         attribute_smoothing: Smoothing,
         normals: Normals,
+        periodic_mesh: PeriodicMesh,
     ) -> Self {
         Self {
-            regions: Surfaces { sampled, recipe: &recipe, normals }.regions(),
+            regions: Surfaces { sampled, recipe: &recipe, normals, periodic_mesh }.regions(),
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
             contour: Box::new(move |regions, meter, finish, push| {
-                let surfaces = Surfaces { sampled, recipe: &recipe, normals };
+                let surfaces = Surfaces { sampled, recipe: &recipe, normals, periodic_mesh };
                 stages.contour(&surfaces, regions, meter, &mut |blocks| {
                     let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
                     blocks.par_iter_mut().try_for_each(finish)?;
@@ -79,6 +80,8 @@ pub struct CalibratedFrame<'a> {
     pub(super) surface_share: u64,
     pub(super) measured: Option<Calibrated>,
     pub(super) normals: Normals,
+    /// The walls at which the mesh ends.
+    pub(super) walls: Option<Domain>,
     pub(super) drawn: Drawn<'a>,
 }
 
@@ -110,7 +113,7 @@ impl<'a> CalibratedFrame<'a> {
         if spool.is_empty() {
             return Err(self.drawn.nothing);
         }
-        Ok(Stitched::new(spool, facts.grid, facts.domain, self.drawn.crossings, attributes))
+        Ok(Stitched::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
     }
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many

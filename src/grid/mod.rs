@@ -1,14 +1,18 @@
-//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys and the walls of a tank.
+//! Where things are: the world-anchored cell grid, boxes of cells, Morton keys, the walls of a tank and periodic boxes.
 //!
 //! A cell index is floor((x - origin) / h) per axis, computed in f64; cells are half-open. Everything
 //! finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums over particles
 //! are integers and their order cannot matter.
 
+mod domain;
+mod periodic;
 pub mod units;
+
+pub use domain::{Domain, DomainError};
+pub use periodic::{Periodic, PeriodicError, PeriodicMesh};
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
-use thiserror::Error;
 
 use crate::grid::units::{UnitError, positive_length};
 
@@ -279,89 +283,6 @@ fn gather(bits: u64) -> u32 {
     x as u32
 }
 
-/// A box with walls that the fluid cannot leave.
-///
-/// Its cells are those whose centre lies inside. Walls need not fall on cell faces: the outermost layer
-/// of cells reaches to the wall, from half a cell up to one and a half.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Domain {
-    lo: DVec3,
-    hi: DVec3,
-    cells: CellBox,
-}
-
-/// A box that cannot be a domain.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-pub enum DomainError {
-    /// The corners are not in order, or not finite.
-    #[error("the domain's corners must be finite, and the second above the first along every axis")]
-    Corners,
-    /// Too thin for a single layer of cells.
-    #[error("the domain holds no cell centre along {axis}; use a smaller cell size")]
-    Thin {
-        /// x, y or z.
-        axis: char,
-    },
-    /// Beyond the grid.
-    #[error("the domain reaches more than {CELL_LIMIT} cells from the origin; use a larger cell size")]
-    TooFar,
-}
-
-impl Domain {
-    /// The box from `lo` to `hi` in world coordinates, on `grid`.
-    ///
-    /// # Errors
-    /// [`DomainError`] where the box is empty, thinner than a cell or beyond the grid.
-    pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
-        if !(lo.is_finite() && hi.is_finite() && lo.cmplt(hi).all()) {
-            return Err(DomainError::Corners);
-        }
-        let lo_cells = DVec3::from(grid.cells_from_world(lo.to_array()));
-        let hi_cells = DVec3::from(grid.cells_from_world(hi.to_array()));
-        let limit = f64::from(CELL_LIMIT);
-        if lo_cells.min_element() < -limit || hi_cells.max_element() >= limit {
-            return Err(DomainError::TooFar);
-        }
-        // Cell k is in when lo < k + 1/2 < hi.
-        let cells = CellBox {
-            lo: ((lo_cells - 0.5).floor() + 1.0).as_ivec3(),
-            hi: (hi_cells - 0.5).ceil().as_ivec3(),
-        };
-        let thin = cells.lo.cmpge(cells.hi);
-        match (0..3).find(|&axis| thin.test(axis)) {
-            Some(axis) => Err(DomainError::Thin { axis: ['x', 'y', 'z'][axis] }),
-            None => Ok(Self { lo, hi, cells }),
-        }
-    }
-
-    /// Returns the cells of the domain.
-    #[must_use]
-    pub fn cells(&self) -> CellBox {
-        self.cells
-    }
-
-    /// Returns the domain's lower and upper corner, in world coordinates.
-    #[must_use]
-    pub fn walls(&self) -> [DVec3; 2] {
-        [self.lo, self.hi]
-    }
-
-    /// Whether a particle counts: walls belong to the domain.
-    #[must_use]
-    #[inline(always)]
-    pub fn contains(&self, world: [f64; 3]) -> bool {
-        (0..3).all(|a| world[a] >= self.lo[a] && world[a] <= self.hi[a])
-    }
-
-    /// The first and the last step of its cells, along each axis: particles between the outermost cells and a wall
-    /// are put on the nearest of them.
-    #[must_use]
-    pub fn step_range(&self) -> [[i64; 3]; 2] {
-        let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
-        [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -393,18 +314,5 @@ mod tests {
     fn a_tiny_negative_coordinate_stays_in_the_cell_below() {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         assert_eq!(grid.place([-1e-20, 0.0, 0.0]), Ok([-1, 0, 0]));
-    }
-
-    #[test]
-    fn a_domains_cells_are_those_with_their_centre_inside() {
-        let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
-        let aligned = Domain::new(&grid, DVec3::ZERO, DVec3::new(0.3, 0.7, 1.0)).unwrap();
-        assert_eq!(aligned.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::new(3, 7, 10) });
-        let off = Domain::new(&grid, DVec3::splat(-0.04), DVec3::splat(0.26)).unwrap();
-        assert_eq!(off.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) });
-        assert_eq!(
-            Domain::new(&grid, DVec3::ZERO, DVec3::new(1.0, 0.04, 1.0)),
-            Err(DomainError::Thin { axis: 'y' })
-        );
     }
 }

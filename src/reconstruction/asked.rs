@@ -4,6 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
+use crate::grid::PeriodicMesh;
 use crate::io::UpAxis;
 
 use super::Attributes;
@@ -19,6 +20,8 @@ pub(crate) struct Asked {
     pub(crate) cell: Option<f64>,
     pub(crate) origin: Option<[f64; 3]>,
     pub(crate) walls: Option<[[f64; 3]; 2]>,
+    pub(crate) periodic: Option<[Option<[f64; 2]>; 3]>,
+    pub(crate) periodic_mesh: Option<PeriodicMesh>,
     pub(crate) skip_invalid: bool,
     pub(crate) indicator: Option<IndicatorKind>,
     pub(crate) mean: Option<f64>,
@@ -77,9 +80,19 @@ impl Asked {
             "up": self.up.map(|axis| axis.to_string()),
             "particles-up": self.particles_up.map(|axis| axis.to_string()),
         });
-        match settings {
+        let mut settings = match settings {
             Value::Object(map) => map,
             _ => Settings::new(),
+        };
+        if let Some(faces) = self.periodic {
+            let ends = |side: usize| faces.map(|faces| faces.map(|faces| faces[side]));
+            settings.insert("periodic".into(), json!([ends(0), ends(1)].as_flattened()));
         }
+        // Also said of packed frames, which have their own box.
+        let ends = self.periodic_mesh.unwrap_or_default();
+        if self.periodic.is_some() || ends != PeriodicMesh::default() {
+            settings.insert("periodic-mesh".into(), ends.name().into());
+        }
+        settings
     }
 }

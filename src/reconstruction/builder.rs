@@ -7,6 +7,7 @@ use crate::backend::{Backend, Cpu};
 use crate::baselines::Method;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
+use crate::grid::PeriodicMesh;
 use crate::grid::units::MemoryBudget;
 use crate::io::UpAxis;
 use crate::system::cancel::Cancel;
@@ -89,9 +90,41 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not counted.
+    /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not counted. An axis without walls goes
+    /// from -inf to inf.
     pub fn walls(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
         self.asked.walls = Some([lowest, highest]);
+        self
+    }
+
+    /// Sets a periodic box by its faces along x, y and z, `None` for an axis that is open: beyond a face the fluid goes on as it does
+    /// behind the opposite one.
+    ///
+    /// Particles on an upper face are on the lower one; others outside are an error, or left out where such are
+    /// [skipped](Self::skip_invalid). Walls can stand along open axes.
+    ///
+    /// ```
+    /// use meniscus::Reconstruction;
+    ///
+    /// // Water of endless length and width, 7 deep.
+    /// let steps = |n: i32| (0..n).map(|i| f64::from(i) + 0.5);
+    /// let slab = steps(30).flat_map(|x| steps(7).flat_map(move |y| steps(30).map(move |z| [x, y, z])));
+    /// let slab: Vec<[f64; 3]> = slab.collect();
+    ///
+    /// let surface = Reconstruction::new().spacing(1.0).periodic([Some([0.0, 30.0]), None, Some([0.0, 30.0])]).run(&slab[..])?;
+    /// let mesh = surface.to_mesh()?;
+    /// assert!(meniscus::mesh::check(&mesh).is_closed_oriented_manifold());
+    /// assert!(mesh.positions.iter().all(|[x, ..]| (0.0..=30.0).contains(x)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn periodic(mut self, faces: [Option<[f64; 2]>; 3]) -> Self {
+        self.asked.periodic = Some(faces);
+        self
+    }
+
+    /// Sets where the mesh ends at the faces of a periodic box: on them, if it is not said.
+    pub fn periodic_mesh(mut self, ends: PeriodicMesh) -> Self {
+        self.asked.periodic_mesh = Some(ends);
         self
     }
 

@@ -15,6 +15,7 @@ use crate::field::indicator::{IndicatorKind, IndicatorRequest};
 use crate::field::recipe::Detail;
 use crate::frame::estimate::SMALLEST_BUDGET;
 use crate::frame::{FieldRequest, Resources, Surfacing};
+use crate::grid::PeriodicError;
 use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length};
 use crate::io::bytes::Unpacking;
 use crate::io::output::MeshFormat;
@@ -53,8 +54,8 @@ impl Reconstruction {
     /// Checks all numbers, and what of the settings can be checked without an input.
     pub(crate) fn checked(&self) -> Result<Checked, Error> {
         let asked = &self.asked;
-        let sampling = sampling(asked)?;
         let surfacing = surfacing(asked)?;
+        let sampling = sampling(asked, surfacing)?;
         let reduction = reduction(asked)?;
         let budget = self.memory.unwrap_or_else(default_memory);
         let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
@@ -94,7 +95,7 @@ fn given<const N: usize>(settings: [(Setting, bool); N]) -> Option<Setting> {
     settings.into_iter().find_map(|(setting, given)| given.then_some(setting))
 }
 
-fn sampling(asked: &Asked) -> Result<SamplingRequest, Error> {
+fn sampling(asked: &Asked, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
     let length = |what, length: Option<f64>| length.map(|length| positive_length(what, length)).transpose();
     let cell =
         match (length("the cell size", asked.cell_size)?, length("the cell size in spacings", asked.cell)?) {
@@ -106,6 +107,7 @@ fn sampling(asked: &Asked) -> Result<SamplingRequest, Error> {
         invalid: if asked.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
         origin: asked.origin.map(Into::into),
         walls: asked.walls.map(|corners| corners.map(Into::into)),
+        periodic: asked.periodic.map(|faces| (faces, surfacing)),
         spacing: length("the spacing", asked.spacing)?,
         cell,
     };
@@ -150,6 +152,7 @@ fn surfacing(asked: &Asked) -> Result<Surfacing, Error> {
         iso: asked.iso.map(Isovalue::new).transpose()?,
         detail: if asked.details { Detail::Recovered } else { Detail::Smoothed },
         normals: if asked.normals { Normals::Gradient } else { Normals::None },
+        periodic_mesh: asked.periodic_mesh.unwrap_or_default(),
     })
 }
 
@@ -204,6 +207,7 @@ impl Asked {
             (Setting::Cell, self.cell.is_some() && self.cell != sampled.cell),
             (Setting::Origin, self.origin.is_some() && self.origin != sampled.origin),
             (Setting::Walls, self.walls.is_some() && self.walls != sampled.walls),
+            (Setting::Periodic, self.periodic.is_some() && self.periodic != sampled.periodic),
             (Setting::Indicator, self.indicator.is_some() && self.indicator != sampled.indicator),
             (Setting::MeanCount, self.mean.is_some() && self.mean != sampled.mean),
             (Setting::SkipInvalid, self.skip_invalid && !sampled.skip_invalid),
@@ -247,8 +251,11 @@ impl Checked {
         Ok(Ready { checked: Arc::new(self), threads })
     }
 
-    /// Refuses settings that the indicator that was asked for has no meaning for.
+    /// Refuses settings that have no meaning for the indicator that was asked for, or without a periodic box.
     pub(crate) fn refuse_of_indicator(&self) -> Result<(), Error> {
+        if self.asked.periodic_mesh.is_some() && self.asked.periodic.is_none() {
+            return Err(PeriodicError::NoBox.into());
+        }
         match self.sampling.field.indicator() {
             Some(asked) => self.asked.refuse_of_others(asked.kind),
             None => Ok(()),

@@ -81,6 +81,8 @@ pub struct FrameInfo {
     pub origin: [f64; 3],
     /// The walls of the tank, if the fluid is in one.
     pub domain: Option<[[f64; 3]; 2]>,
+    /// The faces of the periodic box along each axis that is not open, if the fluid is in one.
+    pub periodic: Option<[Option<[f64; 2]>; 3]>,
     /// The indicator's name.
     pub indicator: &'static str,
     /// Mean number of particles in a full cell, where the indicator counts.
@@ -142,6 +144,7 @@ fn frame(path: &Path) -> Result<FrameInfo, Error> {
         cell_size: facts.grid.cell_size(),
         origin: facts.grid.origin().to_array(),
         domain: facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        periodic: facts.periodic.map(|periodic| periodic.faces()),
         indicator: indicator.kind().name(),
         mu0: indicator.mean().map(MeanCount::particles),
     })

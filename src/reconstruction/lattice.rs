@@ -26,7 +26,7 @@ pub fn origin_for_lattice(particles: &(impl Particles + ?Sized), sampling: &Samp
     }
 }
 
-/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there.
+/// Moves the grid of a sampling to another origin; `None` where its walls have no cells there, or its periodic box none.
 #[must_use]
 pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
     let grid = Grid::new(origin, sampling.grid.cell_size()).ok()?;
@@ -37,5 +37,9 @@ pub fn moved(sampling: &Sampling, origin: DVec3) -> Option<Sampling> {
             Some(Domain::new(&grid, lo, hi).ok()?)
         }
     };
-    Some(Sampling { grid, domain, ..sampling.clone() })
+    let periodic = match &sampling.periodic {
+        None => None,
+        Some(periodic) => Some(periodic.on(&grid).ok()?),
+    };
+    Some(Sampling { grid, domain, periodic, ..sampling.clone() })
 }

@@ -10,7 +10,7 @@ use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::spacings;
 use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
-use crate::grid::{Domain, DomainError, Grid};
+use crate::grid::{Domain, DomainError, Grid, Periodic};
 use crate::io::scene::spacing_beside;
 use crate::particles::Particles;
 
@@ -27,7 +27,10 @@ pub struct SamplingRequest {
     /// A corner of the grid's cells; where it is not given, the grid may be moved to suit a lattice.
     pub origin: Option<DVec3>,
     /// The lowest and the highest corner of a tank; particles outside are not counted.
+    /// An axis without walls goes from -inf to inf.
     pub walls: Option<[DVec3; 2]>,
+    /// The faces of a periodic box along each axis, where it is not open, and the surface that images beyond them have to do for.
+    pub periodic: Option<([Option<[f64; 2]>; 3], Surfacing)>,
     /// The particles' spacing, where the caller knows it.
     pub spacing: Option<f64>,
     /// Edge of a cell; the [usual one](CellSize::usual) where it is not given.
@@ -41,6 +44,7 @@ impl Default for SamplingRequest {
             invalid: InvalidParticles::Refuse,
             origin: None,
             walls: None,
+            periodic: None,
             spacing: None,
             cell: None,
         }
@@ -65,16 +69,20 @@ impl SamplingRequest {
         self.cell.unwrap_or(CellSize::usual(self.field))
     }
 
-    /// Refuses an origin or walls that are wrong whatever the cells' size is.
+    /// Refuses an origin, walls or a periodic box that are wrong whatever the cells' size is.
     ///
     /// # Errors
-    /// [`Error::Unit`] and [`Error::Domain`].
+    /// [`Error::Unit`], [`Error::Domain`] and [`Error::Periodic`].
     pub fn validate(&self) -> Result<(), Error> {
         let unit = self.grid(1.0)?;
         if let Some([lo, hi]) = self.walls
             && let Err(error @ DomainError::Corners) = Domain::new(&unit, lo, hi)
         {
             return Err(error.into());
+        }
+        if let Some((faces, _)) = self.periodic {
+            Periodic::check(faces)?;
+            self.walls.map_or(Ok(()), |walls| Periodic::refuse_walls(faces, walls))?;
         }
         Ok(())
     }
@@ -135,7 +143,7 @@ impl SamplingRequest {
     /// Chooses how to sample particles, whose attributes numbered in `carried` go to the vertices.
     ///
     /// # Errors
-    /// Those of [`cells`](Self::cells), and [`Error::Domain`].
+    /// Those of [`cells`](Self::cells), [`Error::Domain`] and [`Error::Periodic`].
     pub fn sampling(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -157,7 +165,7 @@ impl SamplingRequest {
     /// Samples on a grid that is known, by a field whose mu0 may be known.
     ///
     /// # Errors
-    /// [`Error::Domain`].
+    /// [`Error::Domain`] and [`Error::Periodic`].
     pub fn sampling_on(
         &self,
         grid: Grid,
@@ -166,9 +174,13 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
+        let periodic = |(faces, surfacing): (_, Surfacing)| {
+            Periodic::new(&grid, faces, surfacing.reach(field, spacing, &grid))
+        };
         Ok(Sampling {
             grid,
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
+            periodic: self.periodic.map(periodic).transpose()?,
             field,
             invalid: self.invalid,
             side: field.brick_side(),

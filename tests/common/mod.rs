@@ -4,6 +4,7 @@
 pub mod dense;
 pub mod device;
 pub mod distances;
+pub mod periodic;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 
@@ -28,6 +29,7 @@ pub fn sampling() -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, 1.0).unwrap(),
         domain: None,
+        periodic: None,
         field: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,
@@ -55,7 +57,11 @@ pub fn dif(frame: &Frame) -> &SampledDif {
 /// A frame of so much DIF, in cells of edge 1, and no particles.
 pub fn sampled(dif: DifField) -> SampledDif {
     let (grid, census) = (sampling().grid, Census::default());
-    SampledDif::new(FrameFacts { grid, domain: None, census, spacing: None }, Indicator::Symmetry, dif)
+    SampledDif::new(
+        FrameFacts { grid, domain: None, periodic: None, census, spacing: None },
+        Indicator::Symmetry,
+        dif,
+    )
 }
 
 /// A frame's recipe, and what it was calibrated by.

@@ -5,6 +5,7 @@
 mod common;
 
 mod oracle;
+mod periodic;
 mod sampled;
 mod surfaces;
 
@@ -68,6 +69,10 @@ at_every_place! {
         the_integer_field_and_its_vertices_stay_close_to_the_method_in_f64
         a_scene_moved_by_whole_bins_has_its_field_moved_by_as_much
         cells_of_any_size_at_any_origin_give_the_mesh_of_unit_cells_scaled_and_moved;
+    periodic:
+        the_mesh_in_a_periodic_box_is_that_of_the_fluid_repeated
+        a_box_full_of_fluid_has_its_faces_for_a_surface_however_deep_the_fluid_is
+        a_periodic_mesh_is_the_same_on_every_backend;
     sampled:
         the_plateau_that_some_blocks_tell_is_that_of_the_whole_pool;
     surfaces:

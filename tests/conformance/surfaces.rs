@@ -15,7 +15,7 @@ use meniscus::internals::frame::{
     Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey};
+use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey, PeriodicMesh};
 use meniscus::internals::particles::{AttributeInfo, Particles};
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
@@ -95,7 +95,12 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     // So narrow a filter changes nothing.
     let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.01).unwrap(), Detail::Smoothed);
     let recipe = Recipe::of_paper(filters, iso);
-    let surfaces = Surfaces { sampled: &sampled(dif), recipe: &recipe, normals: Normals::None };
+    let surfaces = Surfaces {
+        sampled: &sampled(dif),
+        recipe: &recipe,
+        normals: Normals::None,
+        periodic_mesh: PeriodicMesh::Cut,
+    };
     let stages = place.sampling().resources.backend.start(MemoryBudget(8 << 30));
     let mut spool = Spool::in_memory(false, Vec::new());
     let mut push =

@@ -126,6 +126,7 @@ fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {
     Sampling {
         grid: Grid::new(DVec3::ZERO, cell).expect("a valid grid"),
         domain: None,
+        periodic: None,
         field: kind.into(),
         invalid: InvalidParticles::Refuse,
         side: kind.brick_side(),

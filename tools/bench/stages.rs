@@ -93,6 +93,7 @@ fn main() {
     let sampling = Sampling {
         grid,
         domain: None,
+        periodic: None,
         field: IndicatorKind::Symmetry.into(),
         invalid: InvalidParticles::Refuse,
         side: BrickSide::Eight,

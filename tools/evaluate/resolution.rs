@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use meniscus::internals::backend::{Surfaces, Vulkan, field};
 use meniscus::internals::frame::{Detail, Frame, Normals, Surfacing};
+use meniscus::internals::grid::PeriodicMesh;
 use meniscus::internals::surface::dual_mc::contour;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::source::MeshSource;
@@ -91,7 +92,9 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let start = Instant::now();
     let sampled = frame.dif().ok_or("an indicator makes the field")?;
     let recipe = surfacing.recipe(sampled, &surfacing.calibrate(sampled)?.calibration);
-    let regions = Surfaces { sampled, recipe: &recipe, normals: Normals::None }.regions();
+    let regions =
+        Surfaces { sampled, recipe: &recipe, normals: Normals::None, periodic_mesh: PeriodicMesh::Cut }
+            .regions();
     let fields: Vec<_> =
         regions.par_iter().map(|&cells| field(&recipe, sampled, Normals::None.cells(cells))).collect();
     let smoothing = start.elapsed().as_secs_f64();

@@ -120,15 +120,19 @@ fn meshes(
     if !meter.goes_on() {
         return regions.iter().map(|_| None).collect();
     }
-    let &Surfaces { sampled, recipe, normals } = surfaces;
-    let walls = surfaces.walls();
+    let &Surfaces { sampled, recipe, normals, .. } = surfaces;
+    let walls = surfaces.mesh_walls();
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let boxes: Vec<_> = regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
     let mut fields = cut_fields(recipe, sampled, &boxes, together);
     let mesh = |&region: &CellBox| {
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);
-        block_mesh(&field?, region, recipe.iso, normals, walls)
+        let mut field = field?;
+        // Beyond a periodic face is what the filters have to see, and the mesh must not.
+        let cut = walls.filter(|_| sampled.facts.periodic.is_some());
+        cut.into_iter().for_each(|faces| field.repeat_edges(faces));
+        block_mesh(&field, region, recipe.iso, normals, walls)
     };
     regions.iter().map(mesh).collect()
 }

@@ -203,7 +203,7 @@ impl Contouring<'_> {
             (Filters::Distances(distances), Some(wide)) => self.join_wide(lane, batch, distances, wide)?,
             _ => self.filter(lane, batch)?,
         };
-        let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.walls());
+        let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.mesh_walls());
         let (commands, kernels) = (&mut lane.compute, &self.frame.kernels.dual_mc);
         commands.stage("dual marching cubes", field.bytes());
         contour(commands, kernels, &blocks, &field, iso, walls, self.has_normals(), &outputs)?;
@@ -355,7 +355,7 @@ impl Contouring<'_> {
 
     fn normals(&self, mesh: &BlockMesh, falls: &[i32]) -> Vec<[f32; 3]> {
         let falls: &[Falls] = bytemuck::cast_slice(falls);
-        let (crossings, walls) = (Crossings::from(self.surfaces.recipe.iso), self.surfaces.walls());
+        let (crossings, walls) = (Crossings::from(self.surfaces.recipe.iso), self.surfaces.mesh_walls());
         mesh.edges()
             .zip(&mesh.ends)
             .zip(falls)

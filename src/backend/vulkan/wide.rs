@@ -45,7 +45,7 @@ impl Contouring<'_> {
                 near.intersection(&self.surfaces.normals.cells(region))
             });
             let part = part.filter(|part| !part.is_empty());
-            let at_walls = self.surfaces.walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
+            let at_walls = self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
             // Cells are weighted means of wide ones. All inside is no surface only away from walls.
             if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.drawn.len(), part)));

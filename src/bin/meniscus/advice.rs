@@ -66,6 +66,7 @@ fn option(setting: Setting) -> &'static str {
         Setting::Cell => "--cell",
         Setting::Origin => "--origin",
         Setting::Walls => "--domain",
+        Setting::Periodic => "--periodic",
         Setting::Indicator => "--indicator",
         Setting::MeanCount => "--mu0",
         Setting::SkipInvalid => "--skip-invalid",

@@ -75,6 +75,7 @@ fn describe(info: &Info) -> String {
             cell_size,
             origin,
             domain,
+            periodic,
             indicator,
             mu0,
             ..
@@ -86,6 +87,15 @@ fn describe(info: &Info) -> String {
             line("cell size", shown(*cell_size));
             line("origin", point(origin));
             line("domain", domain.as_ref().map_or("unbounded".into(), corners));
+            periodic.iter().for_each(|faces| {
+                let along = |(axis, faces): (_, &Option<[f64; 2]>)| {
+                    faces.map(|[lo, hi]| format!("{axis} {lo} to {hi}"))
+                };
+                line(
+                    "periodic",
+                    ["x", "y", "z"].into_iter().zip(faces).filter_map(along).collect::<Vec<_>>().join(", "),
+                );
+            });
             line("indicator", indicator.to_string());
             mu0.iter().for_each(|mu0| line("mu0", shown(*mu0)));
             format!("{}: packed frame", file.display())

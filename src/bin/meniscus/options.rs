@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
-use meniscus::{Error, Method, Reconstruction, UpAxis};
+use meniscus::{Error, Method, PeriodicMesh, Reconstruction, UpAxis};
 
 use crate::method::MethodName;
 use crate::run::RunOptions;
@@ -46,6 +46,9 @@ pub struct Options {
     /// Recover details that smoothing loses, such as drops, for --indicator counting and symmetry.
     #[arg(long, help_heading = "Surface", hide_short_help = true)]
     pub detail: bool,
+    /// Where the mesh ends at the faces of a periodic box [default: cut].
+    #[arg(long, value_enum, value_name = "ENDS", help_heading = "Surface", hide_short_help = true)]
+    periodic_mesh: Option<PeriodicMeshName>,
     /// The mesh: .ply, .obj, .vtk, .vtp, .stl, .usdc or .glb.
     ///
     /// Of a simulation: a name with {} or {:04} for the number, or a folder.
@@ -117,6 +120,23 @@ enum Axis {
     Z,
 }
 
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PeriodicMeshName {
+    /// On the faces, where it is closed as at the walls of a tank.
+    Cut,
+    /// Beyond them, by as far as filters reach: copies side by side overlap.
+    Overlap,
+}
+
+impl From<PeriodicMeshName> for PeriodicMesh {
+    fn from(ends: PeriodicMeshName) -> Self {
+        match ends {
+            PeriodicMeshName::Cut => Self::Cut,
+            PeriodicMeshName::Overlap => Self::Overlap,
+        }
+    }
+}
+
 impl From<Axis> for UpAxis {
     fn from(axis: Axis) -> Self {
         match axis {
@@ -154,6 +174,9 @@ impl Options {
         }
         if self.detail {
             request = request.recover_details();
+        }
+        if let Some(ends) = self.periodic_mesh {
+            request = request.periodic_mesh(ends.into());
         }
         if self.normals {
             request = request.normals();

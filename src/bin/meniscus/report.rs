@@ -85,7 +85,7 @@ pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
         (census.not_finite, "dropped: a coordinate is not finite"),
         (census.too_far, "dropped: beyond the addressable grid"),
-        (census.outside, "not counted: outside of the domain"),
+        (census.outside, "not counted: outside of the domain or the periodic box"),
     ] {
         if count > 0 {
             notes.say(format!("{count} particles {what}"));

@@ -46,9 +46,15 @@ pub struct SamplingOptions {
     origin: Option<[f64; 3]>,
     /// A tank with walls [default: unbounded].
     ///
-    /// Particles outside are not counted.
-    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = numbers::<6>, allow_hyphen_values = true, help_heading = "Input")]
-    domain: Option<[f64; 6]>,
+    /// Particles outside are not counted. `-` for both ends of an axis leaves it without walls.
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = faces, allow_hyphen_values = true, help_heading = "Input")]
+    domain: Option<Faces>,
+    /// A box beyond whose faces the fluid repeats itself.
+    ///
+    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Beyond a face the fluid goes on as it does
+    /// behind the opposite one. Particles on an upper face count as on the lower one; others outside are refused.
+    #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = faces, allow_hyphen_values = true, help_heading = "Input")]
+    periodic: Option<Faces>,
     /// How a cell's share of fluid is told from its particles [default: cloud].
     #[arg(long, value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorName>,
@@ -66,6 +72,9 @@ pub struct SamplingOptions {
     skip_invalid: bool,
 }
 
+/// Both ends of each axis of a box; `None` where it is open.
+type Faces = [Option<[f64; 2]>; 3];
+
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum IndicatorName {
     Symmetry,
@@ -77,6 +86,24 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     let values = values.map_err(|e| e.to_string())?;
     values.try_into().map_err(|v: Vec<f64>| format!("{N} numbers with commas between, not {}", v.len()))
+}
+
+/// Six ends, of which both of an axis may be `-`.
+fn faces(text: &str) -> Result<Faces, String> {
+    let end = |part: &str| match part.trim() {
+        "-" => Ok(None),
+        number => number.parse().map(Some).map_err(|e| format!("{number:?}: {e}")),
+    };
+    let ends: Vec<Option<f64>> = text.split(',').map(end).collect::<Result<_, String>>()?;
+    let [x0, y0, z0, x1, y1, z1] = ends[..] else {
+        return Err(format!("6 numbers with commas between, not {}", ends.len()));
+    };
+    let axis = |(name, ends)| match ends {
+        (Some(lo), Some(hi)) => Ok(Some([lo, hi])),
+        (None, None) => Ok(None),
+        _ => Err(format!("both ends of {name} are numbers, or both are -")),
+    };
+    Ok([axis(("x", (x0, x1)))?, axis(("y", (y0, y1)))?, axis(("z", (z0, z1)))?])
 }
 
 impl SamplingOptions {
@@ -100,8 +127,12 @@ impl SamplingOptions {
         if let Some(corner) = self.origin {
             request = request.origin(corner);
         }
-        if let Some([x0, y0, z0, x1, y1, z1]) = self.domain {
-            request = request.walls([x0, y0, z0], [x1, y1, z1]);
+        if let Some(faces) = self.domain {
+            let walls = faces.map(|walls| walls.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]));
+            request = request.walls(walls.map(|[lo, _]| lo), walls.map(|[_, hi]| hi));
+        }
+        if let Some(faces) = self.periodic {
+            request = request.periodic(faces);
         }
         if let Some(indicator) = self.indicator {
             request = request.indicator(match indicator {

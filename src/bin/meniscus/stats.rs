@@ -82,6 +82,7 @@ pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
         "cell_size": facts.grid.cell_size(),
         "origin": facts.grid.origin().to_array(),
         "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),
+        "periodic": facts.periodic.map(|periodic| periodic.faces()),
         "input": input,
         "output": output,
         "method": options.method,

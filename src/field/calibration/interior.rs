@@ -20,6 +20,8 @@ const ROW: i32 = u128::BITS as i32;
 /// Samples, and what smooths them.
 pub struct Blurred<'a> {
     pub dif: &'a DifField,
+    /// The cells that count, where others repeat them.
+    pub own: Option<CellBox>,
     /// Beyond them edge cells are repeated.
     pub walls: Option<CellBox>,
     /// How far from its own cell a particle leaves something.
@@ -56,7 +58,9 @@ impl<'a> Interior<'a> {
 
     /// The parts of blocks that hold samples.
     pub fn blocks(&self) -> Vec<CellBox> {
-        self.blurred.dif.regions(0, 0)
+        let own = |cells: CellBox| self.blurred.own.map_or(cells, |own| cells.intersection(&own));
+        let blocks = self.blurred.dif.regions(0, 0).into_iter().map(own);
+        blocks.filter(|cells| !cells.is_empty()).collect()
     }
 
     /// Adds the smoothed DIF over the interior cells among `cells`, a block or a part of it.

@@ -22,8 +22,17 @@ pub trait Binned {
     /// The errors of whoever keeps them.
     type Error: From<NoMeanCount>;
 
-    /// Makes the pages of all bins, and says how many cells are full.
-    fn make_pages(self, rule: &PageRule) -> Result<(u64, Self::Made), Self::Error>;
+    /// Makes the pages of all bins, and says how many cells are full of how many particles.
+    fn make_pages(self, rule: &PageRule) -> Result<(Fullness, Self::Made), Self::Error>;
+}
+
+/// How many particles there are, and in how many cells.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Fullness {
+    /// Particles.
+    pub particles: u64,
+    /// Cells that hold any.
+    pub cells: u64,
 }
 
 /// Makes the pages of an indicator, with its mu0, which is measured where it is not given.
@@ -36,8 +45,7 @@ pub fn indicate<B: Binned>(
     asked: IndicatorRequest,
     side: BrickSide,
 ) -> Result<(Indicator, B::Made), B::Error> {
-    let particles = facts.census.binned as u64;
-    let measured = |full_cells| MeanCount::measured(particles, full_cells).map_err(NoMeanCount);
+    let measured = |full: Fullness| MeanCount::measured(full.particles, full.cells).map_err(NoMeanCount);
     let known = match (asked.kind, asked.mean) {
         (IndicatorKind::Symmetry, _) => Some(Indicator::Symmetry),
         (IndicatorKind::Cloud, _) => Some(Indicator::Cloud(Amount::of_spacing(facts.spacing_cells_or_one()))),
@@ -45,7 +53,7 @@ pub fn indicate<B: Binned>(
         (IndicatorKind::Counting, None) => None,
     };
     let content = known.map_or(Content::Counts, Indicator::content);
-    let (full_cells, made) = binned.make_pages(&PageRule { content, side, walls: facts.walls() })?;
-    let indicator = known.map_or_else(|| measured(full_cells).map(Indicator::Counting), Ok)?;
+    let (full, made) = binned.make_pages(&PageRule { content, side, walls: facts.walls() })?;
+    let indicator = known.map_or_else(|| measured(full).map(Indicator::Counting), Ok)?;
     Ok((indicator, made))
 }

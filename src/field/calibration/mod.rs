@@ -12,7 +12,7 @@ mod mean;
 mod plateau;
 mod precision;
 
-pub use mean::{Binned, NoMeanCount, indicate};
+pub use mean::{Binned, Fullness, NoMeanCount, indicate};
 pub use plateau::Plateau;
 pub(crate) use precision::refuse_finest;
 pub use precision::{COARSEST_STEP, FINEST_OF_SYMMETRY, ON_CORNERS, Remedy, TooFine, refuse_too_fine_for};

@@ -73,6 +73,7 @@ impl Plateau {
         let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
         let blurred = Blurred {
             dif: frame.wide(distances.level),
+            own: walls_at(distances.level, frame.facts.own_cells()),
             walls: walls_at(distances.level, frame.facts.walls()),
             reach: RIM,
             halo: narrowest.kernel.reach(),
@@ -96,6 +97,7 @@ impl Plateau {
         let cells = spacing.unwrap_or(1.0);
         let blurred = Blurred {
             dif,
+            own: frame.facts.own_cells(),
             walls: frame.facts.walls(),
             reach: 0,
             halo: smoothing.halo(),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::IVec3;
 
 use crate::field::blur::Kernel;
-use crate::field::indicator::{Amount, WideCells};
+use crate::field::indicator::{Amount, RIM, WideCells};
 use crate::grid::units::Smooth;
 use crate::grid::{BLOCK, CellBox};
 
@@ -178,6 +178,19 @@ impl Distances {
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
         self.drops.around.reach() + self.drops.spread.reach()
+    }
+
+    /// How far from a cell particles decide its field, in cells: by clouds, in wide cells that are made of those, and by the spline
+    /// that makes cells of wide ones.
+    #[must_use]
+    pub fn halo(&self) -> i32 {
+        let in_wide = |level: u32, halo: i32| {
+            let spline = i32::from(level > 0);
+            // From a cell to the far end of its wide cell, and by what wide cells are made of beyond their own cells.
+            ((halo + spline) << level) + 2 * ((1 << level) - 1)
+        };
+        let wide = in_wide(self.level, self.wide_halo());
+        wide.max(in_wide(self.drops_level, self.drops_halo())) + RIM
     }
 
     /// How far from a full cell there can be a surface, in cells.

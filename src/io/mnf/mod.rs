@@ -11,13 +11,16 @@
 //! | pages | | each a zstd frame of its samples, in the order of their keys and without gaps |
 //! | footer | 3 x 8 | origin of the grid, f64 |
 //! | | 8 | edge of a cell, f64 |
-//! | | 4 | 1 if there are walls, else 0 |
+//! | | 4 | 1 if there are walls, plus 2 if the box is periodic, else 0 |
 //! | | 4 | indicator: 0 symmetry, 1 counting, 2 cloud |
-//! | | 6 x 8 | lower and upper corner of the walls, f64; 0 if there are none |
+//! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf along an axis without; 0 if there are none |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing of the particles, f64; 0 if it is not known |
 //! | | 4 x 8 | particles in cells, not finite, beyond the grid, outside of the walls |
-//! | | 8 | number of pages |
+//! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
+//! | | 4 | how far images of particles stand beyond the box, in cells; they are in the pages |
+//! | | 4 | 0 |
+//! | footer | 8 | number of pages |
 //! | index, per page | 8 | Morton key of its bin: 21 bits an axis, x lowest, each biased by 2^20 |
 //! | | 8 | where it begins in the file |
 //! | | 8 | a bit for every brick that is stored, by its Morton index in the bin |
@@ -60,6 +63,11 @@ const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 2;
 /// The version before, of which all but clouds are read.
 const FIRST_VERSION: u32 = 1;
+
+/// Bits of what the footer says of walls: there are some; the box is periodic.
+const WALLS: u32 = 1;
+const PERIODIC: u32 = 2;
+const BOTH: u32 = WALLS | PERIODIC;
 
 /// Bytes of the header.
 const HEADER: usize = 16;

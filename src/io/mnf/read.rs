@@ -13,13 +13,16 @@ use crate::brick::{BrickSide, Census, DifField, FrameFacts, PageInfo, PageShape,
 use crate::field::calibration::refuse_finest;
 use crate::field::indicator::{Amount, Indicator, SampledDif};
 use crate::grid::units::{MeanCount, positive_length};
-use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey};
+use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
 use crate::io::bytes::{ByteStore, Bytes, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
 
-use super::{END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, TAIL, VERSION, samples_from_planes};
+use super::{
+    BOTH, END_MAGIC, ENTRY, FACTS, FIRST_VERSION, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS,
+    samples_from_planes,
+};
 
 /// Bytes of the map that are looked at before all of it is given back.
 const RELEASED: u64 = 4 << 20;
@@ -195,7 +198,10 @@ fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
     }
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
-    if full_cells > (shape.cells_a_particle() as u64).saturating_mul(facts.census.binned as u64) {
+    // One in a corner of a periodic box has seven images.
+    let places = if facts.periodic.is_some() { 8 } else { 1 };
+    let most = places * shape.cells_a_particle() as u64;
+    if full_cells > most.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(footer, format!("more full cells than particles make: {full_cells}")));
     }
     let pages = MappedPages { window, shape, first, bricks, checksums };
@@ -263,8 +269,8 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     let indicator = cursor.u32("the indicator")?;
     let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
     let domain = match walls {
-        0 => None,
-        1 => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
+        0 | PERIODIC => None,
+        WALLS | BOTH => Some(Domain::new(&grid, lo, hi).map_err(|e| fault(&e))?),
         _ => return Err(fault(&"neither walls nor none")),
     };
     let mean = cursor.f64("mu0")?;
@@ -293,8 +299,28 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
         too_far: particles()?,
         outside: particles()?,
     };
+    let periodic = match walls {
+        PERIODIC | BOTH => Some(read_periodic(cursor, &grid)?),
+        _ => None,
+    };
     let count = cursor.u64("the number of pages")?;
-    Ok((FrameFacts { grid, domain, census, spacing }, indicator, count))
+    Ok((FrameFacts { grid, domain, periodic, census, spacing }, indicator, count))
+}
+
+/// The periodic box: an open axis goes from -inf to inf.
+fn read_periodic(cursor: &mut Cursor<'_>, grid: &Grid) -> Result<Periodic, ReadFault> {
+    let at = cursor.at();
+    let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
+    let reach = cursor.u32("the reach of images")?;
+    let zero = cursor.u32("the end of a periodic box")?;
+    let is_open = |a: usize| lo[a] == f64::NEG_INFINITY && hi[a] == f64::INFINITY;
+    let faces = [0, 1, 2].map(|axis| (!is_open(axis)).then(|| [lo[axis], hi[axis]]));
+    match i32::try_from(reach) {
+        Ok(reach @ 0..CELL_LIMIT) if zero == 0 => {
+            Periodic::new(grid, faces, reach).map_err(|e| malformed(at, e.to_string()))
+        }
+        _ => Err(malformed(at, "no periodic box")),
+    }
 }
 
 fn read_point(cursor: &mut Cursor<'_>) -> Result<DVec3, ReadFault> {
@@ -329,7 +355,7 @@ fn read_entry(cursor: &mut Cursor<'_>, side: BrickSide, facts: &FrameFacts) -> R
     let coord = key.coord();
     let full = CellBox { lo: local.lo + coord * BIN, hi: local.hi + coord * BIN };
     let limits = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
-    let limits = facts.domain.map_or(limits, |domain| domain.cells());
+    let limits = facts.domain.map_or(limits, |domain| domain.cells().intersection(&limits));
     let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
     let info = PageInfo { key, bricks, full, full_count };
     let wrong = [

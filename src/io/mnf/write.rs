@@ -11,7 +11,7 @@ use crate::field::indicator::{Indicator, IndicatorKind, SampledDif};
 use crate::grid::BIN;
 use crate::grid::units::MeanCount;
 
-use super::{END_MAGIC, HEADER, MAGIC, TAIL, VERSION, planes_from_samples};
+use super::{END_MAGIC, HEADER, MAGIC, PERIODIC, TAIL, VERSION, WALLS, planes_from_samples};
 
 /// Speed matters, and noise compresses no better at any level.
 const LEVEL: i32 = 1;
@@ -131,12 +131,22 @@ fn footer(facts: &FrameFacts, indicator: Indicator) -> Vec<u8> {
     let mut footer = Vec::new();
     footer.extend(facts.grid.origin().to_array().iter().flat_map(|x| x.to_le_bytes()));
     footer.extend(facts.grid.cell_size().to_le_bytes());
-    footer.extend(u32::from(facts.domain.is_some()).to_le_bytes());
+    let walled = if facts.domain.is_some() { WALLS } else { 0 };
+    let repeated = if facts.periodic.is_some() { PERIODIC } else { 0 };
+    footer.extend((walled | repeated).to_le_bytes());
     footer.extend(indicator.to_le_bytes());
     footer.extend(walls.iter().flat_map(|x| x.to_le_bytes()));
     footer.extend(mean.to_le_bytes());
     footer.extend(facts.spacing.unwrap_or(0.0).to_le_bytes());
     footer.extend(particles.iter().flat_map(|&count| (count as u64).to_le_bytes()));
+    if let Some(periodic) = &facts.periodic {
+        let open = [f64::NEG_INFINITY, f64::INFINITY];
+        let faces = periodic.faces().map(|faces| faces.unwrap_or(open));
+        let corners = [0, 1].map(|side: usize| faces.map(|faces| faces[side]));
+        footer.extend(corners.as_flattened().iter().flat_map(|x| x.to_le_bytes()));
+        footer.extend(periodic.reach().to_le_bytes());
+        footer.extend([0; 4]);
+    }
     footer
 }
 

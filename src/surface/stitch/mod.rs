@@ -133,19 +133,36 @@ impl Stitched {
     /// # Errors
     /// Where the scratch file cannot be read.
     pub fn volume(&self) -> io::Result<f64> {
-        let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block));
+        self.volume_within(None)
+    }
+
+    /// The [volume](Self::volume) inside, as far as it is in some cells, if they are given.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read.
+    pub fn volume_within(&self, within: Option<CellBox>) -> io::Result<f64> {
+        let of_piece = |piece: usize| self.spool.get(piece).map(|block| self.block_columns(&block, within));
         let columns: Vec<f64> =
             (0..self.pieces()).into_par_iter().map(of_piece).collect::<io::Result<_>>()?;
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
     /// Sums what a block adds to the lengths of all columns along x, in cells.
-    fn block_columns(&self, block: &BlockMesh) -> f64 {
+    fn block_columns(&self, block: &BlockMesh, within: Option<CellBox>) -> f64 {
         let of_tile = |tile: &Tile| {
-            let first = tile.corner(block.block).x;
+            let first = tile.corner(block.block);
             let ends = &block.ends[tile.first_vertex as usize..];
             let crossings = bits(tile.crossed(0)).zip(ends).map(|(bit, &ends)| {
-                let x = f64::from(first + cell_of_bit(bit).x) + self.crossings.fraction(ends);
+                let cell = first + cell_of_bit(bit);
+                let mut x = f64::from(cell.x) + self.crossings.fraction(ends);
+                if let Some(CellBox { lo, hi }) = within {
+                    let column = cell.with_x(lo.x);
+                    if column.cmplt(lo).any() || column.cmpge(hi).any() {
+                        return 0.0;
+                    }
+                    // Centres are at whole numbers.
+                    x = x.clamp(f64::from(lo.x) - 0.5, f64::from(hi.x) - 0.5);
+                }
                 if tile.corners[0] >> bit & 1 == 1 { x } else { -x }
             });
             crossings.sum::<f64>()

@@ -1,0 +1,342 @@
+//! Particles of a periodic box together with their images: all that binning has to know of such a box.
+//!
+//! Images follow the particles, and are never kept: of every group of particles it is known how many its particles have, and
+//! whoever reads images has them made anew of the particles of their groups. Groups without any are not read again.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::grid::{Domain, Grid, Periodic, Unplaced};
+use crate::particles::{AttributeInfo, Particles, Unread};
+
+use super::place::Placer;
+use super::{BinError, Census, InvalidParticles};
+
+/// Particles whose images are counted together.
+const GROUP: usize = 1 << 10;
+
+/// Particles as they are to be binned: with their images, if their box is periodic.
+#[derive(Debug)]
+pub struct WithImages<'a, P: ?Sized> {
+    particles: &'a P,
+    images: Option<Images<'a>>,
+}
+
+/// The images of particles in a periodic box.
+#[derive(Debug)]
+struct Images<'a> {
+    grid: &'a Grid,
+    domain: Option<&'a Domain>,
+    periodic: &'a Periodic,
+    /// How many images the groups before each have, and last all of them.
+    before: Vec<u64>,
+    /// Particles that are not in the box.
+    astray: usize,
+}
+
+/// Counts of a group of particles.
+#[derive(Default)]
+struct Found {
+    images: u64,
+    astray: usize,
+    first_invalid: Option<BinError>,
+}
+
+impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
+    /// Counts the images of particles, if their box is periodic: reads all of them once.
+    ///
+    /// # Errors
+    /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless such are skipped.
+    pub fn of(
+        particles: &'a P,
+        grid: &'a Grid,
+        domain: Option<&'a Domain>,
+        periodic: Option<&'a Periodic>,
+        invalid: InvalidParticles,
+    ) -> Result<Self, BinError> {
+        let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
+        let images = Images { grid, domain, periodic, before: Vec::new(), astray: 0 };
+        let groups = (0..particles.len().div_ceil(GROUP)).into_par_iter();
+        let found: Vec<Found> = groups.map(|group| images.count(particles, group)).collect();
+        if invalid == InvalidParticles::Refuse
+            && let Some(error) = found.iter().find_map(|found| found.first_invalid)
+        {
+            return Err(error);
+        }
+        let mut all = 0;
+        let before = std::iter::once(0).chain(found.iter().map(|found| {
+            all += found.images;
+            all
+        }));
+        let (before, astray) = (before.collect(), found.iter().map(|found| found.astray).sum());
+        Ok(Self { particles, images: Some(Images { before, astray, ..images }) })
+    }
+
+    /// The counts of the particles themselves, by those of a census that was taken with their images.
+    #[must_use]
+    pub fn census(&self, census: Census) -> Census {
+        let Some(images) = &self.images else { return census };
+        Census {
+            binned: census.binned - images.count_all(),
+            not_finite: census.not_finite - images.astray,
+            outside: census.outside + images.astray,
+            ..census
+        }
+    }
+}
+
+/// The particles of a group.
+fn group_range(particles: &(impl Particles + ?Sized), group: usize) -> Range<usize> {
+    group * GROUP..particles.len().min((group + 1) * GROUP)
+}
+
+impl Images<'_> {
+    fn count_all(&self) -> usize {
+        self.before.last().map_or(0, |&all| all as usize)
+    }
+
+    fn placer(&self) -> Placer<'_> {
+        Placer { grid: self.grid, domain: self.domain }
+    }
+
+    /// The images of a particle: none of one that is left out.
+    fn of(&self, position: [f64; 3]) -> impl Iterator<Item = [f64; 3]> + use<> {
+        let inside = self.periodic.inside(position).ok();
+        let placed = inside.and_then(|inside| Some((inside, self.placer().place(inside).ok()??)));
+        let (periodic, grid) = (*self.periodic, *self.grid);
+        placed.into_iter().flat_map(move |(inside, steps)| periodic.images(&grid, inside, steps))
+    }
+
+    /// Looks at the particles of a group.
+    fn count(&self, particles: &(impl Particles + ?Sized), group: usize) -> Found {
+        let range = group_range(particles, group);
+        let mut positions = vec![[0.0; 3]; range.len()];
+        particles.positions(range.start, &mut positions);
+        let mut found = Found::default();
+        for (index, &position) in range.clone().zip(&positions) {
+            found.images += self.of(position).count() as u64;
+            let invalid = match self.periodic.inside(position) {
+                Err(axis) => {
+                    found.astray += 1;
+                    Some(BinError::OutsideBox { index, position, axis })
+                }
+                Ok(inside) => self.placer().place(inside).err().map(|fault| match fault {
+                    Unplaced::NotFinite => BinError::NotFinite { index, position },
+                    Unplaced::TooFar => {
+                        BinError::TooFar { index, position, cell_size: self.grid.cell_size() }
+                    }
+                }),
+            };
+            found.first_invalid = found.first_invalid.or(invalid);
+        }
+        particles.release(range);
+        found
+    }
+
+    /// Calls `take` with groups of which some images are wanted, the `count` ones from number `first` on: the group's particles, the
+    /// place of each wanted image's own among them, and where those images are.
+    fn groups(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        first: usize,
+        count: usize,
+        mut take: impl FnMut(Range<usize>, &[usize], &[[f64; 3]]),
+    ) {
+        let wanted = first as u64..(first + count) as u64;
+        // The last group that begins no later; those before it that begin there as well have none.
+        let begin = self.before.partition_point(|&before| before <= wanted.start).saturating_sub(1);
+        let ends = self.before[1..].iter().enumerate().skip(begin);
+        let groups = ends.take_while(|&(group, _)| self.before[group] < wanted.end);
+        for (group, _) in groups.filter(|&(group, &end)| end > self.before[group]) {
+            let range = group_range(particles, group);
+            let mut positions = vec![[0.0; 3]; range.len()];
+            particles.positions(range.start, &mut positions);
+            let all =
+                positions.iter().enumerate().flat_map(|(own, &at)| self.of(at).map(move |at| (own, at)));
+            // Particles that have moved meanwhile have other images: none where there are fewer, which whoever bins them finds out.
+            let nowhere = std::iter::repeat((0, [f64::NAN; 3]));
+            let numbered = (self.before[group]..self.before[group + 1]).zip(all.chain(nowhere));
+            let numbered = numbered.filter(|(number, _)| wanted.contains(number));
+            let (own, images): (Vec<usize>, Vec<[f64; 3]>) = numbered.map(|(_, image)| image).unzip();
+            take(range.clone(), &own, &images);
+            particles.release(range);
+        }
+    }
+}
+
+/// The parts of a slice for so many particles from `first` on: those that are among `own`, and those that come after.
+fn split<T>(out: &mut [T], width: usize, first: usize, own: usize) -> (&mut [T], &mut [T]) {
+    let at = width * own.saturating_sub(first);
+    out.split_at_mut(at.min(out.len()))
+}
+
+impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
+    fn len(&self) -> usize {
+        self.particles.len() + self.images.as_ref().map_or(0, Images::count_all)
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        let Some(images) = &self.images else { return self.particles.positions(first, out) };
+        let own = self.particles.len();
+        let (real, mut rest) = split(out, 1, first, own);
+        if !real.is_empty() {
+            self.particles.positions(first, real);
+            // What is not in the box is nowhere.
+            real.iter_mut().for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
+        }
+        let (first, count) = (first.max(own) - own, rest.len());
+        images.groups(self.particles, first, count, |_, _, positions| {
+            let (to, later) = std::mem::take(&mut rest).split_at_mut(positions.len());
+            to.copy_from_slice(positions);
+            rest = later;
+        });
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.particles.check()
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        let counts = self.images.as_ref().map_or(0, |images| size_of_val(&images.before[..]));
+        self.particles.resident_bytes() + counts as u64
+    }
+
+    fn release(&self, range: Range<usize>) {
+        let own = self.particles.len();
+        if range.start < own {
+            self.particles.release(range.start..range.end.min(own));
+        }
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        self.particles.attributes()
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let Some(images) = &self.images else { return self.particles.attribute(index, first, out) };
+        let (own, width) = (self.particles.len(), self.attributes()[index].components);
+        let (real, mut rest) = split(out, width, first, own);
+        if !real.is_empty() {
+            self.particles.attribute(index, first, real);
+        }
+        let (first, count) = (first.max(own) - own, rest.len() / width.max(1));
+        images.groups(self.particles, first, count, |range, of, _| {
+            let mut values = vec![0.0; width * range.len()];
+            self.particles.attribute(index, range.start, &mut values);
+            let (to, later) = std::mem::take(&mut rest).split_at_mut(width * of.len());
+            for (to, &of) in to.chunks_exact_mut(width).zip(of) {
+                to.copy_from_slice(&values[width * of..][..width]);
+            }
+            rest = later;
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    /// Particles that carry their own numbers.
+    #[derive(Debug)]
+    struct Numbered(Vec<[f64; 3]>, Vec<AttributeInfo>);
+
+    impl Particles for Numbered {
+        fn len(&self) -> usize {
+            self.0.len()
+        }
+
+        fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+            self.0[..].positions(first, out);
+        }
+
+        fn attributes(&self) -> &[AttributeInfo] {
+            &self.1
+        }
+
+        fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
+            out.iter_mut().enumerate().for_each(|(i, to)| *to = (2 * first + i) as f32);
+        }
+    }
+
+    #[test]
+    fn images_follow_the_particles_and_are_the_same_whatever_is_read_at_once() {
+        let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
+        let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, Some([0.0, 1.0])], 3).unwrap();
+        let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
+        let mut positions: Vec<[f64; 3]> = (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
+        // A whole group far from any face.
+        positions[2048..3072].fill([0.5; 3]);
+        (positions[7], positions[8], positions[9]) = ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
+        let info = AttributeInfo { name: "number".into(), components: 2 };
+        let particles = Numbered(positions, vec![info]);
+        let of = |invalid| WithImages::of(&particles, &grid, None, Some(&periodic), invalid);
+        let first = of(InvalidParticles::Refuse).unwrap_err();
+        assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
+        let all = of(InvalidParticles::Skip).unwrap();
+        let len = all.len();
+        // Of those that fill the box, which is larger by 0.06 on either side along two axes.
+        let expected = 4000.0 * (1.12 * 1.12 - 1.0);
+        assert!(((len - 5000) as f64 - expected).abs() < 0.1 * expected, "{} images", len - 5000);
+
+        let mut whole = vec![[0.0; 3]; len];
+        all.positions(0, &mut whole);
+        assert!(whole[7][1].is_nan() && whole[8][0].is_nan() && whole[9] == [0.0, 0.5, 0.5]);
+        let mut values = vec![0.0; 2 * len];
+        all.attribute(0, 0, &mut values);
+        for (position, value) in whole.iter().zip(values.chunks(2)).skip(5000) {
+            let own = whole[value[0] as usize / 2];
+            let moved = [0, 2].map(|a| (position[a] - own[a]).abs());
+            assert!(moved.iter().all(|d| *d < 1e-5 || (d - 1.0).abs() < 1e-5) && moved != [0.0; 2]);
+            assert_eq!(position[1], own[1]);
+            let beyond =
+                |a: usize| !(0.0..1.0).contains(&position[a]) && (-0.061..1.061).contains(&position[a]);
+            assert!(beyond(0) || beyond(2), "{position:?}");
+        }
+        for step in [1, 7, 512, 3000] {
+            for first in (0..len).step_by(step) {
+                let count = step.min(len - first);
+                let (mut some, mut some_values) = (vec![[0.0; 3]; count], vec![0.0; 2 * count]);
+                all.positions(first, &mut some);
+                all.attribute(0, first, &mut some_values);
+                let bits = |p: &[[f64; 3]]| p.iter().map(|p| p.map(f64::to_bits)).collect::<Vec<_>>();
+                assert_eq!(bits(&some), bits(&whole[first..first + count]));
+                assert_eq!(some_values, values[2 * first..2 * (first + count)]);
+            }
+        }
+        let counted = Census { binned: len - 2, not_finite: 2, too_far: 0, outside: 0 };
+        assert_eq!(all.census(counted), Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1 });
+    }
+
+    /// Particles that are elsewhere each time they are read.
+    struct Restless(std::sync::atomic::AtomicUsize);
+
+    impl Particles for Restless {
+        fn len(&self) -> usize {
+            3000
+        }
+
+        fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+            let read = self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            for (i, to) in (first..).zip(out) {
+                *to = [((i * 7919 + 131 * read * (first + 1)) % 1009) as f64 / 1009.0, 0.5, 0.5];
+            }
+        }
+    }
+
+    #[test]
+    fn particles_that_move_between_two_readings_fill_what_is_asked_for_and_no_more() {
+        let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
+        let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
+        let restless = Restless(0.into());
+        let invalid = InvalidParticles::Refuse;
+        let all = WithImages::of(&restless, &grid, None, Some(&periodic), invalid).unwrap();
+        for first in [0, 2990, 3000, 3100, all.len() - 5] {
+            let mut positions = vec![[7.0; 3]; all.len() - first];
+            all.positions(first, &mut positions);
+            assert!(positions.iter().all(|p| p[1] != 7.0), "from {first} on");
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Periodic boxes: beyond a face the fluid goes on as it does behind the opposite one.
+//!
+//! Nothing is wrapped. A particle near a face also stands, as its image, beyond the opposite one, a whole number of steps away,
+//! so that whatever looks beyond a face finds there what an infinitely repeated fluid would have. A box need not hold a whole
+//! number of cells: its edges may differ, and cells are cubes.
+
+use glam::DVec3;
+use thiserror::Error;
+
+use super::units::shown;
+use super::{CELL_LIMIT, CellBox, Domain, FRACTIONS, Grid};
+
+/// The names of the axes.
+const AXES: [char; 3] = ['x', 'y', 'z'];
+
+/// A box that repeats itself along some axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Periodic {
+    /// Faces of the box: an axis that is open has none.
+    faces: Domain,
+    /// How far beyond its faces images stand, in cells.
+    reach: i32,
+    /// Steps from a particle to its image, along each axis.
+    period: [i64; 3],
+    /// How far beyond its faces images stand, in the unit of the grid.
+    reach_length: f64,
+}
+
+/// How a mesh ends at periodic faces.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum PeriodicMesh {
+    /// On the faces, where it is closed as it is at the walls of a tank.
+    #[default]
+    Cut,
+    /// Beyond the faces, by as much as filters reach: copies that are put side by side overlap.
+    Overlap,
+}
+
+impl PeriodicMesh {
+    /// The name that people use for it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cut => "cut",
+            Self::Overlap => "overlap",
+        }
+    }
+}
+
+/// A box that cannot be periodic.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum PeriodicError {
+    /// The corners are not in order, or not finite.
+    #[error(
+        "the periodic box's corners must be finite, and the second above the first along every axis that is not open"
+    )]
+    Corners,
+    /// No axis is periodic.
+    #[error("the periodic box is open along every axis")]
+    Open,
+    /// Where a mesh ends at the faces of no box.
+    #[error("where a mesh ends at periodic faces has no meaning without a periodic box")]
+    NoBox,
+    /// Walls where there can be none.
+    #[error("{axis} is periodic: a domain can have walls along the open axes only")]
+    Walled {
+        /// x, y or z.
+        axis: char,
+    },
+    /// Filters would see a particle's image on both sides.
+    #[error(
+        "the periodic box is {} wide along {axis}, less than two reaches of the filters, which are {} each; use a smaller cell \
+         size or less smoothing, or leave {axis} open",
+        shown(*width), shown(*reach)
+    )]
+    Narrow {
+        /// x, y or z.
+        axis: char,
+        /// From face to face.
+        width: f64,
+        /// How far particles beyond a face tell of what is before it.
+        reach: f64,
+    },
+    /// Beyond the grid.
+    #[error(
+        "the periodic box and what filters see beyond it reach more than {CELL_LIMIT} cells from the origin; use a larger cell size"
+    )]
+    TooFar,
+}
+
+impl Periodic {
+    /// The box between the faces of each axis, in world coordinates, on `grid`: `None` for an open axis. Images stand up to
+    /// `reach` cells beyond the faces.
+    ///
+    /// # Errors
+    /// [`PeriodicError`], but for [`PeriodicError::Walled`] and [`PeriodicError::NoBox`].
+    pub fn new(grid: &Grid, faces: [Option<[f64; 2]>; 3], reach: i32) -> Result<Self, PeriodicError> {
+        Self::check(faces)?;
+        let [lo, hi] = [0, 1].map(|side: usize| {
+            let open = [f64::NEG_INFINITY, f64::INFINITY][side];
+            DVec3::from(faces.map(|faces| faces.map_or(open, |faces| faces[side])))
+        });
+        let reach_length = f64::from(reach) * grid.cell_size();
+        for axis in 0..3 {
+            let width = hi[axis] - lo[axis];
+            if width < 2.0 * reach_length {
+                return Err(PeriodicError::Narrow { axis: AXES[axis], width, reach: reach_length });
+            }
+        }
+        let images = Domain::new(grid, lo - reach_length, hi + reach_length);
+        let (Ok(faces), Ok(_)) = (Domain::new(grid, lo, hi), images) else {
+            return Err(PeriodicError::TooFar);
+        };
+        let steps = |width: f64| (width / grid.cell_size() * f64::from(FRACTIONS)).round() as i64;
+        let period = (hi - lo).to_array().map(|width| if width.is_finite() { steps(width) } else { 0 });
+        Ok(Self { faces, reach, period, reach_length })
+    }
+
+    /// Refuses faces that are wrong whatever the cells' size is.
+    ///
+    /// # Errors
+    /// [`PeriodicError::Corners`] and [`PeriodicError::Open`].
+    pub fn check(faces: [Option<[f64; 2]>; 3]) -> Result<(), PeriodicError> {
+        if faces.iter().flatten().any(|&[lo, hi]| !(lo.is_finite() && hi.is_finite() && lo < hi)) {
+            return Err(PeriodicError::Corners);
+        }
+        if faces.iter().all(Option::is_none) { Err(PeriodicError::Open) } else { Ok(()) }
+    }
+
+    /// Refuses walls along an axis that is periodic.
+    ///
+    /// # Errors
+    /// [`PeriodicError::Walled`].
+    pub fn refuse_walls(faces: [Option<[f64; 2]>; 3], walls: [DVec3; 2]) -> Result<(), PeriodicError> {
+        let is_walled = |a: usize| walls.iter().any(|corner| corner[a].is_finite());
+        match (0..3).find(|&axis| faces[axis].is_some() && is_walled(axis)) {
+            Some(axis) => Err(PeriodicError::Walled { axis: AXES[axis] }),
+            None => Ok(()),
+        }
+    }
+
+    /// The faces along each axis, in world coordinates: `None` where it is open.
+    #[must_use]
+    pub fn faces(&self) -> [Option<[f64; 2]>; 3] {
+        let [lo, hi] = self.faces.walls();
+        [0, 1, 2].map(|axis| lo[axis].is_finite().then(|| [lo[axis], hi[axis]]))
+    }
+
+    /// How far beyond its faces images stand, in cells.
+    #[must_use]
+    pub fn reach(&self) -> i32 {
+        self.reach
+    }
+
+    /// The cells whose centre lies between the faces; along an open axis all that there are.
+    #[must_use]
+    pub fn cells(&self) -> CellBox {
+        self.faces.cells()
+    }
+
+    /// The box on another grid.
+    ///
+    /// # Errors
+    /// Those of [`new`](Self::new).
+    pub fn on(&self, grid: &Grid) -> Result<Self, PeriodicError> {
+        Self::new(grid, self.faces(), self.reach)
+    }
+
+    /// The walls at which the mesh of a fluid within `walls` ends.
+    #[must_use]
+    pub fn mesh_walls(&self, walls: Option<Domain>, mesh: PeriodicMesh) -> Option<Domain> {
+        match (mesh, walls) {
+            (PeriodicMesh::Overlap, walls) => walls,
+            (PeriodicMesh::Cut, None) => Some(self.faces),
+            (PeriodicMesh::Cut, Some(walls)) => Some(self.faces.joined(&walls)),
+        }
+    }
+
+    /// Where a particle is between the faces. What lies on the upper face lies on the lower one, and so does what is beyond a face
+    /// by no more than the rounding of its coordinate to f32. `Err` with the axis along which it is outside.
+    pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
+        let [lo, hi] = self.faces.walls();
+        let mut inside = world;
+        for axis in 0..3 {
+            let (x, lo, hi) = (world[axis], lo[axis], hi[axis]);
+            let is_on = |face: f64| x == face || x as f32 == face as f32;
+            if (x >= hi || x < lo) && x.is_finite() {
+                if !is_on(hi) && !is_on(lo) {
+                    return Err(AXES[axis]);
+                }
+                inside[axis] = lo;
+            }
+        }
+        Ok(inside)
+    }
+
+    /// Where the images of a particle between the faces stand, by its place and its steps on `grid`: none, one, three or seven.
+    pub fn images(
+        &self,
+        grid: &Grid,
+        world: [f64; 3],
+        steps: [i64; 3],
+    ) -> impl Iterator<Item = [f64; 3]> + use<> {
+        let [lo, hi] = self.faces.walls();
+        let image: [Option<f64>; 3] = [0, 1, 2].map(|axis| {
+            let shift = if world[axis] < lo[axis] + self.reach_length {
+                self.period[axis]
+            } else if world[axis] >= hi[axis] - self.reach_length {
+                -self.period[axis]
+            } else {
+                return None;
+            };
+            // The middle of a step, so that it is found again whatever is rounded.
+            let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
+            Some(grid.origin()[axis] + grid.cell_size() * cells)
+        });
+        let moved =
+            image.iter().zip(0..).fold(0_u32, |moved, (x, axis)| moved | u32::from(x.is_some()) << axis);
+        (1..8_u32).filter(move |some| some & !moved == 0).map(move |some| {
+            let along = |axis: usize| if some >> axis & 1 == 1 { image[axis] } else { None };
+            [0, 1, 2].map(|axis| along(axis).unwrap_or(world[axis]))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unit_box(grid: &Grid) -> Periodic {
+        Periodic::new(grid, [Some([0.0, 1.1]), None, Some([-2.0, 1.0])], 2).unwrap()
+    }
+
+    #[test]
+    fn images_are_whole_numbers_of_steps_away_and_all_corners_have_seven() {
+        let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.037).unwrap();
+        let cube = Periodic::new(&grid, [Some([0.0, 1.1]); 3], 2).unwrap();
+        let images = |of: [f64; 3]| cube.images(&grid, of, grid.place(of).unwrap()).collect::<Vec<_>>();
+        assert_eq!(images([0.5, 0.5, 0.5]).len(), 0);
+        assert_eq!(images([0.05, 0.5, 0.5]).len(), 1);
+        assert_eq!(images([0.05, 1.05, 0.5]).len(), 3);
+        assert_eq!(images([0.05, 1.05, 0.01]).len(), 7);
+        let period = (1.1_f64 / 0.037 * 8192.0).round() as i64;
+        for i in 0..1000 {
+            let at = [f64::from(i) / 14_000.0, 0.5, 0.5];
+            let steps = grid.place(at).unwrap();
+            let [image] = images(at)[..] else { panic!("one image of {at:?}") };
+            assert_eq!(grid.place(image), Ok([steps[0] + period, steps[1], steps[2]]));
+        }
+    }
+
+    #[test]
+    fn the_upper_face_is_the_lower_one_also_where_single_precision_rounds() {
+        let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
+        let periodic = unit_box(&grid);
+        assert_eq!(periodic.inside([1.1, 5.0, 1.0]), Ok([0.0, 5.0, -2.0]));
+        assert_eq!(periodic.inside([f64::from(1.1_f32), 5.0, 0.0]), Ok([0.0, 5.0, 0.0]), "above 1.1");
+        assert_eq!(periodic.inside([1.100_001, 5.0, 0.0]), Err('x'));
+        assert_eq!(periodic.inside([-1e-9, 5.0, 0.0]), Err('x'));
+        assert_eq!(periodic.inside([0.5, 1e300, -2.001]), Err('z'), "y is open");
+    }
+
+    #[test]
+    fn a_box_that_cannot_be_periodic_is_refused() {
+        let grid = Grid::new(DVec3::ZERO, 0.1).unwrap();
+        let new = |x, reach| Periodic::new(&grid, [x, None, None], reach);
+        assert_eq!(new(None, 2), Err(PeriodicError::Open));
+        for bad in [[1.0, 1.0], [1.0, 0.0], [0.0, f64::INFINITY], [f64::NAN, 1.0]] {
+            assert_eq!(new(Some(bad), 2), Err(PeriodicError::Corners));
+        }
+        assert!(new(Some([0.0, 1.0]), 5).is_ok());
+        assert!(matches!(new(Some([0.0, 1.0]), 6), Err(PeriodicError::Narrow { axis: 'x', .. })));
+        assert_eq!(new(Some([0.0, 1e9]), 6), Err(PeriodicError::TooFar));
+        let walls = [DVec3::splat(f64::NEG_INFINITY).with_x(0.0), DVec3::splat(f64::INFINITY).with_x(1.0)];
+        let refused = Periodic::refuse_walls([Some([0.0, 1.0]), None, None], walls);
+        assert_eq!(refused, Err(PeriodicError::Walled { axis: 'x' }));
+        assert_eq!(Periodic::refuse_walls([None, Some([0.0, 1.0]), None], walls), Ok(()));
+    }
+}
