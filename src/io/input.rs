@@ -2,11 +2,23 @@
 
 use std::path::Path;
 
+use crate::particles::{AttributeInfo, Particles};
+
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
-pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf5, .npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them";
+pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf, .hdf5, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, .vtkhdf, .vtp, .vtu, .xyz, and .gz after any of them";
+
+/// Names of VTK's flags of points that are copies, or hidden.
+const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+
+/// The particles that are wanted of an input that may hold others too.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Wanted<'a> {
+    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
+    pub particle_type: Option<&'a str>,
+}
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -15,12 +27,40 @@ pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf5, .np
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    open_wanted(path, Wanted::default(), unpacking)
+}
+
+/// Opens a particle file like [`open_particles`], for the particles that are wanted.
+///
+/// # Errors
+/// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
+pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    let file = read(path, wanted, unpacking)?;
+    Ok(GHOSTS.iter().fold(file, ParticleFile::without))
+}
+
+impl ParticleFile {
+    /// Leaves out the particles that the attribute `flag` marks, and that.
+    fn without(mut self, flag: &&str) -> Self {
+        let is_it = |info: &AttributeInfo| info.name == *flag && info.components == 1;
+        if let Some(index) = self.particles.attributes().iter().position(is_it) {
+            self.ghosts += self.particles.leave_out(index);
+        }
+        self
+    }
+}
+
+fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let (file, step) = file_and_step(path);
     let reader = reader_for(file).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
     let bytes = open_bytes_within(file, unpacking)?;
+    if let (Some(name), Reader::OneFile(_) | Reader::Pieces(_)) = (wanted.particle_type, &reader) {
+        let what = format!("its particles are of one type, and none is called {name}");
+        return Err(fail(ReadFault::Unsupported(what)));
+    }
     match reader {
-        Reader::Steps(read) => read(bytes, step, unpacking).map_err(fail),
+        Reader::Steps(read) => read(file, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Pieces(open) => open(path, bytes, unpacking),
     }
@@ -68,6 +108,12 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
         Some("vtp") => vtp::has_faces,
+        Some("pvtp") => return vtp::parallel::has_faces(path),
+        #[cfg(feature = "hdf5")]
+        Some("hdf" | "vtkhdf") => {
+            let file = file_and_step(path).0;
+            return super::h5::has_faces(open_bytes(file)?).map_err(|fault| ReadError::new(path, fault));
+        }
         _ => return Ok(false),
     };
     has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
@@ -83,16 +129,20 @@ fn extension(path: &Path) -> Option<String> {
 enum Reader {
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// Frame by frame, or all of a file that is one.
-    Steps(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
+    Steps(StepReader),
     /// The file may be one of several.
     Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
+/// Reads the frame of a number, or the only one.
+type StepReader = fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
+
 #[cfg(feature = "hdf5")]
-const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = super::h5::read_particles;
+const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
-const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = |_, _, _| {
-    Err(ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned()))
+const HDF5: StepReader = |path, _, _, _, _| {
+    let what = "HDF5 is read by a meniscus built with the feature hdf5";
+    Err(ReadError::new(path, ReadFault::Unsupported(what.to_owned())))
 };
 
 fn reader_for(path: &Path) -> Option<Reader> {
@@ -101,10 +151,11 @@ fn reader_for(path: &Path) -> Option<Reader> {
         "bgeo" | "bhclassic" | "sc" => |bytes, _| bgeo::read_particles(bytes),
         "bi4" => return Some(Reader::Pieces(bi4::open_particles)),
         "csv" | "txt" => xyz::read_text,
-        "h5" | "h5part" | "hdf5" => return Some(Reader::Steps(HDF5)),
+        "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => return Some(Reader::Steps(HDF5)),
         "npy" => |bytes, _| npy::read_particles(bytes),
         "npz" => npz::read_particles,
         "ply" => ply::read_particles,
+        "pvtp" | "pvtu" => return Some(Reader::Pieces(vtp::parallel::open_particles)),
         "vtk" => vtk::read_particles,
         "vtp" | "vtu" => vtp::read_particles,
         "xyz" => xyz::read_particles,

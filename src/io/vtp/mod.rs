@@ -6,6 +6,7 @@
 
 mod data;
 mod layout;
+pub mod parallel;
 mod read;
 mod write;
 
@@ -14,4 +15,4 @@ pub(super) use write::escaped;
 pub use write::write_mesh;
 
 /// Name of the array of normals.
-const NORMALS: &str = "Normals";
+pub(super) const NORMALS: &str = "Normals";
