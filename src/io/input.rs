@@ -1,8 +1,8 @@
 //! Input files: which reader opens which, and whether a file holds particles or a mesh.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
@@ -12,12 +12,51 @@ pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf, .hdf
 
 /// Names of VTK's flags of points that are copies, or hidden.
 const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+/// Name of PySPH's flag of particles that are copies.
+pub(super) const TAG: &str = "tag";
 
-/// The particles that are wanted of an input that may hold others too.
+/// The particles that are wanted of an input that may hold others too, and what of them.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Wanted<'a> {
     /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
     pub particle_type: Option<&'a str>,
+    /// Attributes that have to be there. A format that reads all at once has others too.
+    pub attributes: WantedAttributes<'a>,
+}
+
+/// Attributes that are wanted of particles.
+#[derive(Debug, Clone, Copy, Default)]
+pub enum WantedAttributes<'a> {
+    /// All that there are.
+    #[default]
+    All,
+    /// The velocity.
+    Velocity,
+    /// Those of these names, `velocity` being whatever the particles call so.
+    Named(&'a [String]),
+}
+
+impl WantedAttributes<'_> {
+    /// Which of an input's attributes are to be read. All are, where one that is wanted is not there: whoever wants it will say
+    /// what is.
+    #[must_use]
+    pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
+        let velocity = velocity_attribute(infos);
+        let number = |name: &String| {
+            let named = infos.iter().position(|info| info.name == *name);
+            named.or(velocity.filter(|_| name == "velocity"))
+        };
+        let wanted: Option<Vec<usize>> = match self {
+            Self::All => None,
+            Self::Velocity => Some(velocity.into_iter().collect()),
+            Self::Named(names) => names.iter().map(number).collect(),
+        };
+        let reads = |(number, info): (usize, &AttributeInfo)| {
+            let is_flag = GHOSTS.contains(&info.name.as_str()) || info.name == TAG;
+            is_flag || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
+        };
+        infos.iter().enumerate().map(reads).collect()
+    }
 }
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
@@ -39,6 +78,11 @@ pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<
     Ok(GHOSTS.iter().fold(file, ParticleFile::without))
 }
 
+/// Refuses a type of particles in a file without such.
+pub(super) fn no_types(name: &str) -> ReadFault {
+    ReadFault::Unsupported(format!("its particles are of one type, and none is called {name}"))
+}
+
 impl ParticleFile {
     /// Leaves out the particles that the attribute `flag` marks, and that.
     fn without(mut self, flag: &&str) -> Self {
@@ -56,8 +100,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
     let reader = reader_for(file).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
     let bytes = open_bytes_within(file, unpacking)?;
     if let (Some(name), Reader::OneFile(_) | Reader::Pieces(_)) = (wanted.particle_type, &reader) {
-        let what = format!("its particles are of one type, and none is called {name}");
-        return Err(fail(ReadFault::Unsupported(what)));
+        return Err(fail(no_types(name)));
     }
     match reader {
         Reader::Steps(read) => read(file, bytes, step, wanted, unpacking),
@@ -119,6 +162,40 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
 }
 
+/// The pieces that a file names, whose particles are its own; none of another format.
+///
+/// # Errors
+/// [`ReadError`] where the file cannot be read.
+pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
+    match extension(path).as_deref() {
+        Some("pvtp" | "pvtu") => vtp::parallel::pieces(path),
+        _ => Ok(Vec::new()),
+    }
+}
+
+/// What a file would be called without its piece's number, and that number, where its name is like `base.0.hdf5`.
+#[must_use]
+pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
+    let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
+    let (base, digits) = rest.rsplit_once('.').filter(|_| matches!(extension, "h5" | "hdf5"))?;
+    let number = digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())??;
+    Some((path.with_file_name(format!("{base}.{extension}")), number))
+}
+
+/// The number of files that the snapshot of one of them is in; `None` of anything else.
+#[cfg(feature = "hdf5")]
+#[must_use]
+pub fn snapshot_pieces(path: &Path) -> Option<u64> {
+    super::h5::pieces_of(path)
+}
+
+/// The number of files that a snapshot is in, which this build does not read.
+#[cfg(not(feature = "hdf5"))]
+#[must_use]
+pub fn snapshot_pieces(_: &Path) -> Option<u64> {
+    None
+}
+
 /// In lower case, without `.gz`.
 fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
@@ -140,10 +217,13 @@ type StepReader = fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<Par
 #[cfg(feature = "hdf5")]
 const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
-const HDF5: StepReader = |path, _, _, _, _| {
-    let what = "HDF5 is read by a meniscus built with the feature hdf5";
-    Err(ReadError::new(path, ReadFault::Unsupported(what.to_owned())))
-};
+const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()));
+
+/// What is said of HDF5 by a build that does not read it.
+#[cfg(not(feature = "hdf5"))]
+pub(super) fn no_hdf5() -> ReadFault {
+    ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned())
+}
 
 fn reader_for(path: &Path) -> Option<Reader> {
     Some(Reader::OneFile(match extension(path)?.as_str() {

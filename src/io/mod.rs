@@ -2,6 +2,7 @@
 //!
 //! All formats are in `formats.md`, a page of the docs.
 
+mod beside;
 pub mod bgeo;
 pub mod bi4;
 pub mod bytes;
@@ -31,9 +32,12 @@ pub mod up;
 pub mod usd;
 mod vertices;
 pub mod vtk;
+mod vtkhdf;
 pub mod vtp;
 pub mod whole;
 pub mod xyz;
+
+use crate::particles::AttributeInfo;
 
 use error::malformed;
 pub use error::{ReadError, ReadFault, WriteError, WriteFault};
@@ -57,6 +61,8 @@ pub struct ParticleFile {
     pub unit_metres: Option<f64>,
     /// Number of particles that were left out as copies of those of other pieces.
     pub ghosts: usize,
+    /// Attributes that the file has, and that were not read as nobody wanted them.
+    pub unread: Vec<AttributeInfo>,
 }
 
 impl ParticleFile {
@@ -71,6 +77,7 @@ impl ParticleFile {
             box_size: None,
             unit_metres: None,
             ghosts: 0,
+            unread: Vec::new(),
         }
     }
 }

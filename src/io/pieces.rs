@@ -14,7 +14,7 @@ use super::{ReadFault, malformed};
 const FLAGS: usize = 1 << 14;
 
 /// The particles of all pieces.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Pieces {
     stores: Vec<ColumnStore>,
     /// In the order of their particles.

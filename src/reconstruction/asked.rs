@@ -5,6 +5,7 @@ use serde_json::{Map, Value, json};
 use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
 use crate::io::UpAxis;
+use crate::io::input::{Wanted, WantedAttributes};
 
 use super::Attributes;
 
@@ -20,6 +21,8 @@ pub(crate) struct Asked {
     pub(crate) origin: Option<[f64; 3]>,
     pub(crate) walls: Option<[[f64; 3]; 2]>,
     pub(crate) skip_invalid: bool,
+    /// `None` for gas, a fluid, or the only type that there is.
+    pub(crate) particle_type: Option<String>,
     pub(crate) indicator: Option<IndicatorKind>,
     pub(crate) mean: Option<f64>,
     pub(crate) baseline: Option<Method>,
@@ -39,6 +42,15 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
+    /// What has to be read of an input.
+    pub(crate) fn wanted(&self) -> Wanted<'_> {
+        let attributes = match &self.attributes {
+            None | Some(Attributes::Velocity) => WantedAttributes::Velocity,
+            Some(Attributes::Named(names)) => WantedAttributes::Named(names),
+        };
+        Wanted { particle_type: self.particle_type.as_deref(), attributes }
+    }
+
     /// The settings as a state file keeps them: whoever goes on with its frames asks for the same.
     pub(crate) fn settings(&self) -> Settings {
         let method = match self.baseline {
@@ -63,6 +75,7 @@ impl Asked {
             "indicator": self.indicator.unwrap_or_default().name(),
             "mu0": self.mean,
             "skip-invalid": self.skip_invalid,
+            "particle-type": self.particle_type,
             "method": method,
             "smooth": self.smooth,
             "sigma": self.sigma,

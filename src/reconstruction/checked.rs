@@ -193,6 +193,7 @@ impl Asked {
             (Setting::Indicator, self.indicator.is_some()),
             (Setting::MeanCount, self.mean.is_some()),
             (Setting::SkipInvalid, self.skip_invalid),
+            (Setting::ParticleType, self.particle_type.is_some()),
             (Setting::Baseline, self.baseline.is_some()),
             (Setting::Attributes, self.attributes.as_ref().is_some_and(names)),
         ]);

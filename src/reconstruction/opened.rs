@@ -8,7 +8,7 @@ use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::estimate::Estimate;
 use crate::frame::{Counted, Frame as Engine, FrameError};
 use crate::io::ParticleFile;
-use crate::io::input::open_particles;
+use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::MeshFormat;
 use crate::particles::Particles;
@@ -75,7 +75,7 @@ impl Ready {
                 return Ok(Input::Packed(sampled));
             }
             checked.refuse_of_indicator()?;
-            let file = open_particles(path, checked.unpacking())?;
+            let file = open_wanted(path, checked.asked.wanted(), checked.unpacking())?;
             timings.done("open");
             let origin = Origin { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, origin).map_err(|error| error.of_file(path))?;

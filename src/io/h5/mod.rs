@@ -24,7 +24,7 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 
 use super::bytes::{Bytes, Unpacking};
-use super::input::Wanted;
+use super::input::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault};
 
 use file::File;
@@ -82,17 +82,12 @@ pub fn open_particles(
         return Err(fail(no_types(name)));
     }
     match layout {
-        Layout::VtkHdf => vtkhdf::read_particles(file, step).map_err(fail),
-        Layout::OpenPmd => openpmd::read_particles(file, step, wanted.particle_type).map_err(fail),
-        Layout::Snapshot => snapshot::open_particles(path, file, wanted.particle_type, unpacking),
-        Layout::PySph => pysph::read_particles(file, wanted.particle_type).map_err(fail),
-        Layout::Table => steps::read_particles(file, step).map_err(fail),
+        Layout::VtkHdf => vtkhdf::read_particles(file, step, wanted.attributes).map_err(fail),
+        Layout::OpenPmd => openpmd::read_particles(file, step, wanted).map_err(fail),
+        Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
+        Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
+        Layout::Table => steps::read_particles(file, step, wanted.attributes).map_err(fail),
     }
-}
-
-/// Refuses a type of particles in a file without such.
-pub(super) fn no_types(name: &str) -> ReadFault {
-    ReadFault::Unsupported(format!("its particles are of one type, and none is called {name}"))
 }
 
 /// The type of particles that is meant: by its name, or `usual`, or the only one.

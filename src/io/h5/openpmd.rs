@@ -9,6 +9,7 @@ use hdf5_reader::group::Group;
 use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
+use crate::io::input::{Wanted, WantedAttributes};
 use crate::io::vertices::columns;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
@@ -42,7 +43,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 pub fn read_particles(
     file: File,
     step: Option<u64>,
-    wanted: Option<&str>,
+    wanted: Wanted,
 ) -> Result<ParticleFile, ReadFault> {
     let step = match (step, &*steps(&file)?) {
         (Some(step), known) if known.contains(&step) => step,
@@ -60,9 +61,8 @@ pub fn read_particles(
     let path = path.unwrap_or_else(|_| "particles/".to_owned());
     let all = checked(iteration.group(path.trim_matches('/')))?;
     let (known, _) = checked(all.member_names())?;
-    let species = checked(all.group(&chosen_type(&known, wanted, None)?))?;
-    let store = store(&species, &file)?;
-    Ok(ParticleFile { time, unit_metres: Some(1.0), ..ParticleFile::new(store, "openPMD HDF5") })
+    let species = checked(all.group(&chosen_type(&known, wanted.particle_type, None)?))?;
+    Ok(ParticleFile { time, unit_metres: Some(1.0), ..particles(&species, &file, wanted.attributes)? })
 }
 
 /// A component of a record.
@@ -134,7 +134,7 @@ fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFau
     Ok((components.len() == 3).then_some(components))
 }
 
-fn store(species: &Group, file: &File) -> Result<ColumnStore, ReadFault> {
+fn particles(species: &Group, file: &File, wanted: WantedAttributes) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
         ReadFault::Unsupported("no position of three components; particles are in space".to_owned())
@@ -150,17 +150,26 @@ fn store(species: &Group, file: &File) -> Result<ColumnStore, ReadFault> {
     names.sort_unstable();
     let mut decoded = Unpacked::new(file.unpacking);
     let spot = columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
-    let mut attributes = Vec::new();
+    let mut records = Vec::new();
     for name in names {
         let Some(components) = record(species, &name)? else { continue };
         if components.iter().all(|component| component.rows() == rows) {
-            let info = AttributeInfo { name, components: components.len() };
+            records.push((AttributeInfo { name, components: components.len() }, components));
+        }
+    }
+    let infos: Vec<AttributeInfo> = records.iter().map(|(info, _)| info.clone()).collect();
+    let (mut attributes, mut unread) = (Vec::new(), Vec::new());
+    for ((info, components), reads) in records.into_iter().zip(wanted.among(&infos)) {
+        if reads {
             attributes.push((info, columns_of(&components, None, Scalar::F32, file, &mut decoded)?));
+        } else {
+            unread.push(info);
         }
     }
     let rows = usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
     let position = spot.try_into().expect("of three components");
-    Ok(ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes))
+    let store = ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
+    Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
 /// Appends the sums of components, and says where their columns are.

@@ -1,6 +1,7 @@
 //! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the solver's time.
 
-use crate::io::{ParticleFile, Pieces, ReadFault, malformed};
+use crate::io::input::{TAG, Wanted};
+use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::{AttributeInfo, Particles};
 
 use super::chosen_type;
@@ -11,19 +12,18 @@ use super::table::{Array, Place, Table};
 pub const PARTICLES: &str = "particles";
 /// Name of the group that the solver's time is in.
 pub const SOLVER: &str = "solver_data";
-/// Name of what is not 0 for copies of other processes' particles, and of those that periodicity needs.
-const TAG: &str = "tag";
 
-/// Reads the particles of the array that is `wanted`, or of `fluid`.
-pub fn read_particles(file: File, wanted: Option<&str>) -> Result<ParticleFile, ReadFault> {
+/// Reads the particles of the array that is `wanted`, or of `fluid`. A `tag` that is not 0 marks copies of other processes' particles, and
+/// those that periodicity needs: they are left out.
+pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
-    let kind = chosen_type(&known, wanted, Some("fluid"))?;
+    let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
     let arrays = Array::all_of(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
-    let mut particles = Pieces::from(table(arrays)?.store(file)?);
-    let tag = particles.attributes().iter().position(|info| info.name == TAG && info.components == 1);
-    let ghosts = tag.map_or(0, |tag| particles.leave_out(tag));
-    Ok(ParticleFile { time, ghosts, ..ParticleFile::new(particles, "PySPH HDF5") })
+    let mut file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
+    let tag = file.particles.attributes().iter().position(|info| info.name == TAG && info.components == 1);
+    let ghosts = tag.map_or(0, |tag| file.particles.leave_out(tag));
+    Ok(ParticleFile { time, ghosts, ..file })
 }
 
 /// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.

@@ -9,6 +9,8 @@ use hdf5_reader::group::Group;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
+use crate::io::input::{Wanted, snapshot_piece};
+use crate::particles::Particles;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 use super::chosen_type;
@@ -21,6 +23,7 @@ pub const HEADER: &str = "Header";
 const TYPE: &str = "PartType";
 const GAS: &str = "PartType0";
 const POSITION: &str = "Coordinates";
+const FORMAT: &str = "SWIFT or GADGET HDF5";
 
 /// What a file says of its snapshot.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,14 +102,14 @@ fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
 pub fn open_particles(
     path: &Path,
     file: File,
-    wanted: Option<&str>,
+    wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let header = file.root().and_then(|root| Header::read(&root)).map_err(fail)?;
-    let kind = chosen_type(&header.types(), wanted.or(Some(GAS)), None).map_err(fail)?;
-    let (particles, format) = if header.files == 1 && !header.is_view {
-        (read_piece(file, &kind, &header, None).map_err(fail)?, "SWIFT or GADGET HDF5")
+    let kind = chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
+    let read = if header.files == 1 && !header.is_view {
+        read_piece(file, &kind, wanted, &header, None).map_err(fail)?
     } else {
         drop(file);
         let paths = piece_paths(path, &header)?;
@@ -115,19 +118,22 @@ pub fn open_particles(
             let bytes = open_bytes_within(piece, share)?;
             let read = File::open(bytes, share).and_then(|file| {
                 let own = Header::read(&file.root()?)?;
-                read_piece(file, &kind, &own, Some(&header))
+                read_piece(file, &kind, wanted, &own, Some(&header))
             });
             read.map_err(|fault| ReadError::new(piece, fault))
         };
         // All are waited for, so that the error is the first piece's.
         let all: Vec<_> = paths.par_iter().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let unread = all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
+        let all = all.into_iter().map(|file| file.particles).collect();
         let joined = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
-        (joined, "SWIFT or GADGET HDF5 in pieces")
+        let unread = unread.unwrap_or_default();
+        ParticleFile { unread, ..ParticleFile::new(joined, "SWIFT or GADGET HDF5 in pieces") }
     };
-    check_total(&header, &kind, crate::particles::Particles::len(&particles)).map_err(fail)?;
+    check_total(&header, &kind, read.particles.len()).map_err(fail)?;
     let Header { time, box_size, unit_metres, .. } = header;
-    Ok(ParticleFile { time, box_size, unit_metres, ..ParticleFile::new(particles, format) })
+    Ok(ParticleFile { time, box_size, unit_metres, ..read })
 }
 
 /// Refuses files that hold other particles together than each of them says.
@@ -142,14 +148,20 @@ fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFaul
 }
 
 /// The particles of one file. It may be one of those that `of` announces.
-fn read_piece(file: File, kind: &str, own: &Header, of: Option<&Header>) -> Result<Pieces, ReadFault> {
+fn read_piece(
+    file: File,
+    kind: &str,
+    wanted: Wanted,
+    own: &Header,
+    of: Option<&Header>,
+) -> Result<ParticleFile, ReadFault> {
     if of.is_some_and(|of| !own.is_like(of)) {
         return Err(malformed(0, "its header is of another snapshot"));
     }
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     let announced = own.here.get(index).copied().unwrap_or(0);
     if of.is_some() && announced == 0 {
-        return Pieces::join(Vec::new()).map_err(|(_, fault)| fault);
+        return Ok(ParticleFile::new(Pieces::default(), FORMAT));
     }
     let group = file.group(kind)?;
     let arrays = Array::all_of(&group)?;
@@ -160,53 +172,24 @@ fn read_piece(file: File, kind: &str, own: &Header, of: Option<&Header>) -> Resu
         return Err(malformed(0, what));
     }
     drop(group);
-    Ok(table.store(file)?.into())
+    table.read(file, FORMAT, wanted.attributes)
 }
 
 /// The paths of a snapshot's files, all of which are there.
 fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> {
-    let name = PieceName::of(path).filter(|name| !header.is_view && name.number < header.files);
-    let stem = path.file_stem().and_then(|stem| stem.to_str());
-    let extension = path.extension().and_then(|extension| extension.to_str());
-    let name = name.or_else(|| Some(PieceName { base: stem?, number: 0, extension: extension? }));
+    let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
+    let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
+    let [stem, extension] = [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
     let unnamed = || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
-    let name = name.ok_or_else(|| ReadError::new(path, unnamed()))?;
+    let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
     let mut paths = Vec::new();
     for number in 0..header.files {
-        let piece = path.with_file_name(name.with(number));
+        let piece = path.with_file_name(format!("{stem}.{number}.{extension}"));
         // Whatever the number of files, those that are there are not many.
         piece.metadata().map_err(|fault| ReadError::new(&piece, fault.into()))?;
         paths.push(piece);
     }
     Ok(paths)
-}
-
-/// `base.3.hdf5`, taken apart.
-struct PieceName<'a> {
-    base: &'a str,
-    number: u64,
-    extension: &'a str,
-}
-
-impl<'a> PieceName<'a> {
-    fn of(path: &'a Path) -> Option<Self> {
-        let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
-        let (base, number) = rest.rsplit_once('.')?;
-        let digits = number.bytes().all(|byte| byte.is_ascii_digit());
-        Some(Self { base, number: number.parse().ok().filter(|_| digits)?, extension })
-    }
-
-    fn with(&self, number: u64) -> String {
-        let Self { base, extension, .. } = self;
-        format!("{base}.{number}.{extension}")
-    }
-}
-
-/// The name of the snapshot, without the piece's number, and that number, for a file whose name is like a piece's.
-#[must_use]
-pub fn piece_name(path: &Path) -> Option<(PathBuf, u64)> {
-    let PieceName { base, number, extension } = PieceName::of(path)?;
-    Some((path.with_file_name(format!("{base}.{extension}")), number))
 }
 
 /// How many files a snapshot is in, by one of them; `None` of what is no snapshot.

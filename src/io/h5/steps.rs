@@ -2,6 +2,7 @@
 
 use hdf5_reader::group::Group;
 
+use crate::io::input::WantedAttributes;
 use crate::io::names::{Quantity, quantities};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
@@ -15,7 +16,11 @@ const STEP: &str = "Step#";
 /// Reads a step, or what is at the root of a file without steps: data sets of N rows of one or three numbers, of which `x`, `y` and `z`, or
 /// one of three columns called `pos`, `position` or the like, hold the position. All other ones of N
 /// rows are attributes.
-pub fn read_particles(file: File, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(
+    file: File,
+    step: Option<u64>,
+    wanted: WantedAttributes,
+) -> Result<ParticleFile, ReadFault> {
     let root = file.root()?;
     let group = match (step, &*steps_in(&root)?) {
         (Some(step), known) => {
@@ -31,7 +36,7 @@ pub fn read_particles(file: File, step: Option<u64>) -> Result<ParticleFile, Rea
     let time = [&group, &root].into_iter().find_map(time_of);
     let table = table(&group)?;
     drop((group, root));
-    Ok(ParticleFile { time, ..ParticleFile::new(table.store(file)?, "HDF5") })
+    Ok(ParticleFile { time, ..table.read(file, "HDF5", wanted)? })
 }
 
 /// Refuses to take several steps for one frame.

@@ -10,7 +10,8 @@ use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::vertices::columns;
-use crate::io::{ReadFault, malformed};
+use crate::io::input::WantedAttributes;
+use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked};
@@ -294,10 +295,21 @@ impl Table {
         self.arrays[self.position[0].0].rows
     }
 
-    /// The columns, in the file where every array that is used lies there as it is; else all are decoded.
-    pub fn store(self, file: File) -> Result<ColumnStore, ReadFault> {
+    /// The particles with the attributes that are wanted. Their columns are those of the file where every array that is used lies
+    /// there as it is; else all are decoded.
+    pub fn read(
+        self,
+        file: File,
+        format: &'static str,
+        wanted: WantedAttributes,
+    ) -> Result<ParticleFile, ReadFault> {
         let rows = usize::try_from(self.rows()).map_err(|_| malformed(0, "more rows than can be addressed"))?;
         let Self { arrays, position, attributes } = self;
+        let infos: Vec<AttributeInfo> = attributes.iter().map(|(info, _)| info.clone()).collect();
+        let mut reads = wanted.among(&infos).into_iter();
+        let (attributes, unread): (Vec<_>, Vec<_>) =
+            attributes.into_iter().partition(|_| reads.next().unwrap_or(true));
+        let unread = unread.into_iter().map(|(info, _)| info).collect();
         let mut used = vec![false; arrays.len()];
         for &(array, _) in position.iter().chain(attributes.iter().flat_map(|(_, places)| places)) {
             used[array] = true;
@@ -321,7 +333,8 @@ impl Table {
         let attributes = attributes.collect();
         drop(arrays);
         let bytes = if in_file { file.into_bytes() } else { decoded.finish()? };
-        Ok(ColumnStore::new(bytes, Rows::All(rows), position, attributes))
+        let particles = ColumnStore::new(bytes, Rows::All(rows), position, attributes);
+        Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
     }
 }
 

@@ -4,6 +4,7 @@
 
 use hdf5_reader::group::Group;
 
+use crate::io::input::WantedAttributes;
 use crate::io::vertices::{Triangles, mesh_of};
 use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::surface::mesh::Mesh;
@@ -150,14 +151,18 @@ fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
 }
 
 /// Reads the points as particles, whatever cells are made of them.
-pub fn read_particles(file: File, step: Option<u64>) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(
+    file: File,
+    step: Option<u64>,
+    wanted: WantedAttributes,
+) -> Result<ParticleFile, ReadFault> {
     let (root, kind) = opened(&file)?;
     let frame = Frame::of(&file, &root, step)?;
     let time = frame.time(&file, &root)?;
     let table = frame.table(&file, &root)?;
     drop(root);
     let format = if kind == POLY_DATA { "VTKHDF PolyData" } else { "VTKHDF UnstructuredGrid" };
-    Ok(ParticleFile { time, ..ParticleFile::new(table.store(file)?, format) })
+    Ok(ParticleFile { time, ..table.read(file, format, wanted)? })
 }
 
 /// Whether there are polygons or strips, or nothing at all.
@@ -197,8 +202,8 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     }
     let table = frame.table(&file, &root)?;
     drop(root);
-    let store = table.store(file)?;
-    Ok(mesh_of(&store, vtp::NORMALS, triangles.triangles))
+    let file = table.read(file, "VTKHDF", WantedAttributes::All)?;
+    Ok(mesh_of(&file.particles, vtp::NORMALS, triangles.triangles))
 }
 
 /// Adds the polygons of all partitions, whose corners are numbered in each from its own first point.

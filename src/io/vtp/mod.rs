@@ -4,7 +4,9 @@
 //! Each array is named in the XML with its type and where it lies: as text, in base64, or after `<AppendedData>` and
 //! an underscore, raw or in base64; all but text may be compressed by zlib, block by block. A mesh is written raw.
 
+pub(super) mod arrays;
 mod data;
+pub(super) mod divided;
 mod layout;
 pub mod parallel;
 mod read;
