@@ -73,7 +73,7 @@ fn describe(info: &Info) -> String {
                 line("its own box", format!("edges {edges:?}; whether it is periodic is not said"));
             }
             if let Some(metres) = unit_metres {
-                line("unit", format!("{metres} m"));
+                line("unit", format!("of length {metres:?} m, by the file"));
             }
             line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
