@@ -3,13 +3,14 @@
 //! Until then it is called like the file's temporary, and goes with that where the work is abandoned.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+use crc32fast::Hasher;
 
 use crate::system::cancel::{BELONGINGS, belonging};
 
-/// Bytes that are given to the system at once.
-const BUFFER: usize = 256 << 10;
+use super::whole::counted;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]
@@ -20,6 +21,8 @@ pub struct Folder {
     place: PathBuf,
     stem: String,
     extension: &'static str,
+    /// Sums up the files so far.
+    sum: Hasher,
 }
 
 impl Folder {
@@ -31,7 +34,7 @@ impl Folder {
         let (place, stem) = named(place)?;
         let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
         fs::create_dir(&temporary)?;
-        Ok(Self { temporary, replaced, place, stem, extension })
+        Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
     }
 
     /// Makes sure that the folder beside the file at `place` is free, or holds nothing but files that another one has put there, if
@@ -67,22 +70,29 @@ impl Folder {
         format!("{stem}/{stem}_{number}.{extension}")
     }
 
-    /// Writes file number `number`, and waits until it is on disk. Returns its size in bytes.
+    /// Writes the next file, which has the number `number`, and waits until it is on disk.
     ///
     /// # Errors
     /// Those of the system and of `content`.
     pub fn write(
-        &self,
+        &mut self,
         number: u64,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-    ) -> io::Result<u64> {
+    ) -> io::Result<()> {
         let name = self.name(number);
         let name = name.rsplit('/').next().unwrap_or_default();
-        let mut out = BufWriter::with_capacity(BUFFER, File::create_new(self.temporary.join(name))?);
-        content(&mut out)?;
-        let file = out.into_inner().map_err(io::IntoInnerError::into_error)?;
-        file.sync_all()?;
-        Ok(file.metadata()?.len())
+        let mut file = File::create_new(self.temporary.join(name))?;
+        let (_, sum) = counted(&mut file, Some(Hasher::new()), content)?;
+        sum.iter().for_each(|sum| self.sum.combine(sum));
+        file.sync_all()
+    }
+
+    /// Adds what the files hold to the sum of the file that names them.
+    #[must_use]
+    pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
+        let mut all = Hasher::new_with_initial_len(crc, bytes);
+        all.combine(&self.sum);
+        all.finalize()
     }
 
     /// Gives the folder its name. A file at `named`, which names what was in a folder before, goes first.

@@ -59,6 +59,12 @@ pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
+/// The other pieces of the part that `path` is the first piece of, as far as they are there.
+pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
+    let first = PieceName::of(path).filter(|name| name.number == 0);
+    first.map_or(Vec::new(), |name| (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect())
+}
+
 fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
     let words = |(piece, pieces): (Option<u64>, u64)| {
         format!("piece {} of {pieces}", piece.map_or("?".to_owned(), |piece| piece.to_string()))

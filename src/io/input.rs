@@ -32,12 +32,12 @@ pub enum WantedAttributes<'a> {
     All,
     /// The velocity.
     Velocity,
-    /// Those of these names, `velocity` being whatever the particles call so.
+    /// Attributes of these names, `velocity` being whatever the particles call so.
     Named(&'a [String]),
 }
 
 impl WantedAttributes<'_> {
-    /// Which of an input's attributes are to be read. All are, where one that is wanted is not there: whoever wants it will say
+    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is wanted is not there: whoever wants it will say
     /// what is.
     #[must_use]
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
@@ -154,8 +154,7 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         Some("pvtp") => return vtp::parallel::has_faces(path),
         #[cfg(feature = "hdf5")]
         Some("hdf" | "vtkhdf") => {
-            let file = file_and_step(path).0;
-            return super::h5::has_faces(open_bytes(file)?).map_err(|fault| ReadError::new(path, fault));
+            return super::h5::has_faces(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault));
         }
         _ => return Ok(false),
     };
@@ -173,7 +172,27 @@ pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     }
 }
 
-/// What a file would be called without its piece's number, and that number, where its name is like `base.0.hdf5`.
+/// The file that holds a frame, and those of its other pieces that are there.
+#[must_use]
+pub fn files_of(path: &Path) -> Vec<PathBuf> {
+    let (file, _) = file_and_step(path);
+    let mut files = vec![file.to_owned()];
+    // What is wrong with it is told of when it is read.
+    let named = pieces_named(file).unwrap_or_default().into_iter();
+    let snapshot = snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
+        let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);
+        let piece = |number: u64| {
+            let extension = base.extension().unwrap_or_default().to_string_lossy();
+            base.with_extension(format!("{number}.{extension}"))
+        };
+        (0..pieces).map(piece).take_while(|piece| piece.exists()).collect()
+    });
+    let others = named.chain(snapshot).chain(bi4::later_pieces(file));
+    files.extend(others.filter(|other| other != file && other.exists()));
+    files
+}
+
+/// A file's name without its piece's number, and that number, where the name is like `base.0.hdf5`.
 #[must_use]
 pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
     let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
@@ -186,7 +205,7 @@ pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
 #[cfg(feature = "hdf5")]
 #[must_use]
 pub fn snapshot_pieces(path: &Path) -> Option<u64> {
-    super::h5::pieces_of(path)
+    matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
 }
 
 /// The number of files that a snapshot is in, which this build does not read.
@@ -219,7 +238,7 @@ const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
 const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()));
 
-/// What is said of HDF5 by a build that does not read it.
+/// Refuses HDF5, in a build that does not read it.
 #[cfg(not(feature = "hdf5"))]
 pub(super) fn no_hdf5() -> ReadFault {
     ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned())

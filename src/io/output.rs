@@ -327,7 +327,7 @@ fn divide(
     let pieces = || -> io::Result<(Folder, Divided, Vec<String>)> {
         MeshFormat::Pvtp.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
         let (place, temporary) = file.place().zip(file.temporary()).ok_or_else(several_files)?;
-        let folder = Folder::begin(place, temporary, PIECE)?;
+        let mut folder = Folder::begin(place, temporary, PIECE)?;
         let divided = Divided::new(mesh, width, most)?;
         for piece in 0..divided.pieces() {
             folder.write(piece, |out| divided.write(out, piece))?;
@@ -366,6 +366,36 @@ mod tests {
         }
         fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
             panic!("triangles are asked for")
+        }
+    }
+
+    #[test]
+    fn a_mesh_in_pieces_of_any_size_is_read_back_whole_with_each_vertex_once() {
+        // An octahedron whose vertices are named by four triangles each, and in no order.
+        let corner = |axis: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|k| if k == axis { sign } else { 0.0 }) };
+        let positions: Vec<_> = [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
+        let triangles =
+            vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        let values: Vec<f32> = (0..18).map(|i| i as f32).collect();
+        let normals = values.as_chunks::<3>().0.to_vec();
+        let velocity = crate::surface::mesh::VertexAttribute { name: "velocity".into(), components: 3, values };
+        let mesh = Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
+        let faces = |mesh: &Mesh| -> Vec<_> {
+            let vertex = |&v: &u32| {
+                let normal = mesh.normals.as_ref().unwrap()[v as usize];
+                (mesh.positions[v as usize], normal, mesh.attributes[0].values[3 * v as usize + 1])
+            };
+            mesh.triangles.iter().map(|t| t.each_ref().map(vertex)).collect()
+        };
+        for (most, pieces) in [(1, 8), (3, 3), (4, 2), (7, 2), (8, 1)] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("o.pvtp");
+            let file = WholeFile::prepare(&path, Replace::Refuse).unwrap();
+            divide(file, &mesh, CoordinateWidth::F64, most).unwrap().keep().unwrap();
+            assert_eq!(std::fs::read_dir(folder.path().join("o")).unwrap().count(), pieces);
+            let read = read_mesh(&path).unwrap();
+            assert_eq!((read.positions.len(), faces(&read)), (6, faces(&mesh)), "pieces of {most}");
+            assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
         }
     }
 

@@ -4,8 +4,8 @@
 //! | meshes | files beside them |
 //! |---|---|
 //! | all | `pool.vtp.json`: each frame's file, time, counts and box |
-//! | .vtp | `pool.pvd` and `pool.vtp.series` for ParaView |
-//! | .vtk, .ply, .stl | `pool.vtk.series` and the like for ParaView |
+//! | .vtp, .pvtp | `pool.pvd` and `pool.vtp.series` for ParaView |
+//! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
 //! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
 //!
 //! Times are the inputs' own, in seconds, where every one has a later one than the frame before; else the frames'

@@ -11,7 +11,7 @@ use super::CoordinateWidth;
 use super::columns::Scalar;
 use super::vtp::arrays::{Array, point_data, points, polygons};
 
-/// What stands where there is no address.
+/// Stands where there is no address.
 const NOWHERE: u64 = u64::MAX;
 /// Bytes of the superblock.
 const SUPERBLOCK: u64 = 96;

@@ -157,12 +157,12 @@ pub struct FilledFile {
 }
 
 impl FilledFile {
-    /// Lets a folder get its name before the file.
+    /// Lets the folder of all files that this one names get its name before it.
     pub(super) fn after(self, folder: Folder) -> Self {
-        Self { folder: Some(folder), ..self }
+        Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
-    /// CRC-32 of its bytes; 0 of a pipe that nobody reads to its end.
+    /// CRC-32 of its bytes, and of those of the files that it names; 0 of a pipe that nobody reads to its end.
     #[must_use]
     pub fn crc(&self) -> u32 {
         self.crc
@@ -235,7 +235,7 @@ fn belongs_to(folder: &Path) -> Option<PathBuf> {
 }
 
 /// How many bytes `content` writes to `file`, and what sums them up, if anything does.
-fn counted(
+pub(super) fn counted(
     file: &mut File,
     crc: Option<Hasher>,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,

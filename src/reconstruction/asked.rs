@@ -42,7 +42,7 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
-    /// What has to be read of an input.
+    /// Particles and attributes that have to be read of an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
         let attributes = match &self.attributes {
             None | Some(Attributes::Velocity) => WantedAttributes::Velocity,

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::io::input::{file_and_step, holds_mesh, is_known, snapshot_piece, steps};
+use crate::io::input::{files_of, holds_mesh, is_known, snapshot_piece, steps};
 
 use crate::error::SequenceError;
 
@@ -311,10 +311,11 @@ impl Inputs {
 }
 
 impl FrameFile {
-    /// Bytes of its file; 0 where that is gone.
+    /// Bytes of its file and of its pieces; 0 of what is gone.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        file_and_step(&self.path).0.metadata().map_or(0, |metadata| metadata.len())
+        let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
+        files_of(&self.path).iter().map(bytes).sum()
     }
 
     /// What its name shares with those of its sequence; nothing where it has no number.

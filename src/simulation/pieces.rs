@@ -1,4 +1,4 @@
-//! Which files are pieces of frames, and not frames themselves.
+//! Telling files that are frames from their pieces.
 //!
 //! Pieces are told by what names them: a .pvtp or .pvtu beside them, their own names as DualSPHysics spells them, or the header of a
 //! snapshot whose files are `base.0.hdf5`, `base.1.hdf5` and so on. These are one frame, numbered as `base.hdf5` is.
@@ -22,7 +22,7 @@ impl From<PathBuf> for Whole {
     }
 }
 
-/// Those of `paths` that stand for frames, in their order.
+/// Keeps those of `paths` that stand for frames, in their order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Whole> {
     // What cannot be read names no pieces, and is told of when its turn comes.
     let named: HashSet<PathBuf> =
@@ -53,7 +53,7 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Whole> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// What the names of files and one's header say of a snapshot.
+/// A snapshot, by the names of its files and the header of one.
 struct Snapshot {
     in_pieces: bool,
     /// The lowest number of the pieces that are there.

@@ -3,7 +3,7 @@
 usage: simulation_files.py FOLDER [COUNT]
 
 Needs numpy, h5py, vtk, openpmd-api, swiftsimio and pysph. Makes the files of tests/data/simulations with 24 particles. Every file holds the
-same points (`points`), with a velocity of twice the position and an identifier.
+same points, those of points.csv, with a velocity of twice the position.
 """
 
 import os
@@ -246,5 +246,7 @@ def pysph(folder, values):
 if __name__ == "__main__":
     folder, count = sys.argv[1], int((sys.argv[2:] or [24])[0])
     os.makedirs(folder, exist_ok=True)
+    values = points(count)
+    np.savetxt(f"{folder}/points.csv", values, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
     for make in [vtk_pieces, vtkhdf, swift, gadget, openpmd, pysph]:
-        make(folder, points(count))
+        make(folder, values)

@@ -74,7 +74,7 @@ struct Component {
 
 enum Values {
     Stored(Array),
-    /// The same for so many particles.
+    /// One value for so many particles.
     Constant(f64, u64),
 }
 

@@ -25,7 +25,7 @@ const GAS: &str = "PartType0";
 const POSITION: &str = "Coordinates";
 const FORMAT: &str = "SWIFT or GADGET HDF5";
 
-/// What a file says of its snapshot.
+/// Contents of the header that every file of a snapshot has.
 #[derive(Debug, Clone, PartialEq)]
 struct Header {
     /// Numbers of particles in this file, by type.

@@ -221,7 +221,7 @@ impl Windows {
         }
     }
 
-    /// Those of so many rows of no data set in particular, of so many bytes each.
+    /// Divides so many rows, of so many bytes each, that are in no data set.
     pub fn of(rows: u64, stride: u64) -> Self {
         let size = (WINDOW / stride.max(1)).max(1);
         Self { lead: size.min(rows), size, count: rows.div_ceil(size) as usize }

@@ -69,7 +69,7 @@ pub(super) fn write_piece(
     out.write_all(b"\n</AppendedData>\n</VTKFile>\n")
 }
 
-/// Which arrays of points are normals, vectors and global identifiers, in attributes of XML.
+/// Names the arrays of points that are normals, vectors and global identifiers, in attributes of XML.
 pub(super) fn roles(mesh: &dyn MeshSource, numbered: bool) -> String {
     let has_velocity = mesh.attributes().iter().any(AttributeInfo::is_velocity);
     let roles = [
