@@ -23,7 +23,9 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         let Sampling { grid, domain, invalid, resources, .. } = sampling;
         let room = CountingRoom::within(resources.budget.0);
-        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, room) {
+        let plan = BinPlan::count(particles, grid, domain.as_ref(), *invalid, room);
+        particles.check()?;
+        let plan = match plan {
             Err(BinError::TooManyBins { .. }) => {
                 return Err(FrameError::OverBudget(OverBudget {
                     cell_size: grid.cell_size(),

@@ -64,7 +64,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
         })
         .collect();
     let position = [0, 1, 2].map(|axis| position.component(axis));
-    let particles = ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
+    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
     Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
 }
 

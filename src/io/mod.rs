@@ -35,6 +35,7 @@ pub mod vtk;
 mod vtkhdf;
 pub mod vtp;
 pub mod whole;
+pub mod windows;
 pub mod xyz;
 
 use crate::particles::AttributeInfo;

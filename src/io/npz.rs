@@ -63,7 +63,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     });
     let attributes = attributes.collect();
     let bytes = unpacked.unwrap_or(bytes);
-    let particles = ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
+    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 

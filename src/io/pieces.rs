@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::columns::ColumnStore;
 use super::{ReadFault, malformed};
@@ -145,6 +145,10 @@ impl Particles for Pieces {
         self.each_span(first..first + out.len(), |span, count, at| {
             self.stores[span.piece].positions(span.row, &mut out[at..at + count]);
         });
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.stores.iter().try_for_each(Particles::check)
     }
 
     fn resident_bytes(&self) -> u64 {

@@ -23,14 +23,15 @@ impl Vertices {
     /// Each vertex a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.unwrap_or(bytes);
-        let particles = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         ParticleFile::new(particles, format)
     }
 
     /// The vertices of a mesh.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
-        let store = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        let store: ColumnStore<&[u8]> =
+            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         whole(&store, self.normals, triangles)
     }
 }

@@ -50,7 +50,7 @@ fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     }
     let rows = Rows::All(bytes.len() / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
-    let particles = ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
+    let particles: ColumnStore = ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
@@ -77,7 +77,7 @@ pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, Rea
         })
         .collect();
     let position = [0, 1, 2].map(|axis| first.component(axis));
-    let particles = ColumnStore::new(rows, Rows::All(count), position, attributes);
+    let particles: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, attributes);
     Ok(ParticleFile::new(particles, "text table"))
 }
 

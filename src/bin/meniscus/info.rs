@@ -18,7 +18,7 @@ pub struct Options {
     /// The type of particles, of files that hold several [default: gas, or fluid].
     #[arg(long, value_name = "NAME")]
     particle_type: Option<String>,
-    /// As JSON, for programs: a list with an entry for each file.
+    /// Print JSON, for programs: a list with an entry for each file.
     #[arg(long)]
     json: bool,
 }

@@ -8,8 +8,9 @@ use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{Dataset, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
-use crate::io::bytes::{ByteStore, Bytes, Unpacking, unpacked_limit};
+use crate::io::bytes::{ByteStore, Bytes, FileStamp, Unpacking, unpacked_limit};
 use crate::io::{ReadFault, malformed};
+use crate::system::positioned::read_exact_at;
 
 /// Names under which the time of a step or a file may be stored.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
@@ -47,6 +48,19 @@ impl<'a> File<'a> {
 
     pub fn group(&self, path: &str) -> Result<Group, ReadFault> {
         checked(self.hdf.group(path))
+    }
+
+    /// Makes sure that all that was read is of one file.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] where it was written to since it was opened.
+    pub fn check(&self) -> Result<(), ReadFault> {
+        match &*self.bytes {
+            Bytes::Mapped(mapped) if FileStamp::of(&mapped.file.metadata()?) != mapped.stamp => {
+                Err(ReadFault::Changed)
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The file's bytes, for columns that lie in it as they are.
@@ -105,7 +119,7 @@ pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
         .ok()
 }
 
-/// Reads ranges of the file as the library asks for them, and keeps none of them.
+/// Reads ranges of the file as the library asks for them, by their position where it lies on disk as it is, and keeps none of them.
 struct Ranges(Arc<Bytes>);
 
 impl Storage for Ranges {
@@ -116,12 +130,24 @@ impl Storage for Ranges {
     fn read_range(&self, offset: u64, len: usize) -> Parsed<StorageBuffer> {
         let start = usize::try_from(offset).unwrap_or(usize::MAX);
         let range = start..start.saturating_add(len);
-        let available = Storage::len(self).saturating_sub(offset);
-        let missing = || Error::UnexpectedEof { offset, needed: len as u64, available };
-        let read = self.0.get(range.clone()).ok_or_else(missing)?.to_vec();
-        if len >= LARGE {
-            self.0.release(range);
+        if range.end > self.0.len() {
+            let available = Storage::len(self).saturating_sub(offset);
+            return Err(Error::UnexpectedEof { offset, needed: len as u64, available });
         }
+        let read = match &*self.0 {
+            Bytes::Mapped(mapped) => {
+                let mut read = vec![0; len];
+                read_exact_at(&mapped.file, offset, &mut read)?;
+                read
+            }
+            kept => {
+                let read = kept[range.clone()].to_vec();
+                if len >= LARGE {
+                    kept.release(range);
+                }
+                read
+            }
+        };
         Ok(StorageBuffer::from_vec(read))
     }
 }

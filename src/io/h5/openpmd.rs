@@ -167,8 +167,9 @@ fn particles(species: &Group, file: &File, wanted: WantedAttributes) -> Result<P
         }
     }
     let rows = usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
+    file.check()?;
     let position = spot.try_into().expect("of three components");
-    let store = ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
+    let store: ColumnStore = ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 

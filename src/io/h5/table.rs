@@ -332,8 +332,9 @@ impl Table {
             attributes.iter().map(|(info, places)| (info.clone(), places.iter().map(column).collect()));
         let attributes = attributes.collect();
         drop(arrays);
+        file.check()?;
         let bytes = if in_file { file.into_bytes() } else { decoded.finish()? };
-        let particles = ColumnStore::new(bytes, Rows::All(rows), position, attributes);
+        let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows), position, attributes);
         Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
     }
 }

@@ -7,6 +7,7 @@ use hdf5_reader::group::Group;
 use crate::io::input::WantedAttributes;
 use crate::io::vertices::{Triangles, mesh_of};
 use crate::io::{ParticleFile, ReadFault, malformed, vtp};
+use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
 
 use super::file::{File, checked, time_of};
@@ -203,7 +204,9 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
     let table = frame.table(&file, &root)?;
     drop(root);
     let file = table.read(file, "VTKHDF", WantedAttributes::All)?;
-    Ok(mesh_of(&file.particles, vtp::NORMALS, triangles.triangles))
+    let mesh = mesh_of(&file.particles, vtp::NORMALS, triangles.triangles);
+    file.particles.check().map_err(|_| ReadFault::Changed)?;
+    Ok(mesh)
 }
 
 /// Adds the polygons of all partitions, whose corners are numbered in each from its own first point.
