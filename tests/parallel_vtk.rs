@@ -12,7 +12,8 @@ use std::process::Command;
 
 use common::shapes::{dressed, torus};
 use meniscus::internals::io::bytes::Unpacking;
-use meniscus::internals::io::input::{holds_mesh, open_particles, pieces_named};
+use meniscus::internals::io::frame_files::pieces_named;
+use meniscus::internals::io::input::{holds_mesh, open_particles};
 use meniscus::internals::io::output::{MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
 use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadError, ReadFault, WriteFault};

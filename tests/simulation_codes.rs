@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use meniscus::internals::io::bytes::Unpacking;
-use meniscus::internals::io::input::{
-    Wanted, WantedAttributes, holds_mesh, open_particles, open_wanted, snapshot_pieces, steps,
-};
+use meniscus::internals::io::frame_files::snapshot_pieces;
+use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, steps};
+use meniscus::internals::io::wanted::{Wanted, WantedAttributes};
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault};
 use meniscus::internals::particles::Particles;
 use tempfile::TempDir;

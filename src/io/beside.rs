@@ -10,7 +10,7 @@ use crc32fast::Hasher;
 
 use crate::system::cancel::{BELONGINGS, belonging};
 
-use super::whole::counted;
+use super::counted::counted;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]

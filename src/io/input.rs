@@ -1,63 +1,13 @@
 //! Input files: which reader opens which, and whether a file holds particles or a mesh.
 
-use std::path::{Path, PathBuf};
-
-use crate::particles::{AttributeInfo, Particles, velocity_attribute};
+use std::path::Path;
 
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
+use super::wanted::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
 pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf, .hdf5, .npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, .vtkhdf, .vtp, .vtu, .xyz, and .gz after any of them";
-
-/// Names of VTK's flags of points that are copies, or hidden.
-const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
-/// Name of PySPH's flag of particles that are copies.
-pub(super) const TAG: &str = "tag";
-
-/// The particles that are wanted of an input that may hold others too, and what of them.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Wanted<'a> {
-    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
-    pub particle_type: Option<&'a str>,
-    /// Attributes that have to be there. A format that reads all at once has others too.
-    pub attributes: WantedAttributes<'a>,
-}
-
-/// Attributes that are wanted of particles.
-#[derive(Debug, Clone, Copy, Default)]
-pub enum WantedAttributes<'a> {
-    /// All that there are.
-    #[default]
-    All,
-    /// The velocity.
-    Velocity,
-    /// Attributes of these names, `velocity` being whatever the particles call so.
-    Named(&'a [String]),
-}
-
-impl WantedAttributes<'_> {
-    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is wanted is not there: whoever wants it will say
-    /// what is.
-    #[must_use]
-    pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
-        let velocity = velocity_attribute(infos);
-        let number = |name: &String| {
-            let named = infos.iter().position(|info| info.name == *name);
-            named.or(velocity.filter(|_| name == "velocity"))
-        };
-        let wanted: Option<Vec<usize>> = match self {
-            Self::All => None,
-            Self::Velocity => Some(velocity.into_iter().collect()),
-            Self::Named(names) => names.iter().map(number).collect(),
-        };
-        let reads = |(number, info): (usize, &AttributeInfo)| {
-            let is_flag = GHOSTS.contains(&info.name.as_str()) || info.name == TAG;
-            is_flag || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
-        };
-        infos.iter().enumerate().map(reads).collect()
-    }
-}
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -74,24 +24,7 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
 /// # Errors
 /// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
 pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
-    let file = read(path, wanted, unpacking)?;
-    Ok(GHOSTS.iter().fold(file, ParticleFile::without))
-}
-
-/// Refuses a type of particles in a file without such.
-pub(super) fn no_types(name: &str) -> ReadFault {
-    ReadFault::Unsupported(format!("its particles are of one type, and none is called {name}"))
-}
-
-impl ParticleFile {
-    /// Leaves out the particles that the attribute `flag` marks, and that.
-    fn without(mut self, flag: &&str) -> Self {
-        let is_it = |info: &AttributeInfo| info.name == *flag && info.components == 1;
-        if let Some(index) = self.particles.attributes().iter().position(is_it) {
-            self.ghosts += self.particles.leave_out(index);
-        }
-        self
-    }
+    read(path, wanted, unpacking).map(ParticleFile::without_ghosts)
 }
 
 fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
@@ -103,7 +36,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
         return Err(fail(no_types(name)));
     }
     match reader {
-        Reader::Steps(read) => read(file, bytes, step, wanted, unpacking),
+        Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Pieces(open) => open(path, bytes, unpacking),
     }
@@ -161,62 +94,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
 }
 
-/// The pieces that a file names, whose particles are its own; none of another format.
-///
-/// # Errors
-/// [`ReadError`] where the file cannot be read.
-pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    match extension(path).as_deref() {
-        Some("pvtp" | "pvtu") => vtp::parallel::pieces(path),
-        _ => Ok(Vec::new()),
-    }
-}
-
-/// The file that holds a frame, and those of its other pieces that are there.
-#[must_use]
-pub fn files_of(path: &Path) -> Vec<PathBuf> {
-    let (file, _) = file_and_step(path);
-    let mut files = vec![file.to_owned()];
-    // What is wrong with it is told of when it is read.
-    let named = pieces_named(file).unwrap_or_default().into_iter();
-    let snapshot = snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
-        let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);
-        let piece = |number: u64| {
-            let extension = base.extension().unwrap_or_default().to_string_lossy();
-            base.with_extension(format!("{number}.{extension}"))
-        };
-        (0..pieces).map(piece).take_while(|piece| piece.exists()).collect()
-    });
-    let others = named.chain(snapshot).chain(bi4::later_pieces(file));
-    files.extend(others.filter(|other| other != file && other.exists()));
-    files
-}
-
-/// A file's name without its piece's number, and that number, where the name is like `base.0.hdf5`.
-#[must_use]
-pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
-    let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
-    let (base, digits) = rest.rsplit_once('.').filter(|_| matches!(extension, "h5" | "hdf5"))?;
-    let number = digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())??;
-    Some((path.with_file_name(format!("{base}.{extension}")), number))
-}
-
-/// The number of files that the snapshot of one of them is in; `None` of anything else.
-#[cfg(feature = "hdf5")]
-#[must_use]
-pub fn snapshot_pieces(path: &Path) -> Option<u64> {
-    matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
-}
-
-/// The number of files that a snapshot is in, which this build does not read.
-#[cfg(not(feature = "hdf5"))]
-#[must_use]
-pub fn snapshot_pieces(_: &Path) -> Option<u64> {
-    None
-}
-
 /// In lower case, without `.gz`.
-fn extension(path: &Path) -> Option<String> {
+pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
     Some(extension.to_owned())

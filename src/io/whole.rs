@@ -2,7 +2,7 @@
 //! fails later leaves nothing behind.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use crc32fast::Hasher;
@@ -11,14 +11,12 @@ use tempfile::NamedTempFile;
 use crate::system::cancel::{BELONGINGS, remove_belongings};
 
 use super::beside::Folder;
+use super::counted::counted;
 use super::{WriteError, WriteFault};
 
 /// Prefix of temporary files' names, so that those that were left behind can be told.
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
-
-/// Bytes that are given to the system at once, where they come in pieces.
-const BUFFER: usize = 256 << 10;
 
 /// Whether an output may take the place of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -234,20 +232,6 @@ fn belongs_to(folder: &Path) -> Option<PathBuf> {
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
-/// How many bytes `content` writes to `file`, and what sums them up, if anything does.
-pub(super) fn counted(
-    file: &mut File,
-    crc: Option<Hasher>,
-    content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-) -> io::Result<(u64, Option<Hasher>)> {
-    let out = Counted { out: file, bytes: 0, crc };
-    let mut out = BufWriter::with_capacity(BUFFER, out);
-    content(&mut out)?;
-    out.flush()?;
-    let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
-    Ok((bytes, crc))
-}
-
 /// Looks up the file at `path`, through links; None if its name is free.
 fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     match path.metadata() {
@@ -293,25 +277,6 @@ pub(super) fn fault_of(fault: io::Error) -> WriteFault {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
         (io::ErrorKind::InvalidInput, None) => WriteFault::Unsupported(fault.to_string()),
         _ => WriteFault::Io(fault),
-    }
-}
-
-struct Counted<W> {
-    out: W,
-    bytes: u64,
-    crc: Option<Hasher>,
-}
-
-impl<W: Write> Write for Counted<W> {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(buffer)?;
-        self.bytes += written as u64;
-        self.crc.iter_mut().for_each(|crc| crc.update(&buffer[..written]));
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
     }
 }
 

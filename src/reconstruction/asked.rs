@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
 use crate::io::UpAxis;
-use crate::io::input::{Wanted, WantedAttributes};
+use crate::io::wanted::{Wanted, WantedAttributes};
 
 use super::Attributes;
 

@@ -11,7 +11,7 @@ use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
-use crate::io::input::files_of;
+use crate::io::frame_files::files_of;
 use crate::particles::Particles;
 use crate::reconstruction::{moved, origin_for_lattice};
 use crate::system::timings::Timings;

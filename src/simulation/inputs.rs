@@ -6,7 +6,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::io::input::{files_of, holds_mesh, is_known, snapshot_piece, steps};
+use crate::io::frame_files::{files_of, snapshot_piece};
+use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::SequenceError;
 

@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
-use crate::io::input::{pieces_named, snapshot_piece, snapshot_pieces};
+use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
 /// A file that stands for a frame.
 pub(super) struct Whole {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::io::WriteError;
 use crate::io::series::SeriesFrame;
-use crate::io::input::pieces_named;
+use crate::io::frame_files::pieces_named;
 use crate::io::whole::{Replace, WholeFile};
 
 use super::frozen::Stamp;

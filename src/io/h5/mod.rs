@@ -24,7 +24,7 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 
 use super::bytes::{Bytes, Unpacking};
-use super::input::{Wanted, no_types};
+use super::wanted::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault};
 
 use file::File;

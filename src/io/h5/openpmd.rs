@@ -9,7 +9,7 @@ use hdf5_reader::group::Group;
 use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
-use crate::io::input::{Wanted, WantedAttributes};
+use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::vertices::columns;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;

@@ -1,8 +1,8 @@
 //! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the solver's time.
 
-use crate::io::input::{TAG, Wanted};
+use crate::io::wanted::{TAG, Wanted};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::AttributeInfo;
 
 use super::chosen_type;
 use super::file::{File, checked, time_of};
@@ -20,10 +20,8 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
     let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
     let arrays = Array::all_of(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
-    let mut file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
-    let tag = file.particles.attributes().iter().position(|info| info.name == TAG && info.components == 1);
-    let ghosts = tag.map_or(0, |tag| file.particles.leave_out(tag));
-    Ok(ParticleFile { time, ghosts, ..file })
+    let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
+    Ok(ParticleFile { time, ..file.without(TAG) })
 }
 
 /// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.

@@ -9,7 +9,8 @@ use hdf5_reader::group::Group;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
-use crate::io::input::{Wanted, snapshot_piece};
+use crate::io::piece_name::snapshot_piece;
+use crate::io::wanted::Wanted;
 use crate::particles::Particles;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 

@@ -2,7 +2,7 @@
 
 use hdf5_reader::group::Group;
 
-use crate::io::input::WantedAttributes;
+use crate::io::wanted::WantedAttributes;
 use crate::io::names::{Quantity, quantities};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;

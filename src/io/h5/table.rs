@@ -10,7 +10,7 @@ use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::vertices::columns;
-use crate::io::input::WantedAttributes;
+use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 

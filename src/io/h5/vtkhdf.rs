@@ -4,7 +4,7 @@
 
 use hdf5_reader::group::Group;
 
-use crate::io::input::WantedAttributes;
+use crate::io::wanted::WantedAttributes;
 use crate::io::vertices::{Triangles, mesh_of};
 use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::particles::Particles;
