@@ -21,14 +21,8 @@ use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];
 #[cfg(feature = "hdf5")]
-const FORMATS: [MeshFormat; 6] = [
-    MeshFormat::Ply,
-    MeshFormat::Obj,
-    MeshFormat::Vtk,
-    MeshFormat::Vtp,
-    MeshFormat::Stl,
-    MeshFormat::VtkHdf,
-];
+const FORMATS: [MeshFormat; 6] =
+    [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl, MeshFormat::VtkHdf];
 
 fn written(format: MeshFormat, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {
     let mut bytes = Vec::new();

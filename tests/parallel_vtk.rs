@@ -78,7 +78,8 @@ fn list(sources: &[&str]) -> String {
 /// Points at (i, 2 i, 3 i) + 0.1, whose attributes are i, some of them flagged.
 fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
     let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
-    let where_ = numbers(&mut points.iter().flat_map(|&i| [1, 2, 3].map(|k| format!("{}", (k * i) as f64 + 0.1))));
+    let where_ =
+        numbers(&mut points.iter().flat_map(|&i| [1, 2, 3].map(|k| format!("{}", (k * i) as f64 + 0.1))));
     let array = |kind: &str, name: &str, text: String| {
         format!("<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">{text}</DataArray>\n")
     };
@@ -161,7 +162,11 @@ fn whatever_is_wrong_with_a_piece_names_it() {
         ("p/1.vtu", piece("Float64", &[2, 3], &["mass"], &[]), "an attribute mass of 1 numbers"),
         ("p/1.vtu", piece("Float64", &[2, 3], &[], &[]), "no attribute id of 1 numbers"),
         ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
-        ("p/1.vtu", piece("Float64", &[2, 3], &["id"], &[]).replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""), "9 points"),
+        (
+            "p/1.vtu",
+            piece("Float64", &[2, 3], &["id"], &[]).replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""),
+            "9 points",
+        ),
         ("a.pvtu", list(&["p/0.vtu", "p/0.vtu"]), "named twice"),
         ("a.pvtu", list(&[]), "names no pieces"),
         ("a.pvtu", list(&[""]), "without a Source"),
@@ -219,8 +224,10 @@ fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
         let expected = if inputs == "." { Some(0) } else { output.status.code() };
         assert_eq!(output.status.code(), expected, "{said}");
         if inputs == "." {
-            let list: serde_json::Value = serde_json::from_slice(&fs::read(set.path("m/a.ply.json")).unwrap()).unwrap();
-            let frames: Vec<_> = list["frames"].as_array().unwrap().iter().map(|f| f["particles"].as_u64()).collect();
+            let list: serde_json::Value =
+                serde_json::from_slice(&fs::read(set.path("m/a.ply.json")).unwrap()).unwrap();
+            let frames: Vec<_> =
+                list["frames"].as_array().unwrap().iter().map(|f| f["particles"].as_u64()).collect();
             assert_eq!(frames, [Some(6), Some(6)]);
         }
     }
@@ -242,7 +249,7 @@ fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("torus.pvtp");
-    let mesh = dressed(torus());
+    let mesh = dressed(torus(20, 10));
     let write = |replace| {
         let output = MeshOutput::prepare(&path, replace)?;
         output.write(&mesh, CoordinateWidth::F64)

@@ -398,7 +398,11 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
     for (piece, bytes, said) in [
         (1, layout(1).build(&points)[..500].to_vec(), "truncated"),
         (2, layout(1).build(&points), "piece 1 of 3 where piece 2 of 3 was expected"),
-        (2, Bi4 { double: true, ..layout(2) }.build(&points), "an attribute Idpd of 1 numbers, unlike the pieces before"),
+        (
+            2,
+            Bi4 { double: true, ..layout(2) }.build(&points),
+            "an attribute Idpd of 1 numbers, unlike the pieces before",
+        ),
     ] {
         let right = std::fs::read(path(piece)).unwrap();
         std::fs::write(path(piece), bytes).unwrap();

@@ -121,7 +121,8 @@ impl Drop for Folder {
 /// The folder beside a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text = || io::Error::new(io::ErrorKind::InvalidInput, "its name is no text that other files can hold");
+    let no_text =
+        || io::Error::new(io::ErrorKind::InvalidInput, "its name is no text that other files can hold");
     let stem = stem.ok_or_else(no_text)?;
     Ok((place.with_file_name(&stem), stem))
 }

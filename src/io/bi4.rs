@@ -62,7 +62,8 @@ pub fn is_later_piece(path: &Path) -> bool {
 /// The other pieces of the part that `path` is the first piece of, as far as they are there.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
-    first.map_or(Vec::new(), |name| (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect())
+    first
+        .map_or(Vec::new(), |name| (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect())
 }
 
 fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {

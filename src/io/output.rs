@@ -7,10 +7,10 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
-use super::bytes::{Bytes, open_bytes};
-use super::whole::{FilledFile, Replace, WholeFile, fault_of};
 use super::beside::Folder;
+use super::bytes::{Bytes, open_bytes};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
+use super::whole::{FilledFile, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
 use super::{glb, obj, ply, stl, usd, vtk, vtkhdf, vtp};
 
@@ -372,13 +372,17 @@ mod tests {
     #[test]
     fn a_mesh_in_pieces_of_any_size_is_read_back_whole_with_each_vertex_once() {
         // An octahedron whose vertices are named by four triangles each, and in no order.
-        let corner = |axis: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|k| if k == axis { sign } else { 0.0 }) };
-        let positions: Vec<_> = [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
+        let corner = |axis: usize, sign: f64| -> [f64; 3] {
+            std::array::from_fn(|k| if k == axis { sign } else { 0.0 })
+        };
+        let positions: Vec<_> =
+            [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
         let triangles =
             vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
         let values: Vec<f32> = (0..18).map(|i| i as f32).collect();
         let normals = values.as_chunks::<3>().0.to_vec();
-        let velocity = crate::surface::mesh::VertexAttribute { name: "velocity".into(), components: 3, values };
+        let velocity =
+            crate::surface::mesh::VertexAttribute { name: "velocity".into(), components: 3, values };
         let mesh = Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
         let faces = |mesh: &Mesh| -> Vec<_> {
             let vertex = |&v: &u32| {
@@ -412,7 +416,10 @@ mod tests {
             assert_eq!((fault.kind(), out.len()), (io::ErrorKind::InvalidInput, 0), "{format}");
             let message = fault.to_string();
             assert!(message.contains("8589934592 vertices and 17179869184 triangles"), "{message}");
-            assert!(message.contains(limit) && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"), "{message}");
+            assert!(
+                message.contains(limit) && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"),
+                "{message}"
+            );
         }
         for format in [MeshFormat::Obj, MeshFormat::Vtp] {
             format.check_counts(mesh.vertices, mesh.triangles).unwrap();
@@ -426,7 +433,10 @@ mod tests {
         let mesh = Huge { vertices: 1 << 31, triangles: 1 << 31 };
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
-        assert!(fault.to_string().ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl"), "{fault}");
+        assert!(
+            fault.to_string().ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl"),
+            "{fault}"
+        );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 

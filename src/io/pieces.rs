@@ -61,7 +61,8 @@ impl Pieces {
             let moved = |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
             all.spans.extend(part.spans.into_iter().map(moved));
             let numbers = part.numbers.iter();
-            all.numbers.extend(numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()));
+            all.numbers
+                .extend(numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()));
             all.stores.extend(part.stores);
             all.len += part.len;
         }

@@ -83,8 +83,12 @@ impl Series {
     pub fn files(&self) -> Vec<PathBuf> {
         let list = self.appended(".json");
         match self.format {
-            MeshFormat::Vtp | MeshFormat::Pvtp => vec![list, self.sequence.with_extension("pvd"), self.appended(".series")],
-            MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => vec![list, self.appended(".series")],
+            MeshFormat::Vtp | MeshFormat::Pvtp => {
+                vec![list, self.sequence.with_extension("pvd"), self.appended(".series")]
+            }
+            MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
+                vec![list, self.appended(".series")]
+            }
             MeshFormat::Obj | MeshFormat::Glb(_) => vec![list],
             // What the stage names is there before it.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.sequence.with_extension("usda")],

@@ -23,7 +23,8 @@ impl Vertices {
     /// Each vertex a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.unwrap_or(bytes);
-        let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        let particles: ColumnStore =
+            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         ParticleFile::new(particles, format)
     }
 

@@ -182,9 +182,11 @@ impl FilledFile {
             Target::Direct => Ok(()),
             Target::Temporary { file, place, replace } => {
                 let before = |folder: Folder| folder.keep(&place);
-                file.as_file().sync_all().and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
-                    Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
-                    Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
+                file.as_file().sync_all().and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| {
+                    match replace {
+                        Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
+                        Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
+                    }
                 })
             }
         };

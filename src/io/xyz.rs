@@ -50,7 +50,8 @@ fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     }
     let rows = Rows::All(bytes.len() / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
-    let particles: ColumnStore = ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
+    let particles: ColumnStore =
+        ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 

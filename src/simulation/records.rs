@@ -14,8 +14,8 @@ use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 
 use crate::io::WriteError;
-use crate::io::series::SeriesFrame;
 use crate::io::frame_files::pieces_named;
+use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
 use super::frozen::Stamp;

@@ -39,6 +39,10 @@ impl<'a> File<'a> {
         let bytes = Arc::new(bytes);
         let storage = Arc::new(Ranges(Arc::clone(&bytes)));
         let hdf = checked(Hdf5File::from_storage_with_options(storage, options))?;
+        let (needed, have) = (hdf.superblock().eof_address, bytes.len() as u64);
+        if needed > have && needed < u64::MAX {
+            return Err(ReadFault::Truncated { what: "HDF5".to_owned(), needed, have });
+        }
         Ok(Self { hdf, bytes, unpacking, limit })
     }
 

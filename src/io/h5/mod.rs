@@ -12,6 +12,7 @@
 //! or run of rows is read that the file's size does not vouch for.
 
 mod file;
+mod kinds;
 mod openpmd;
 mod pysph;
 mod snapshot;
@@ -87,24 +88,6 @@ pub fn open_particles(
         Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
         Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
         Layout::Table => steps::read_particles(file, step, wanted.attributes).map_err(fail),
-    }
-}
-
-/// The type of particles that is meant: by its name, or `usual`, or the only one.
-fn chosen_type(known: &[String], named: Option<&str>, usual: Option<&str>) -> Result<String, ReadFault> {
-    let list = known.join(", ");
-    let is_there = |name: &&str| known.iter().any(|known| known == name);
-    match (named, known) {
-        (Some(name), _) if is_there(&name) => Ok(name.to_owned()),
-        (Some(name), _) => {
-            Err(ReadFault::Unsupported(format!("no particles of the type {name}; there are: {list}")))
-        }
-        (None, []) => Err(ReadFault::Unsupported("no particles at all".to_owned())),
-        (None, [only]) => Ok(only.clone()),
-        (None, _) => usual
-            .filter(is_there)
-            .map(str::to_owned)
-            .ok_or_else(|| ReadFault::Unsupported(format!("particles of several types: {list}; name one"))),
     }
 }
 

@@ -9,13 +9,13 @@ use hdf5_reader::group::Group;
 use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
-use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::vertices::columns;
+use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::chosen_type;
 use super::file::{File, checked, number, numbers, time_of};
+use super::kinds::chosen_type;
 use super::steps::a_sequence;
 use super::table::{Array, Windows, fault_of};
 
@@ -28,7 +28,9 @@ fn iterations(root: &Group) -> Result<Group, ReadFault> {
     let base = root.attribute("basePath").and_then(|path| path.read_string());
     let base = base.unwrap_or_else(|_| "/data/%T/".to_owned());
     let path = base.split("%T").next().unwrap_or_default().trim_matches('/').to_owned();
-    path.split('/').filter(|name| !name.is_empty()).try_fold(root.clone(), |group, name| checked(group.group(name)))
+    path.split('/')
+        .filter(|name| !name.is_empty())
+        .try_fold(root.clone(), |group, name| checked(group.group(name)))
 }
 
 /// The numbers of the iterations, in order.
@@ -40,11 +42,7 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the particles of an iteration, of the species that is `wanted` or the only one.
-pub fn read_particles(
-    file: File,
-    step: Option<u64>,
-    wanted: Wanted,
-) -> Result<ParticleFile, ReadFault> {
+pub fn read_particles(file: File, step: Option<u64>, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
     let step = match (step, &*steps(&file)?) {
         (Some(step), known) if known.contains(&step) => step,
         (Some(step), _) => return Err(ReadFault::Unsupported(format!("there is no iteration {step}"))),
@@ -129,7 +127,8 @@ fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFau
         return Ok(None);
     }
     let group = checked(species.group(name))?;
-    let components: Vec<_> = AXES.into_iter().filter_map(|axis| Component::named(&group, axis).transpose()).collect();
+    let components: Vec<_> =
+        AXES.into_iter().filter_map(|axis| Component::named(&group, axis).transpose()).collect();
     let components = components.into_iter().collect::<Result<Vec<_>, _>>()?;
     Ok((components.len() == 3).then_some(components))
 }

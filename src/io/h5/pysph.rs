@@ -4,8 +4,8 @@ use crate::io::wanted::{TAG, Wanted};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::chosen_type;
 use super::file::{File, checked, time_of};
+use super::kinds::chosen_type;
 use super::table::{Array, Place, Table};
 
 /// Name of the group of the arrays of particles.
@@ -19,7 +19,7 @@ pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFa
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
     let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
-    let arrays = Array::all_of(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
+    let arrays = Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
     Ok(ParticleFile { time, ..file.without(TAG) })
 }

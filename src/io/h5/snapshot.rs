@@ -11,11 +11,11 @@ use rayon::prelude::*;
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
 use crate::io::piece_name::snapshot_piece;
 use crate::io::wanted::Wanted;
-use crate::particles::Particles;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
+use crate::particles::Particles;
 
-use super::chosen_type;
 use super::file::{File, checked, number, numbers, time_of};
+use super::kinds::chosen_type;
 use super::table::{Array, Table};
 
 /// Name of the group of all that is said of the snapshot.
@@ -165,7 +165,7 @@ fn read_piece(
         return Ok(ParticleFile::new(Pieces::default(), FORMAT));
     }
     let group = file.group(kind)?;
-    let arrays = Array::all_of(&group)?;
+    let arrays = Array::by_name(&group)?;
     let missing = || malformed(0, format!("no {POSITION} of three components in {kind}"));
     let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
@@ -180,7 +180,8 @@ fn read_piece(
 fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> {
     let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
     let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
-    let [stem, extension] = [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
+    let [stem, extension] =
+        [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
     let unnamed = || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
     let mut paths = Vec::new();

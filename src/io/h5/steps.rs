@@ -2,8 +2,8 @@
 
 use hdf5_reader::group::Group;
 
-use crate::io::wanted::WantedAttributes;
 use crate::io::names::{Quantity, quantities};
+use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
@@ -84,7 +84,7 @@ fn steps_in(root: &Group) -> Result<Vec<(u64, String)>, ReadFault> {
 
 /// All arrays of a group, and the names of their columns.
 fn arrays(group: &Group) -> Result<(Vec<String>, Vec<Array>), ReadFault> {
-    let mut arrays = Array::all_of(group)?;
+    let mut arrays = Array::by_name(group)?;
     arrays.retain(|array| matches!(array.components, 1 | 3));
     let mut names = Vec::new();
     for Array { name, components, .. } in &arrays {

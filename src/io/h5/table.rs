@@ -49,11 +49,16 @@ impl Array {
         Some(Self { set, name, scalar, endian, components, first: 0, rows })
     }
 
-    /// All of a group, by their names.
+    /// All of a group, as the file lists them.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
-        let mut sets = checked(group.datasets())?;
-        sets.sort_by(|a, b| a.name().cmp(b.name()));
-        Ok(sets.into_iter().filter_map(Self::new).collect())
+        Ok(checked(group.datasets())?.into_iter().filter_map(Self::new).collect())
+    }
+
+    /// All of a group, in the order of their names.
+    pub fn by_name(group: &Group) -> Result<Vec<Self>, ReadFault> {
+        let mut arrays = Self::all_of(group)?;
+        arrays.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(arrays)
     }
 
     /// The data set called `name` in a group, which must be there and of numbers.
@@ -93,12 +98,12 @@ impl Array {
         let windows = self.windows();
         let window = |index: usize| windows.rows(index, self.rows);
         // A batch of windows is decoded while another is kept.
-        let held = 4 * rayon::current_num_threads() as u64 * windows.size.saturating_mul(self.stride() as u64);
+        let held =
+            4 * rayon::current_num_threads() as u64 * windows.size.saturating_mul(self.stride() as u64);
         let mut keep = |bytes: &[u8]| decoded.push(bytes).map_err(io::Error::other);
         let read = if held <= file.unpacking.in_memory.max(WINDOW) {
-            let make = |index: usize, out: &mut Vec<u8>| {
-                self.bytes(window(index), out).map_err(io::Error::other)
-            };
+            let make =
+                |index: usize, out: &mut Vec<u8>| self.bytes(window(index), out).map_err(io::Error::other);
             in_order(windows.count, make, keep)
         } else {
             let mut bytes = Vec::new();
@@ -126,7 +131,11 @@ impl Array {
 
     /// Appends some rows as the machine stores numbers.
     fn bytes(&self, rows: [u64; 2], out: &mut Vec<u8>) -> Result<(), ReadFault> {
-        fn put<T: H5Type + NoUninit>(array: &Array, rows: [u64; 2], out: &mut Vec<u8>) -> Result<(), ReadFault> {
+        fn put<T: H5Type + NoUninit>(
+            array: &Array,
+            rows: [u64; 2],
+            out: &mut Vec<u8>,
+        ) -> Result<(), ReadFault> {
             out.extend_from_slice(bytemuck::cast_slice(&array.values::<T>(rows)?));
             Ok(())
         }
@@ -177,9 +186,11 @@ impl Array {
             Scalar::I32 => self.values::<i32>(rows)?.into_iter().map(i64::from).collect(),
             Scalar::U32 => self.values::<u32>(rows)?.into_iter().map(i64::from).collect(),
             Scalar::I64 => self.values::<i64>(rows)?,
-            Scalar::U64 => {
-                self.values::<u64>(rows)?.into_iter().map(|value| i64::try_from(value).unwrap_or(-1)).collect()
-            }
+            Scalar::U64 => self
+                .values::<u64>(rows)?
+                .into_iter()
+                .map(|value| i64::try_from(value).unwrap_or(-1))
+                .collect(),
             Scalar::F32 | Scalar::F64 => {
                 return Err(malformed(0, format!("{} is not of integers", self.name)));
             }
@@ -303,7 +314,8 @@ impl Table {
         format: &'static str,
         wanted: WantedAttributes,
     ) -> Result<ParticleFile, ReadFault> {
-        let rows = usize::try_from(self.rows()).map_err(|_| malformed(0, "more rows than can be addressed"))?;
+        let rows =
+            usize::try_from(self.rows()).map_err(|_| malformed(0, "more rows than can be addressed"))?;
         let Self { arrays, position, attributes } = self;
         let infos: Vec<AttributeInfo> = attributes.iter().map(|(info, _)| info.clone()).collect();
         let mut reads = wanted.among(&infos).into_iter();

@@ -4,8 +4,8 @@
 
 use hdf5_reader::group::Group;
 
-use crate::io::wanted::WantedAttributes;
 use crate::io::vertices::{Triangles, mesh_of};
+use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
@@ -223,7 +223,8 @@ fn add_polygons(
         (integers(file, polygons, "Offsets")?, integers(file, polygons, "Connectivity")?);
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
-        let short = || malformed(0, format!("{cells} polygons with {ids} corners are announced, and not there"));
+        let short =
+            || malformed(0, format!("{cells} polygons with {ids} corners are announced, and not there"));
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
         let own = end(corner, ids).and_then(|last| connectivity.get(corner..last)).ok_or_else(short)?;
