@@ -113,6 +113,15 @@ impl Opened {
         }
     }
 
+    /// The number of particles that were left out as copies of those of other pieces.
+    #[must_use]
+    pub fn ghosts(&self) -> usize {
+        match &self.input {
+            Input::Particles { file, .. } => file.ghosts,
+            Input::Packed(_) => 0,
+        }
+    }
+
     /// The kind of file, in the words that people use for it.
     #[must_use]
     pub fn format(&self) -> &str {

@@ -9,7 +9,7 @@ use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem
 use crate::io::bytes::Unpacked;
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
-use crate::io::vertices::columns;
+use crate::io::vertices::{columns, integer};
 use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
@@ -177,24 +177,11 @@ impl Array {
     /// All numbers as integers, of a data set that is small or read to be one mesh.
     pub fn integers(&self, file: &File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
-        let rows = [0, self.rows];
-        Ok(match self.scalar {
-            Scalar::I8 => self.values::<i8>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::U8 => self.values::<u8>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::I16 => self.values::<i16>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::U16 => self.values::<u16>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::I32 => self.values::<i32>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::U32 => self.values::<u32>(rows)?.into_iter().map(i64::from).collect(),
-            Scalar::I64 => self.values::<i64>(rows)?,
-            Scalar::U64 => self
-                .values::<u64>(rows)?
-                .into_iter()
-                .map(|value| i64::try_from(value).unwrap_or(-1))
-                .collect(),
-            Scalar::F32 | Scalar::F64 => {
-                return Err(malformed(0, format!("{} is not of integers", self.name)));
-            }
-        })
+        let mut bytes = Vec::new();
+        self.bytes([0, self.rows], &mut bytes)?;
+        let numbers = bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
+        let no_integers = || malformed(0, format!("{} is not of integers", self.name));
+        numbers.collect::<Option<_>>().ok_or_else(no_integers)
     }
 
     fn values<T: H5Type>(&self, [start, end]: [u64; 2]) -> Result<Vec<T>, ReadFault> {
