@@ -40,8 +40,10 @@ for step, rows in [(0, count), (1, 8), (2, count)]:
     check(f"steps.vtkhdf#{step}", values[:rows] + 10 * step, tolerance=1e-6)
 check("swift_0003.hdf5", values, velocity="Velocities", box_size=[EDGE] * 3, unit_metres=3.0856776e22)
 check("swift_0003.hdf5", values[:5] / 2, velocity="Velocities", options=["--particle-type", "PartType1"])
-for name in ["gadget_005.0.hdf5", "gadget_005.1.hdf5", "gadget_005.2.hdf5", "gadget_005.hdf5"]:
+for piece in range(3):
+    name = f"gadget_005.{piece}.hdf5"
     check(name, values, velocity="Velocities", tolerance=1e-6, box_size=[EDGE] * 3, unit_metres=1)
+check("gadget_005.hdf5", values, velocity="Velocities", tolerance=1e-6, box_size=[EDGE] * 3)
 check("openpmd.h5#100", values, tolerance=1e-12)
 check("openpmd.h5#200", values + 10, tolerance=1e-12)
 check("pysph_40.hdf5", values, 2)
