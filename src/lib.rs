@@ -93,7 +93,7 @@ pub mod files {
     pub use crate::io::whole::Replace;
     pub use crate::particles::AttributeInfo;
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info,
+        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type,
     };
 }
 

@@ -8,6 +8,7 @@ use std::process::Command;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::{open_particles, steps};
+use meniscus::internals::io::wanted::Wanted;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 use meniscus::internals::particles::Particles;
 
@@ -80,9 +81,11 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
     for name in ["steps.h5part", "packed.h5"] {
         let whole = fs::read(data(name)).unwrap();
         let read = |bytes: Vec<u8>| {
-            h5::read_particles(
+            h5::open_particles(
+                Path::new(name),
                 Bytes::Owned(bytes),
                 Some(2).filter(|_| name.starts_with("steps")),
+                Wanted::default(),
                 Unpacking::in_memory(),
             )
         };

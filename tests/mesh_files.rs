@@ -17,8 +17,12 @@ use meniscus::internals::io::whole::Replace;
 use meniscus::internals::io::{CoordinateWidth, ReadFault, WriteFault};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
+#[cfg(not(feature = "hdf5"))]
 const FORMATS: [MeshFormat; 5] =
     [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl];
+#[cfg(feature = "hdf5")]
+const FORMATS: [MeshFormat; 6] =
+    [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl, MeshFormat::VtkHdf];
 
 fn written(format: MeshFormat, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {
     let mut bytes = Vec::new();

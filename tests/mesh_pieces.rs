@@ -18,11 +18,12 @@ use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
 
-const FORMATS: [MeshFormat; 6] = [
+const FORMATS: [MeshFormat; 7] = [
     MeshFormat::Ply,
     MeshFormat::Obj,
     MeshFormat::Vtk,
     MeshFormat::Vtp,
+    MeshFormat::VtkHdf,
     MeshFormat::Stl,
     MeshFormat::Usdc(UpAxis::Y),
 ];

@@ -398,8 +398,11 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
     for (piece, bytes, said) in [
         (1, layout(1).build(&points)[..500].to_vec(), "truncated"),
         (2, layout(1).build(&points), "piece 1 of 3 where piece 2 of 3 was expected"),
-        (2, Bi4 { double: true, ..layout(2) }.build(&points), "no array Idp as there is in the first piece"),
-        (1, Bi4 { big: true, ..layout(1) }.build(&points), "no array Idp as there is in the first piece"),
+        (
+            2,
+            Bi4 { double: true, ..layout(2) }.build(&points),
+            "an attribute Idpd of 1 numbers, unlike the pieces before",
+        ),
     ] {
         let right = std::fs::read(path(piece)).unwrap();
         std::fs::write(path(piece), bytes).unwrap();
@@ -408,6 +411,9 @@ fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
         assert!(error.to_string().contains(said), "{error}");
         std::fs::write(path(piece), right).unwrap();
     }
+    // Each is read in its own byte order.
+    std::fs::write(path(1), Bi4 { big: true, ..layout(1) }.build(&points[3..6])).unwrap();
+    assert_eq!(positions(&open_particles(&path(0)).unwrap()), points);
     std::fs::remove_file(path(1)).unwrap();
     let error = open_particles(&path(2)).expect_err("missing");
     assert!(error.path == path(1) && matches!(error.fault, ReadFault::Io(_)), "{error}");

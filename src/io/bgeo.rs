@@ -63,17 +63,9 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
             (AttributeInfo { name, components }, columns)
         })
         .collect();
-    Ok(ParticleFile {
-        particles: ColumnStore::new(
-            bytes,
-            Rows::All(points as usize),
-            [0, 1, 2].map(|axis| position.component(axis)),
-            attributes,
-        ),
-        format: "Houdini classic .bgeo",
-        spacing: None,
-        time: None,
-    })
+    let position = [0, 1, 2].map(|axis| position.component(axis));
+    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(points as usize), position, attributes);
+    Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
 }
 
 fn refuse_newer_formats(bytes: &[u8]) -> Result<(), ReadFault> {

@@ -10,15 +10,13 @@ use std::path::{Path, PathBuf};
 use crate::grid::units::positive_length;
 use crate::particles::AttributeInfo;
 
-use super::bytes::{ByteStore, Bytes, Unpacked, Unpacking, open_bytes_within};
+use super::bytes::{Bytes, Unpacking, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
 use super::vertices::columns;
-use super::{ParticleFile, ReadError, ReadFault, malformed};
+use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
-/// Rows that are joined at once.
-const ROWS: usize = 1 << 14;
 
 /// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several: `Part_p00_0000.bi4` stands
 /// beside `Part_p01_0000.bi4` and so on.
@@ -36,7 +34,7 @@ pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result
         fail(ReadFault::Unsupported(what))
     })?;
     let share = Unpacking { in_memory: unpacking.in_memory / count.saturating_add(1), ..unpacking };
-    let mut pieces = Vec::new();
+    let (mut stores, mut first) = (Vec::new(), None);
     for number in 0..count {
         let path = name.path(number);
         let bytes = open_bytes_within(&path, share)?;
@@ -45,15 +43,27 @@ pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result
             let expected = (Some(number), count);
             if said == expected { Ok(piece) } else { Err(misplaced(said, expected)) }
         });
-        pieces.push((piece.map_err(|fault| ReadError::new(&path, fault))?, bytes, path));
+        let piece = piece.map_err(|fault| ReadError::new(&path, fault))?;
+        first.get_or_insert((piece.case.spacing, piece.case.time));
+        stores.push(piece.store(bytes).into());
     }
-    join(pieces, share)
+    let (spacing, time) = first.unwrap_or_default();
+    let particles =
+        Pieces::join(stores).map_err(|(piece, fault)| ReadError::new(name.path(piece as u64), fault))?;
+    Ok(ParticleFile { spacing, time, ..ParticleFile::new(particles, "DualSPHysics .bi4 in pieces") })
 }
 
 /// Whether a file's name says that it is a piece of a part, and not the first.
 #[must_use]
 pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
+}
+
+/// The other pieces of the part that `path` is the first piece of, as far as they are there.
+pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
+    let first = PieceName::of(path).filter(|name| name.number == 0);
+    first
+        .map_or(Vec::new(), |name| (1..).map(|number| name.path(number)).take_while(|p| p.exists()).collect())
 }
 
 fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
@@ -91,42 +101,6 @@ impl<'a> PieceName<'a> {
     }
 }
 
-/// The pieces' fluid, one after the other.
-fn join(pieces: Vec<(Piece, Bytes, PathBuf)>, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
-    let (first, _, path) = &pieces[0];
-    let mut joined = Unpacked::new(unpacking);
-    let (mut position, mut attributes) = (None, Vec::new());
-    for (index, array) in first.arrays.iter().enumerate() {
-        let (scalar, components) = array.shape;
-        let offset = joined.len() as usize;
-        for (piece, bytes, path) in &pieces {
-            let fail = |fault| ReadError::new(path, fault);
-            let same = |other: &&Array| other.name == array.name && other.shape == array.shape;
-            let found = piece.arrays.iter().find(same).filter(|_| piece.endian == first.endian);
-            let found = found.ok_or_else(|| {
-                fail(malformed(HEAD, format!("no array {} as there is in the first piece", array.name)))
-            })?;
-            piece.fluid.pass_on(bytes, found, &mut joined).map_err(fail)?;
-        }
-        let stride = components * scalar.size();
-        let columns = columns(offset, stride, components, scalar, first.endian);
-        if index == first.position {
-            position = columns.try_into().ok();
-        } else {
-            attributes.push((AttributeInfo { name: array.name.clone(), components }, columns));
-        }
-    }
-    let count = pieces.iter().map(|(piece, ..)| piece.fluid.rows.count()).sum();
-    let bytes = joined.finish().map_err(|fault| ReadError::new(path, fault))?;
-    let position = position.expect("found with three");
-    Ok(ParticleFile {
-        particles: ColumnStore::new(bytes, Rows::All(count), position, attributes),
-        format: "DualSPHysics .bi4 in pieces",
-        spacing: first.case.spacing,
-        time: first.case.time,
-    })
-}
-
 /// Reads the tree and picks the fluid; the arrays stay where they are.
 ///
 /// Every array of numbers with one entry a particle becomes an attribute, positions excepted.
@@ -135,30 +109,13 @@ fn join(pieces: Vec<(Piece, Bytes, PathBuf)>, unpacking: Unpacking) -> Result<Pa
 /// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let Piece { case, arrays, position, fluid, endian } = Piece::read(&bytes)?;
-    if case.pieces > 1 {
-        let what =
-            format!("one of {} pieces of a part; all are read together, from their files", case.pieces);
+    let piece = Piece::read(&bytes)?;
+    let Case { pieces, spacing, time, .. } = piece.case;
+    if pieces > 1 {
+        let what = format!("one of {pieces} pieces of a part; all are read together, from their files");
         return Err(ReadFault::Unsupported(what));
     }
-    let columns = |array: &Array| {
-        let (scalar, components) = array.shape;
-        let stride = components * scalar.size();
-        columns(array.offset + fluid.first * stride, stride, components, scalar, endian)
-    };
-    let others = arrays.iter().enumerate().filter(|(index, _)| *index != position);
-    let attributes = others.map(|(_, array)| {
-        let info = AttributeInfo { name: array.name.clone(), components: array.shape.1 };
-        (info, columns(array))
-    });
-    let attributes = attributes.collect();
-    let position = columns(&arrays[position]).try_into().expect("found with three");
-    Ok(ParticleFile {
-        particles: ColumnStore::new(bytes, fluid.rows, position, attributes),
-        format: "DualSPHysics .bi4",
-        spacing: case.spacing,
-        time: case.time,
-    })
+    Ok(ParticleFile { spacing, time, ..ParticleFile::new(piece.store(bytes), "DualSPHysics .bi4") })
 }
 
 /// The particles of one file.
@@ -173,6 +130,24 @@ struct Piece {
 }
 
 impl Piece {
+    /// The fluid; its arrays stay where they are.
+    fn store(self, bytes: Bytes) -> ColumnStore {
+        let Self { arrays, position, fluid, endian, .. } = self;
+        let columns = |array: &Array| {
+            let (scalar, components) = array.shape;
+            let stride = components * scalar.size();
+            columns(array.offset + fluid.first * stride, stride, components, scalar, endian)
+        };
+        let others = arrays.iter().enumerate().filter(|(index, _)| *index != position);
+        let attributes = others.map(|(_, array)| {
+            let info = AttributeInfo { name: array.name.clone(), components: array.shape.1 };
+            (info, columns(array))
+        });
+        let attributes = attributes.collect();
+        let position = columns(&arrays[position]).try_into().expect("found with three");
+        ColumnStore::new(bytes, fluid.rows, position, attributes)
+    }
+
     fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
         let Tree { case, mut arrays, endian } = Tree::read(bytes)?;
         let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
@@ -229,33 +204,6 @@ impl Fluid {
             ReadFault::Unsupported("more than 2^32 particles, fluid and boundary mixed".into())
         })?;
         Ok(Self { first: 0, rows: Rows::Chosen(rows) })
-    }
-}
-
-impl Fluid {
-    /// Appends the fluid's rows of `array`.
-    fn pass_on(&self, bytes: &Bytes, array: &Array, out: &mut Unpacked) -> Result<(), ReadFault> {
-        let (scalar, components) = array.shape;
-        let stride = components * scalar.size();
-        let start = array.offset + self.first * stride;
-        match &self.rows {
-            Rows::All(count) => {
-                for first in (0..*count).step_by(ROWS) {
-                    let span = start + first * stride..start + (first + ROWS).min(*count) * stride;
-                    out.push(&bytes[span.clone()])?;
-                    bytes.release(span);
-                }
-            }
-            Rows::Chosen(rows) => {
-                for rows in rows.chunks(ROWS) {
-                    let row = |&row: &u32| &bytes[start + row as usize * stride..][..stride];
-                    let chosen: Vec<_> = rows.iter().flat_map(row).copied().collect();
-                    out.push(&chosen)?;
-                }
-                bytes.release(array.offset..array.offset + array.count * stride);
-            }
-        }
-        Ok(())
     }
 }
 

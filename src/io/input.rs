@@ -3,24 +3,27 @@
 use std::path::Path;
 
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
+use super::wanted::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
 macro_rules! known {
-    ($hdf5:literal) => {
+    ($hdf5:literal, $vtkhdf:literal) => {
         concat!(
             ".bgeo, .bhclassic, .bi4, .csv, ",
             $hdf5,
-            ".npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them"
+            ".npy, .npz, .ply, .pvtp, .pvtu, .txt, .vtk, ",
+            $vtkhdf,
+            ".vtp, .vtu, .xyz, and .gz after any of them"
         )
     };
 }
 
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(feature = "hdf5")]
-pub const KNOWN: &str = known!(".h5, .h5part, .hdf5, ");
+pub const KNOWN: &str = known!(".h5, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
 /// The extensions that [`open_particles`] knows, in the words of a message.
 #[cfg(not(feature = "hdf5"))]
-pub const KNOWN: &str = known!("");
+pub const KNOWN: &str = known!("", "");
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -29,12 +32,27 @@ pub const KNOWN: &str = known!("");
 /// # Errors
 /// [`ReadFault::UnknownExtension`] before the file is touched; else what the reader finds wrong with it.
 pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    open_wanted(path, Wanted::default(), unpacking)
+}
+
+/// Opens a particle file like [`open_particles`], for the particles that are wanted.
+///
+/// # Errors
+/// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
+pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+    read(path, wanted, unpacking).map(ParticleFile::without_ghosts)
+}
+
+fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let (file, step) = file_and_step(path);
     let reader = reader_for(file).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
     let bytes = open_bytes_within(file, unpacking)?;
+    if let (Some(name), Reader::OneFile(_) | Reader::Pieces(_)) = (wanted.particle_type, &reader) {
+        return Err(fail(no_types(name)));
+    }
     match reader {
-        Reader::Steps(read) => read(bytes, step, unpacking).map_err(fail),
+        Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
         Reader::Pieces(open) => open(path, bytes, unpacking),
     }
@@ -82,13 +100,18 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
         Some("vtp") => vtp::has_faces,
+        Some("pvtp") => return vtp::parallel::has_faces(path),
+        #[cfg(feature = "hdf5")]
+        Some("hdf" | "vtkhdf") => {
+            return super::h5::has_faces(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault));
+        }
         _ => return Ok(false),
     };
     has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
 }
 
 /// In lower case, without `.gz`.
-fn extension(path: &Path) -> Option<String> {
+pub(super) fn extension(path: &Path) -> Option<String> {
     let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
     let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
     Some(extension.to_owned())
@@ -97,17 +120,24 @@ fn extension(path: &Path) -> Option<String> {
 enum Reader {
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// Frame by frame, or all of a file that is one.
-    Steps(fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault>),
+    Steps(StepReader),
     /// The file may be one of several.
     Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
+/// Reads the frame of a number, or the only one.
+type StepReader = fn(&Path, Bytes, Option<u64>, Wanted, Unpacking) -> Result<ParticleFile, ReadError>;
+
 #[cfg(feature = "hdf5")]
-const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = super::h5::read_particles;
+const HDF5: StepReader = super::h5::open_particles;
 #[cfg(not(feature = "hdf5"))]
-const HDF5: fn(Bytes, Option<u64>, Unpacking) -> Result<ParticleFile, ReadFault> = |_, _, _| {
-    Err(ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned()))
-};
+const HDF5: StepReader = |path, _, _, _, _| Err(ReadError::new(path, no_hdf5()));
+
+/// Refuses HDF5, in a build that does not read it.
+#[cfg(not(feature = "hdf5"))]
+pub(super) fn no_hdf5() -> ReadFault {
+    ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned())
+}
 
 fn reader_for(path: &Path) -> Option<Reader> {
     Some(Reader::OneFile(match extension(path)?.as_str() {
@@ -115,10 +145,11 @@ fn reader_for(path: &Path) -> Option<Reader> {
         "bgeo" | "bhclassic" | "sc" => |bytes, _| bgeo::read_particles(bytes),
         "bi4" => return Some(Reader::Pieces(bi4::open_particles)),
         "csv" | "txt" => xyz::read_text,
-        "h5" | "h5part" | "hdf5" => return Some(Reader::Steps(HDF5)),
+        "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => return Some(Reader::Steps(HDF5)),
         "npy" => |bytes, _| npy::read_particles(bytes),
         "npz" => npz::read_particles,
         "ply" => ply::read_particles,
+        "pvtp" | "pvtu" => return Some(Reader::Pieces(vtp::parallel::open_particles)),
         "vtk" => vtk::read_particles,
         "vtp" | "vtu" => vtp::read_particles,
         "xyz" => xyz::read_particles,

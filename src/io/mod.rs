@@ -16,13 +16,16 @@
 //! A format of meshes is one of [`MeshFormat`](output::MeshFormat), which says what it can hold, with a writer that takes a
 //! `MeshSource` piece by piece; `tests/mesh_files.rs` and `tests/mesh_memory.rs` go through all of them.
 
+mod beside;
 pub mod bgeo;
 pub mod bi4;
 pub mod bytes;
 pub mod columns;
+mod counted;
 pub mod cursor;
 pub mod encode;
 mod error;
+pub mod frame_files;
 pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod h5;
@@ -34,6 +37,8 @@ pub mod npy;
 pub mod npz;
 pub mod obj;
 pub mod output;
+mod piece_name;
+mod pieces;
 pub mod ply;
 pub mod scan;
 pub mod scene;
@@ -44,27 +49,56 @@ pub mod up;
 pub mod usd;
 mod vertices;
 pub mod vtk;
+mod vtkhdf;
 pub mod vtp;
+pub mod wanted;
 pub mod whole;
 pub mod windows;
 pub mod xyz;
 
-use columns::ColumnStore;
+use crate::particles::AttributeInfo;
+
 use error::malformed;
 pub use error::{ReadError, ReadFault, WriteError, WriteFault};
+pub use pieces::Pieces;
 pub use up::UpAxis;
 
 /// A particle file, its header understood and its counts checked against its size.
 #[derive(Debug)]
 pub struct ParticleFile {
     /// The numbers, read on demand.
-    pub particles: ColumnStore,
+    pub particles: Pieces,
     /// The file's format, in the words of `info`.
     pub format: &'static str,
     /// The spacing of the particles, where the file says it.
     pub spacing: Option<f64>,
     /// The simulation's time in seconds, where the file says it.
     pub time: Option<f64>,
+    /// Edges of the simulation's box, where the file says them: whether it is periodic they do not say.
+    pub box_size: Option<[f64; 3]>,
+    /// The file's unit of length in metres, where the file says it; coordinates are in that unit.
+    pub unit_metres: Option<f64>,
+    /// Number of particles that were left out as copies of those of other pieces.
+    pub ghosts: usize,
+    /// Attributes that the file has, and that were not read as nobody wanted them.
+    pub unread: Vec<AttributeInfo>,
+}
+
+impl ParticleFile {
+    /// Puts particles in a file that says nothing else of them.
+    #[must_use]
+    pub fn new(particles: impl Into<Pieces>, format: &'static str) -> Self {
+        Self {
+            particles: particles.into(),
+            format,
+            spacing: None,
+            time: None,
+            box_size: None,
+            unit_metres: None,
+            ghosts: 0,
+            unread: Vec::new(),
+        }
+    }
 }
 
 /// How wide a mesh file's coordinates are, where its format leaves the choice.

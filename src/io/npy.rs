@@ -23,12 +23,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let mut cursor = Cursor::new(&bytes, header.start, Endian::Little);
     cursor.skip("the array", rows, 3 * header.element_bytes())?;
     let position = [0, 1, 2].map(|axis| header.column(header.start, axis));
-    Ok(ParticleFile {
-        particles: ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new()),
-        format: "NumPy .npy",
-        spacing: None,
-        time: None,
-    })
+    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new());
+    Ok(ParticleFile::new(particles, "NumPy .npy"))
 }
 
 /// The contents of an array's header.

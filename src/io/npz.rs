@@ -63,12 +63,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     });
     let attributes = attributes.collect();
     let bytes = unpacked.unwrap_or(bytes);
-    Ok(ParticleFile {
-        particles: ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes),
-        format: "NumPy .npz",
-        spacing: None,
-        time: None,
-    })
+    let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
+    Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
 
 /// An array of numbers in rows.

@@ -7,10 +7,12 @@ use std::path::Path;
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
-use super::bytes::open_bytes;
-use super::whole::{FilledFile, Replace, WholeFile};
+use super::beside::Folder;
+use super::bytes::{Bytes, open_bytes};
+use super::vtp::divided::{Divided, MOST_TRIANGLES};
+use super::whole::{FilledFile, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
-use super::{glb, obj, ply, stl, usd, vtk, vtp};
+use super::{glb, obj, ply, stl, usd, vtk, vtkhdf, vtp};
 
 /// The format of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,6 +22,9 @@ pub enum MeshFormat {
     Obj,
     Vtk,
     Vtp,
+    /// A list of .vtp files in a folder beside it.
+    Pvtp,
+    VtkHdf,
     Stl,
     Usdc(UpAxis),
     Glb(glb::Layout),
@@ -32,6 +37,8 @@ impl fmt::Display for MeshFormat {
             Self::Obj => ".obj",
             Self::Vtk => ".vtk",
             Self::Vtp => ".vtp",
+            Self::Pvtp => ".pvtp",
+            Self::VtkHdf => ".vtkhdf",
             Self::Stl => ".stl",
             Self::Usdc(_) => ".usdc",
             Self::Glb(_) => ".glb",
@@ -41,18 +48,20 @@ impl fmt::Display for MeshFormat {
 
 impl MeshFormat {
     /// All that there are.
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 9] = [
         Self::Ply,
         Self::Obj,
         Self::Vtk,
         Self::Vtp,
+        Self::Pvtp,
+        Self::VtkHdf,
         Self::Stl,
         Self::Usdc(UpAxis::Y),
         Self::Glb(glb::Layout::PLAIN),
     ];
 
     /// The extensions, for messages.
-    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .stl, .usdc and .glb";
+    pub const KNOWN: &'static str = ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc and .glb";
 
     /// By the extension, in upper or lower case.
     #[must_use]
@@ -62,6 +71,8 @@ impl MeshFormat {
             "obj" => Some(Self::Obj),
             "vtk" => Some(Self::Vtk),
             "vtp" => Some(Self::Vtp),
+            "pvtp" => Some(Self::Pvtp),
+            "hdf" | "vtkhdf" => Some(Self::VtkHdf),
             "stl" => Some(Self::Stl),
             "usd" | "usdc" => Some(Self::Usdc(UpAxis::Y)),
             "glb" => Some(Self::Glb(glb::Layout::PLAIN)),
@@ -88,7 +99,7 @@ impl MeshFormat {
     /// Whether it has a place for velocities and other values of vertices.
     #[must_use]
     pub fn holds_attributes(self) -> bool {
-        matches!(self, Self::Ply | Self::Vtk | Self::Vtp | Self::Usdc(_) | Self::Glb(_))
+        !matches!(self, Self::Obj | Self::Stl)
     }
 
     /// Whether coordinates can be wider than f32.
@@ -118,7 +129,7 @@ impl MeshFormat {
             // Every triangle takes four of the numbers that are counted in an i32.
             Self::Vtk => [I32, I32 / 4],
             // The last triangle's end is three times their number.
-            Self::Vtp => [I64, I64 / 3],
+            Self::Vtp | Self::Pvtp | Self::VtkHdf => [I64, I64 / 3],
             Self::Stl => [u64::MAX, U32],
             Self::Usdc(_) => [I32, u64::MAX / 3],
             // 4 GiB, of positions at 12 bytes a vertex and indices at 12 a triangle.
@@ -170,6 +181,8 @@ impl MeshFormat {
             Self::Obj => obj::write_mesh(out, mesh, width),
             Self::Vtk => vtk::write_mesh(out, mesh, width),
             Self::Vtp => vtp::write_mesh(out, mesh, width),
+            Self::Pvtp => Err(several_files()),
+            Self::VtkHdf => vtkhdf::write_mesh(out, mesh, width),
             Self::Stl => stl::write_mesh(out, mesh, width),
             Self::Usdc(up) => usd::write_mesh(out, mesh, up),
             Self::Glb(layout) => glb::write_mesh(out, mesh, width, layout),
@@ -186,6 +199,8 @@ impl MeshFormat {
             Self::Obj => obj::read_mesh(bytes),
             Self::Vtk => vtk::read_mesh(bytes),
             Self::Vtp => vtp::read_mesh(bytes),
+            Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
+            Self::VtkHdf => read_hdf(Bytes::Owned(bytes.to_vec())),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
             Self::Glb(_) => {
@@ -202,7 +217,26 @@ impl MeshFormat {
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
     let format = MeshFormat::of(path).ok_or_else(unknown)?;
-    format.read(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
+    let read = match format {
+        MeshFormat::Pvtp => return vtp::parallel::read_mesh(path),
+        MeshFormat::VtkHdf => read_hdf(open_bytes(path)?),
+        _ => format.read(&open_bytes(path)?),
+    };
+    read.map_err(|fault| ReadError::new(path, fault))
+}
+
+#[cfg(feature = "hdf5")]
+fn read_hdf(bytes: Bytes) -> Result<Mesh, ReadFault> {
+    super::h5::read_mesh(bytes)
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn read_hdf(_: Bytes) -> Result<Mesh, ReadFault> {
+    Err(super::input::no_hdf5())
+}
+
+fn several_files() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, "a .pvtp names other files, which lie in a folder beside it")
 }
 
 /// A file that is ready to take a mesh.
@@ -225,6 +259,11 @@ impl MeshOutput {
             return Err(unknown());
         }
         let file = WholeFile::prepare(path, replace)?;
+        if format == Some(MeshFormat::Pvtp) {
+            let fail = |fault| WriteError::new(path, fault_of(fault));
+            let place = file.place().ok_or_else(|| fail(several_files()))?;
+            Folder::check(place, PIECE, replace == Replace::Allow).map_err(fail)?;
+        }
         let format = format.or(file.is_direct().then_some(MeshFormat::Ply)).ok_or_else(unknown)?;
         Ok(Self { file, format })
     }
@@ -267,8 +306,37 @@ impl MeshOutput {
     /// As [`MeshFormat::write`].
     pub fn fill(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<FilledFile, WriteError> {
         let Self { file, format } = self;
-        file.fill(|out| format.write(out, mesh, width))
+        match format {
+            MeshFormat::Pvtp => divide(file, mesh, width, MOST_TRIANGLES),
+            _ => file.fill(|out| format.write(out, mesh, width)),
+        }
     }
+}
+
+/// Extension of the files that a .pvtp names.
+const PIECE: &str = "vtp";
+
+/// Writes a mesh as a list of pieces of no more than `most` triangles.
+fn divide(
+    file: WholeFile,
+    mesh: &dyn MeshSource,
+    width: CoordinateWidth,
+    most: u64,
+) -> Result<FilledFile, WriteError> {
+    let path = file.path().to_owned();
+    let pieces = || -> io::Result<(Folder, Divided, Vec<String>)> {
+        MeshFormat::Pvtp.check_counts(mesh.vertex_count(), mesh.triangle_count())?;
+        let (place, temporary) = file.place().zip(file.temporary()).ok_or_else(several_files)?;
+        let mut folder = Folder::begin(place, temporary, PIECE)?;
+        let divided = Divided::new(mesh, width, most)?;
+        for piece in 0..divided.pieces() {
+            folder.write(piece, |out| divided.write(out, piece))?;
+        }
+        let names = (0..divided.pieces()).map(|piece| folder.name(piece)).collect();
+        Ok((folder, divided, names))
+    };
+    let (folder, divided, names) = pieces().map_err(|fault| WriteError::new(&path, fault_of(fault)))?;
+    Ok(file.fill(|out| divided.write_list(out, &names))?.after(folder))
 }
 
 #[cfg(test)]
@@ -302,6 +370,40 @@ mod tests {
     }
 
     #[test]
+    fn a_mesh_in_pieces_of_any_size_is_read_back_whole_with_each_vertex_once() {
+        // An octahedron whose vertices are named by four triangles each, and in no order.
+        let corner = |axis: usize, sign: f64| -> [f64; 3] {
+            std::array::from_fn(|k| if k == axis { sign } else { 0.0 })
+        };
+        let positions: Vec<_> =
+            [0, 1, 2].into_iter().flat_map(|k| [corner(k, 1.0), corner(k, -1.0)]).collect();
+        let triangles =
+            vec![[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        let values: Vec<f32> = (0..18).map(|i| i as f32).collect();
+        let normals = values.as_chunks::<3>().0.to_vec();
+        let velocity =
+            crate::surface::mesh::VertexAttribute { name: "velocity".into(), components: 3, values };
+        let mesh = Mesh { positions, triangles, normals: Some(normals), attributes: vec![velocity] };
+        let faces = |mesh: &Mesh| -> Vec<_> {
+            let vertex = |&v: &u32| {
+                let normal = mesh.normals.as_ref().unwrap()[v as usize];
+                (mesh.positions[v as usize], normal, mesh.attributes[0].values[3 * v as usize + 1])
+            };
+            mesh.triangles.iter().map(|t| t.each_ref().map(vertex)).collect()
+        };
+        for (most, pieces) in [(1, 8), (3, 3), (4, 2), (7, 2), (8, 1)] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("o.pvtp");
+            let file = WholeFile::prepare(&path, Replace::Refuse).unwrap();
+            divide(file, &mesh, CoordinateWidth::F64, most).unwrap().keep().unwrap();
+            assert_eq!(std::fs::read_dir(folder.path().join("o")).unwrap().count(), pieces);
+            let read = read_mesh(&path).unwrap();
+            assert_eq!((read.positions.len(), faces(&read)), (6, faces(&mesh)), "pieces of {most}");
+            assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
+        }
+    }
+
+    #[test]
     fn a_mesh_that_a_format_cannot_number_is_refused_before_anything_is_written_or_read() {
         let mesh = Huge { vertices: 1 << 33, triangles: 1 << 34 };
         for (format, limit) in [
@@ -314,7 +416,10 @@ mod tests {
             assert_eq!((fault.kind(), out.len()), (io::ErrorKind::InvalidInput, 0), "{format}");
             let message = fault.to_string();
             assert!(message.contains("8589934592 vertices and 17179869184 triangles"), "{message}");
-            assert!(message.contains(limit) && message.ends_with("write .obj or .vtp"), "{message}");
+            assert!(
+                message.contains(limit) && message.ends_with("write .obj or .vtp or .pvtp or .vtkhdf"),
+                "{message}"
+            );
         }
         for format in [MeshFormat::Obj, MeshFormat::Vtp] {
             format.check_counts(mesh.vertices, mesh.triangles).unwrap();
@@ -328,7 +433,10 @@ mod tests {
         let mesh = Huge { vertices: 1 << 31, triangles: 1 << 31 };
         let fault = output.write(&mesh, CoordinateWidth::F32).unwrap_err().fault;
         assert!(matches!(&fault, WriteFault::Unsupported(_)), "{fault}");
-        assert!(fault.to_string().ends_with("write .ply or .obj or .vtp or .stl"), "{fault}");
+        assert!(
+            fault.to_string().ends_with("write .ply or .obj or .vtp or .pvtp or .vtkhdf or .stl"),
+            "{fault}"
+        );
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 

@@ -4,8 +4,8 @@
 //! | meshes | files beside them |
 //! |---|---|
 //! | all | `pool.vtp.json`: each frame's file, time, counts and box |
-//! | .vtp | `pool.pvd` and `pool.vtp.series` for ParaView |
-//! | .vtk, .ply, .stl | `pool.vtk.series` and the like for ParaView |
+//! | .vtp, .pvtp | `pool.pvd` and `pool.vtp.series` for ParaView |
+//! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
 //! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, what the clips hold |
 //!
 //! Times are the inputs' own, in seconds, where every one has a later one than the frame before; else the frames'
@@ -83,8 +83,12 @@ impl Series {
     pub fn files(&self) -> Vec<PathBuf> {
         let list = self.appended(".json");
         match self.format {
-            MeshFormat::Vtp => vec![list, self.sequence.with_extension("pvd"), self.appended(".series")],
-            MeshFormat::Vtk | MeshFormat::Ply | MeshFormat::Stl => vec![list, self.appended(".series")],
+            MeshFormat::Vtp | MeshFormat::Pvtp => {
+                vec![list, self.sequence.with_extension("pvd"), self.appended(".series")]
+            }
+            MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
+                vec![list, self.appended(".series")]
+            }
             MeshFormat::Obj | MeshFormat::Glb(_) => vec![list],
             // What the stage names is there before it.
             MeshFormat::Usdc(_) => vec![list, self.clips(), self.sequence.with_extension("usda")],

@@ -23,8 +23,9 @@ impl Vertices {
     /// Each vertex a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
         let bytes = self.decoded.unwrap_or(bytes);
-        let particles = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
-        ParticleFile { particles, format, spacing: None, time: None }
+        let particles: ColumnStore =
+            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        ParticleFile::new(particles, format)
     }
 
     /// The vertices of a mesh.
@@ -32,24 +33,37 @@ impl Vertices {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
-        let mut positions = vec![[0.0; 3]; self.count];
-        store.positions(0, &mut positions);
-        let normals = self.normals.map(|index| {
-            let mut normals = vec![[0.0; 3]; self.count];
-            store.attribute(index, 0, normals.as_flattened_mut());
-            normals
-        });
-        let velocity = velocity_attribute(store.attributes());
-        let attributes =
-            store.attributes().iter().enumerate().filter(|(index, _)| Some(*index) != self.normals);
-        let attributes = attributes.map(|(index, info)| {
-            let mut values = vec![0.0; self.count * info.components];
-            store.attribute(index, 0, &mut values);
-            let name = if Some(index) == velocity { "velocity".to_owned() } else { info.name.clone() };
-            VertexAttribute { name, components: info.components, values }
-        });
-        Mesh { positions, triangles, normals, attributes: attributes.collect() }
+        whole(&store, self.normals, triangles)
     }
+}
+
+/// The vertices of a mesh in memory; attribute number `normals` is that.
+fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>) -> Mesh {
+    let count = store.len();
+    let mut positions = vec![[0.0; 3]; count];
+    store.positions(0, &mut positions);
+    let attributes = store.attributes().iter().enumerate().filter(|(index, _)| Some(*index) != normals);
+    let velocity = velocity_attribute(store.attributes());
+    let attributes = attributes.map(|(index, info)| {
+        let mut values = vec![0.0; count * info.components];
+        store.attribute(index, 0, &mut values);
+        let name = if Some(index) == velocity { "velocity".to_owned() } else { info.name.clone() };
+        VertexAttribute { name, components: info.components, values }
+    });
+    let attributes = attributes.collect();
+    let normals = normals.map(|index| {
+        let mut normals = vec![[0.0; 3]; count];
+        store.attribute(index, 0, normals.as_flattened_mut());
+        normals
+    });
+    Mesh { positions, triangles, normals, attributes }
+}
+
+/// A mesh of points and their attributes, of which one called `normals` is that.
+#[cfg(feature = "hdf5")]
+pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
+    let is_normals = |info: &AttributeInfo| info.name == normals && info.components == 3;
+    whole(points, points.attributes().iter().position(is_normals), triangles)
 }
 
 /// Neighbouring columns: `components` of them from byte `offset` on, in rows of `stride` bytes.

@@ -2,20 +2,21 @@
 //! fails later leaves nothing behind.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use crc32fast::Hasher;
 use tempfile::NamedTempFile;
 
+use crate::system::cancel::{BELONGINGS, remove_belongings};
+
+use super::beside::Folder;
+use super::counted::counted;
 use super::{WriteError, WriteFault};
 
 /// Prefix of temporary files' names, so that those that were left behind can be told.
 const PREFIX: &str = ".meniscus-";
 const SUFFIX: &str = ".tmp";
-
-/// Bytes that are given to the system at once, where they come in pieces.
-const BUFFER: usize = 256 << 10;
 
 /// Whether an output may take the place of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,6 +76,19 @@ impl WholeFile {
         matches!(self.target, Target::Direct)
     }
 
+    /// The path as it was given.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where the file will be, through links; `None` for a pipe or a device.
+    pub(super) fn place(&self) -> Option<&Path> {
+        match &self.target {
+            Target::Temporary { place, .. } => Some(place),
+            Target::Direct => None,
+        }
+    }
+
     /// The file that is written before it gets its name: what an interrupt leaves behind.
     #[must_use]
     pub fn temporary(&self) -> Option<&Path> {
@@ -122,7 +136,9 @@ impl WholeFile {
             Target::Temporary { file, .. } => counted(file.as_file_mut(), crc, content),
         };
         match filled {
-            Ok((bytes, crc)) => Ok(FilledFile { file: self, bytes, crc: crc.map_or(0, Hasher::finalize) }),
+            Ok((bytes, crc)) => {
+                Ok(FilledFile { file: self, bytes, crc: crc.map_or(0, Hasher::finalize), folder: None })
+            }
             Err(fault) => Err(WriteError::new(&self.path, fault_of(fault))),
         }
     }
@@ -134,10 +150,17 @@ pub struct FilledFile {
     file: WholeFile,
     bytes: u64,
     crc: u32,
+    /// Gets its name before the file does.
+    folder: Option<Folder>,
 }
 
 impl FilledFile {
-    /// CRC-32 of its bytes; 0 of a pipe that nobody reads to its end.
+    /// Lets the folder of all files that this one names get its name before it.
+    pub(super) fn after(self, folder: Folder) -> Self {
+        Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
+    }
+
+    /// CRC-32 of its bytes, and of those of the files that it names; 0 of a pipe that nobody reads to its end.
     #[must_use]
     pub fn crc(&self) -> u32 {
         self.crc
@@ -154,13 +177,16 @@ impl FilledFile {
     /// # Errors
     /// [`WriteFault::Io`] where the system refuses, and [`WriteFault::Exists`] if the name was taken meanwhile.
     pub fn keep(self) -> Result<u64, WriteError> {
-        let Self { file: WholeFile { path, target }, bytes, .. } = self;
+        let Self { file: WholeFile { path, target }, bytes, folder, .. } = self;
         let kept = match target {
             Target::Direct => Ok(()),
             Target::Temporary { file, place, replace } => {
-                file.as_file().sync_all().and_then(|()| match replace {
-                    Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
-                    Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
+                let before = |folder: Folder| folder.keep(&place);
+                file.as_file().sync_all().and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| {
+                    match replace {
+                        Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
+                        Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
+                    }
                 })
             }
         };
@@ -185,6 +211,10 @@ pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if let Some(file) = belongs_to(&path).filter(|file| !file.exists()) {
+            remove_belongings(&file);
+            continue;
+        }
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
@@ -192,22 +222,16 @@ pub fn sweep(folder: &Path) {
         // The lock is held until the name is gone: who just created the file will find that, and begin again.
         if let Ok(_lock) = unlocked {
             let _ = fs::remove_file(&path);
+            remove_belongings(&path);
         }
     }
 }
 
-/// How many bytes `content` writes to `file`, and what sums them up, if anything does.
-fn counted(
-    file: &mut File,
-    crc: Option<Hasher>,
-    content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-) -> io::Result<(u64, Option<Hasher>)> {
-    let out = Counted { out: file, bytes: 0, crc };
-    let mut out = BufWriter::with_capacity(BUFFER, out);
-    content(&mut out)?;
-    out.flush()?;
-    let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
-    Ok((bytes, crc))
+/// The temporary file that a folder belongs to, by its name.
+fn belongs_to(folder: &Path) -> Option<PathBuf> {
+    let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
+    let file = BELONGINGS.iter().find_map(|ending| name.strip_suffix(ending))?;
+    file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
 /// Looks up the file at `path`, through links; None if its name is free.
@@ -258,30 +282,11 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
 }
 
 /// A refusal of the format's writer has no number of the system's.
-fn fault_of(fault: io::Error) -> WriteFault {
+pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
         (io::ErrorKind::InvalidInput, None) => WriteFault::Unsupported(fault.to_string()),
         _ => WriteFault::Io(fault),
-    }
-}
-
-struct Counted<W> {
-    out: W,
-    bytes: u64,
-    crc: Option<Hasher>,
-}
-
-impl<W: Write> Write for Counted<W> {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(buffer)?;
-        self.bytes += written as u64;
-        self.crc.iter_mut().for_each(|crc| crc.update(&buffer[..written]));
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
     }
 }
 

@@ -50,8 +50,9 @@ fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     }
     let rows = Rows::All(bytes.len() / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
-    let particles = ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
-    Ok(ParticleFile { particles, format: "raw f32 .xyz", spacing: None, time: None })
+    let particles: ColumnStore =
+        ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
+    Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
 /// Reads a table of text, whatever its extension.
@@ -77,8 +78,8 @@ pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, Rea
         })
         .collect();
     let position = [0, 1, 2].map(|axis| first.component(axis));
-    let particles = ColumnStore::new(rows, Rows::All(count), position, attributes);
-    Ok(ParticleFile { particles, format: "text table", spacing: None, time: None })
+    let particles: ColumnStore = ColumnStore::new(rows, Rows::All(count), position, attributes);
+    Ok(ParticleFile::new(particles, "text table"))
 }
 
 /// The table that the head of a text describes: where its rows start, and what their fields are.

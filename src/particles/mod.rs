@@ -220,8 +220,8 @@ fn widen(to: &mut [f64], from: &[f32]) {
 }
 
 /// The names under which simulators store a particle's velocity.
-pub const VELOCITY_NAMES: [&str; 8] =
-    ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", ".velocities"];
+pub const VELOCITY_NAMES: [&str; 9] =
+    ["velocity", "v", "Vel", "vel", "V", "Velocity", "velocities", "Velocities", ".velocities"];
 
 /// The number of the attribute that holds velocities, if there is one: three components under a usual name.
 #[must_use]

@@ -6,6 +6,7 @@ use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::io::UpAxis;
+use crate::io::wanted::{Wanted, WantedAttributes};
 
 use super::Attributes;
 
@@ -23,6 +24,8 @@ pub(crate) struct Asked {
     pub(crate) periodic: Option<[Option<[f64; 2]>; 3]>,
     pub(crate) periodic_mesh: Option<PeriodicMesh>,
     pub(crate) skip_invalid: bool,
+    /// `None` for gas, a fluid, or the only type that there is.
+    pub(crate) particle_type: Option<String>,
     pub(crate) indicator: Option<IndicatorKind>,
     pub(crate) mean: Option<f64>,
     pub(crate) baseline: Option<Method>,
@@ -42,6 +45,15 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
+    /// Particles and attributes that have to be read of an input.
+    pub(crate) fn wanted(&self) -> Wanted<'_> {
+        let attributes = match &self.attributes {
+            None | Some(Attributes::Velocity) => WantedAttributes::Velocity,
+            Some(Attributes::Named(names)) => WantedAttributes::Named(names),
+        };
+        Wanted { particle_type: self.particle_type.as_deref(), attributes }
+    }
+
     /// The settings as a state file keeps them: whoever goes on with its frames asks for the same.
     pub(crate) fn settings(&self) -> Settings {
         let method = match self.baseline {
@@ -66,6 +78,7 @@ impl Asked {
             "indicator": self.indicator.unwrap_or_default().name(),
             "mu0": self.mean,
             "skip-invalid": self.skip_invalid,
+            "particle-type": self.particle_type,
             "method": method,
             "smooth": self.smooth,
             "sigma": self.sigma,

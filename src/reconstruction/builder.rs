@@ -200,6 +200,13 @@ impl Reconstruction {
         self
     }
 
+    /// Sets the type of particles that is meant, where an input holds several: `PartType1` of a snapshot, an array of PySPH's, a species
+    /// of openPMD's. Without this it is gas, `fluid`, or the only one.
+    pub fn particle_type(mut self, name: impl Into<String>) -> Self {
+        self.asked.particle_type = Some(name.into());
+        self
+    }
+
     /// Leaves out particles that are not finite or too far away, and counts them, where they would be an error.
     pub fn skip_invalid(mut self) -> Self {
         self.asked.skip_invalid = true;

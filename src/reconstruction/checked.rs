@@ -211,6 +211,10 @@ impl Asked {
             (Setting::Indicator, self.indicator.is_some() && self.indicator != sampled.indicator),
             (Setting::MeanCount, self.mean.is_some() && self.mean != sampled.mean),
             (Setting::SkipInvalid, self.skip_invalid && !sampled.skip_invalid),
+            (
+                Setting::ParticleType,
+                self.particle_type.is_some() && self.particle_type != sampled.particle_type,
+            ),
             (Setting::Baseline, self.baseline.is_some() && self.baseline != sampled.baseline),
         ])
     }

@@ -13,10 +13,11 @@ use crate::field::spacing;
 use crate::frame::{Counted, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
-use crate::io::input::{KNOWN, file_and_step, holds_mesh, is_known, open_particles};
+use crate::io::input::{KNOWN, file_and_step, holds_mesh, is_known, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::scene::spacing_beside;
+use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::measure::measure;
@@ -53,6 +54,12 @@ pub struct ParticlesInfo {
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The attributes beside positions.
     pub attributes: Vec<AttributeInfo>,
+    /// The number of particles that are left out, as copies of those of other pieces.
+    pub ghosts: usize,
+    /// Edges of the simulation's box by the file, which does not say whether it is periodic.
+    pub box_size: Option<[f64; 3]>,
+    /// The unit of length in metres, by the file.
+    pub unit_metres: Option<f64>,
     /// Distance between neighbouring particles.
     pub spacing: Option<f64>,
     /// Where the spacing comes from.
@@ -119,13 +126,21 @@ static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
 /// # Errors
 /// [`Error::Read`].
 pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
+    info_of_type(path, None)
+}
+
+/// Looks into a file like [`info`], for the particles of a type where it holds several.
+///
+/// # Errors
+/// [`Error::Read`], also where there is no such type.
+pub fn info_of_type(path: impl AsRef<Path>, particle_type: Option<&str>) -> Result<Info, Error> {
     let path = path.as_ref();
     if is_packed(path) {
         frame(path).map(Info::Frame)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
     } else if is_known(file_and_step(path).0) {
-        particles(path).map(Info::Particles)
+        particles(path, particle_type).map(Info::Particles)
     } else {
         Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())
     }
@@ -167,10 +182,12 @@ fn mesh(path: &Path) -> Result<MeshInfo, Error> {
     })
 }
 
-fn particles(path: &Path) -> Result<ParticlesInfo, Error> {
+fn particles(path: &Path, particle_type: Option<&str>) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
     let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
-    let file = open_particles(path, unpacking)?;
+    // Names of attributes are enough, where their values would have to be unpacked.
+    let wanted = Wanted { particle_type, attributes: WantedAttributes::Named(&[]) };
+    let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
     let (spacing, spacing_source) = if let Some(spacing) = file.spacing {
@@ -187,7 +204,10 @@ fn particles(path: &Path) -> Result<ParticlesInfo, Error> {
         particles: particles.len(),
         not_finite: particles.len() - bounds.map_or(0, |b| b.finite),
         bounds: bounds.map(|b| [b.lo.to_array(), b.hi.to_array()]),
-        attributes: particles.attributes().to_vec(),
+        attributes: particles.attributes().iter().chain(&file.unread).cloned().collect(),
+        ghosts: file.ghosts,
+        box_size: file.box_size,
+        unit_metres: file.unit_metres,
         memory_bytes: spacing.and_then(|spacing| memory(particles, spacing)),
         spacing,
         spacing_source,

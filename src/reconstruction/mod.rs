@@ -28,7 +28,7 @@ pub use cells::{CellSize, Cells, Doubt, Source, SpacingSource};
 pub(crate) use checked::{Checked, Ready};
 pub(crate) use draw::Kept;
 pub use frame::Frame;
-pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info};
+pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_of_type};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use opened::{Needs, Opened};
 pub(crate) use orientation::{Orientation, usual_up};

@@ -8,7 +8,7 @@ use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::estimate::Estimate;
 use crate::frame::{Counted, Frame as Engine, FrameError};
 use crate::io::ParticleFile;
-use crate::io::input::open_particles;
+use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::MeshFormat;
 use crate::particles::Particles;
@@ -75,7 +75,7 @@ impl Ready {
                 return Ok(Input::Packed(sampled));
             }
             checked.refuse_of_indicator()?;
-            let file = open_particles(path, checked.unpacking())?;
+            let file = open_wanted(path, checked.asked.wanted(), checked.unpacking())?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, source).map_err(|error| error.of_file(path))?;
@@ -112,6 +112,15 @@ impl Opened {
         match &self.input {
             Input::Particles { file, .. } => file.particles.len(),
             Input::Packed(sampled) => sampled.facts.census.binned,
+        }
+    }
+
+    /// The number of particles that were left out as copies of those of other pieces.
+    #[must_use]
+    pub fn ghosts(&self) -> usize {
+        match &self.input {
+            Input::Particles { file, .. } => file.ghosts,
+            Input::Packed(_) => 0,
         }
     }
 

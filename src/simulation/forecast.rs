@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::error::Error;
 use crate::frame::{Counted, Frame};
 use crate::io::bytes::Unpacking;
-use crate::io::input::open_particles;
+use crate::io::input::open_wanted;
 use crate::io::mnf::is_packed;
 use crate::particles::Particles;
 use crate::surface::mesh::source::MeshSource;
@@ -143,7 +143,7 @@ impl Setup<'_> {
         let path = &largest.path;
         let resources = &checked.resources;
         let unpacking = Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch };
-        let file = open_particles(path, unpacking)?;
+        let file = open_wanted(path, checked.asked.wanted(), unpacking)?;
         let carried = checked.asked.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let sampling = self.sampling(frozen, carried, resources.clone())?;

@@ -6,7 +6,7 @@ use super::state::{State, Store};
 use crate::error::{Cause, Error, SequenceError};
 use crate::frame::{FrameError, Resources};
 use crate::io::bytes::Unpacking;
-use crate::io::input::open_particles;
+use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::{ParticleFile, ReadError};
 use crate::reconstruction;
@@ -125,8 +125,9 @@ impl Setup<'_> {
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, measured);
             return Ok((frozen, measured.trust, None));
         }
-        let file = open_particles(
+        let file = open_wanted(
             path,
+            self.checked.asked.wanted(),
             Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch },
         )?;
         let request = &self.checked.sampling;

@@ -11,7 +11,7 @@ use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
-use crate::io::input::file_and_step;
+use crate::io::frame_files::files_of;
 use crate::particles::Particles;
 use crate::reconstruction::{moved, origin_for_lattice};
 use crate::system::timings::Timings;
@@ -26,14 +26,19 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// Takes the stamp of the file as it is now, with all frames that it may hold.
+    /// Takes the stamp of the file as it is now, with all frames that it may hold, and of all its pieces that are there.
     ///
     /// # Errors
     /// Where the system has none.
     pub fn of(path: &Path) -> io::Result<Self> {
-        let metadata = file_and_step(path).0.metadata()?;
-        let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { bytes: metadata.len(), modified: since.as_nanos() as u64 })
+        let mut all = Self { bytes: 0, modified: 0 };
+        for file in files_of(path) {
+            let metadata = file.metadata()?;
+            let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+            all.bytes += metadata.len();
+            all.modified = all.modified.max(since.as_nanos() as u64);
+        }
+        Ok(all)
     }
 }
 

@@ -6,10 +6,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::io::bi4::is_later_piece;
-use crate::io::input::{file_and_step, holds_mesh, is_known, steps};
+use crate::io::frame_files::{files_of, snapshot_piece};
+use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::SequenceError;
+
+use super::pieces::{Whole, whole_frames};
 
 /// One frame, as found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -248,7 +250,7 @@ impl Inputs {
             }
             Self::Part { of, family } => {
                 of.takes(path)
-                    && by_last_digits(path.to_owned())
+                    && by_last_digits(path.to_owned().into())
                         .is_some_and(|frame| frame.is_ok_and(|f| f.family() == *family))
             }
             Self::Steps(_) | Self::Files(_) => false,
@@ -282,9 +284,8 @@ impl Inputs {
             }
             Self::Folder(folder) => {
                 // A folder holds other things too: what has no number is no frame.
-                let known =
-                    files_in(folder)?.into_iter().filter(|path| is_known(path) && !is_later_piece(path));
-                known.filter_map(by_last_digits).collect::<Result<_, _>>()?
+                let known = files_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
+                whole_frames(known).into_iter().filter_map(by_last_digits).collect::<Result<_, _>>()?
             }
             Self::Part { of, family } => {
                 let mut frames = of.found()?;
@@ -303,27 +304,33 @@ impl Inputs {
             Self::Glob(pattern) => {
                 let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));
                 let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
-                numbered(paths.filter(|path| path.is_file() && !is_later_piece(path)).collect())?
+                numbered(whole_frames(paths.filter(|path| path.is_file()).collect()))?
             }
-            Self::Files(files) => numbered(files.clone())?,
+            Self::Files(files) => numbered(whole_frames(files.clone()))?,
         })
     }
 }
 
 impl FrameFile {
-    /// Bytes of its file; 0 where that is gone.
+    /// Bytes of its file and of its pieces; 0 of what is gone.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        file_and_step(&self.path).0.metadata().map_or(0, |metadata| metadata.len())
+        let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
+        files_of(&self.path).iter().map(bytes).sum()
     }
 
     /// The part of its name that it shares with the others of its sequence; nothing where it has no number.
-    fn family(&self) -> Family {
+    pub(super) fn family(&self) -> Family {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let cut = split_number(&name).filter(|(_, digits, _)| *digits == self.digits);
-        cut.map_or_else(Family::default, |(prefix, _, suffix)| Family {
-            prefix: prefix.to_owned(),
-            suffix: suffix.strip_suffix(".gz").unwrap_or(suffix).to_owned(),
+        // The first of a snapshot's files is numbered by what stands before the piece's own number.
+        let base = snapshot_piece(&self.path).filter(|(_, number)| *number == 0).map(|(base, _)| base);
+        let base = base.as_deref().and_then(Path::file_name).map(|base| base.to_string_lossy());
+        let cuts = [base.as_deref(), Some(&*name)].into_iter().flatten().filter_map(split_number);
+        let cut = cuts.into_iter().find(|(_, digits, _)| *digits == self.digits);
+        cut.map_or_else(Family::default, |(prefix, digits, _)| {
+            let suffix = &name[prefix.len() + digits.len()..];
+            let suffix = suffix.strip_suffix(".gz").unwrap_or(suffix).to_owned();
+            Family { prefix: prefix.to_owned(), suffix }
         })
     }
 }
@@ -349,8 +356,8 @@ fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SequenceError> {
 }
 
 /// The frame that a file is by its name; nothing where that has no number.
-fn by_last_digits(path: PathBuf) -> Option<Result<FrameFile, SequenceError>> {
-    let name = path.file_name()?.to_string_lossy().into_owned();
+fn by_last_digits(Whole { path, named }: Whole) -> Option<Result<FrameFile, SequenceError>> {
+    let name = named.file_name()?.to_string_lossy().into_owned();
     let (_, digits, _) = split_number(&name)?;
     Some(frame(digits.to_owned(), path))
 }
@@ -388,8 +395,9 @@ pub(super) fn split_number(name: &str) -> Option<(&str, &str, &str)> {
 }
 
 /// Each has a number in its name, or none has and they are counted.
-fn numbered(files: Vec<PathBuf>) -> Result<Vec<FrameFile>, SequenceError> {
-    let frames: Vec<_> = files.iter().cloned().map(by_last_digits).collect();
+fn numbered(whole: Vec<Whole>) -> Result<Vec<FrameFile>, SequenceError> {
+    let files: Vec<PathBuf> = whole.iter().map(|file| file.path.clone()).collect();
+    let frames: Vec<_> = whole.into_iter().map(by_last_digits).collect();
     match frames.iter().position(Option::is_none) {
         None => frames.into_iter().flatten().collect(),
         Some(_) if frames.iter().all(Option::is_none) => {

@@ -19,6 +19,7 @@ mod lanes;
 mod live;
 pub mod naming;
 mod one_frame;
+mod pieces;
 pub mod records;
 mod run;
 mod setup;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::io::input::file_and_step;
 use crate::io::output::MeshFormat;
 
-use super::inputs::{FrameFile, Pattern, split_number};
+use super::inputs::{FrameFile, Pattern};
 use crate::error::SequenceError;
 
 /// How outputs are called.
@@ -76,13 +76,8 @@ fn stem(frame: &FrameFile) -> String {
     if let (file, Some(_)) = file_and_step(&frame.path) {
         return format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy());
     }
-    let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
-    let stem = match split_number(&name) {
-        Some((stem, digits, _)) if digits == frame.digits => stem,
-        // Numbered by its place among the others.
-        _ => "",
-    };
-    stem.to_owned()
+    // Empty where it is numbered by its place among the others.
+    frame.family().prefix
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use crate::field::calibration::Calibration;
 use crate::frame::{Counted, Frame, FrameError, Normals, Resources};
 use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
-use crate::io::input::{file_and_step, open_particles};
+use crate::io::input::{file_and_step, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{FilledFile, Replace};
@@ -105,7 +105,7 @@ impl Conversion<'_> {
         } else {
             let scratch = &checked.resources.scratch;
             let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
-            let file = particles.map_or_else(|| open_particles(path, unpacking), Ok)?;
+            let file = particles.map_or_else(|| open_wanted(path, checked.asked.wanted(), unpacking), Ok)?;
             timings.done("open");
             Some(file)
         };

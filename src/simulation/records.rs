@@ -14,6 +14,7 @@ use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 
 use crate::io::WriteError;
+use crate::io::frame_files::pieces_named;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
@@ -31,7 +32,7 @@ pub struct Record {
     pub fingerprint: u32,
     /// The mesh that it was made into.
     pub mesh: SeriesFrame,
-    /// CRC-32 of the bytes of that file.
+    /// CRC-32 of the bytes of that file and of the pieces that it names.
     pub crc: u32,
 }
 
@@ -43,15 +44,20 @@ impl Record {
     }
 }
 
-/// CRC-32 of a file's bytes.
+/// CRC-32 of a file's bytes, and of those of the pieces that it names.
 fn crc(path: &Path) -> io::Result<u32> {
-    let (mut file, mut crc, mut buffer) = (File::open(path)?, Hasher::new(), vec![0; 1 << 18]);
-    loop {
-        match file.read(&mut buffer)? {
-            0 => return Ok(crc.finalize()),
-            read => crc.update(&buffer[..read]),
+    let (mut crc, mut buffer) = (Hasher::new(), vec![0; 1 << 18]);
+    let pieces = pieces_named(path).map_err(io::Error::other)?;
+    for path in std::iter::once(path).chain(pieces.iter().map(PathBuf::as_path)) {
+        let mut file = File::open(path)?;
+        loop {
+            match file.read(&mut buffer)? {
+                0 => break,
+                read => crc.update(&buffer[..read]),
+            }
         }
     }
+    Ok(crc.finalize())
 }
 
 /// The record of each frame in the last log that has one.

@@ -53,6 +53,7 @@ impl Cancel {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         for path in &*self.unfinished() {
             let _ = std::fs::remove_file(path);
+            remove_belongings(path);
         }
         std::mem::forget(held);
     }
@@ -82,6 +83,23 @@ impl Cancel {
         let path = temporary(&output).map(Path::to_owned);
         self.unfinished().extend(path.clone());
         Ok((output, Unfinished { of: self.clone(), path }))
+    }
+}
+
+/// Endings of the names of folders that belong to a temporary file: one that is filled, and one that it replaces.
+pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
+
+/// The folder of this ending that belongs to a temporary file.
+pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
+    let mut name = temporary.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
+/// Removes the folders that belong to a temporary file.
+pub(crate) fn remove_belongings(temporary: &Path) {
+    for ending in BELONGINGS {
+        let _ = std::fs::remove_dir_all(belonging(temporary, ending));
     }
 }
 

@@ -70,6 +70,7 @@ fn option(setting: Setting) -> &'static str {
         Setting::Indicator => "--indicator",
         Setting::MeanCount => "--mu0",
         Setting::SkipInvalid => "--skip-invalid",
+        Setting::ParticleType => "--particle-type",
         Setting::Baseline => "--method",
         Setting::Smooth => "--smooth",
         Setting::Sigma => "--sigma",

@@ -6,7 +6,7 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::Error;
 use meniscus::error::shown;
-use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info};
+use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info_of_type};
 
 use crate::outcome::{Verdict, corners, point, print, print_json};
 
@@ -15,6 +15,9 @@ pub struct Options {
     /// Particle files, packed frames (.mnf) or meshes.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
+    /// The type of particles, of files that hold several [default: gas, or fluid].
+    #[arg(long, value_name = "NAME")]
+    particle_type: Option<String>,
     /// Print JSON, for programs: a list with an entry for each file.
     #[arg(long)]
     json: bool,
@@ -22,7 +25,8 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let infos = options.files.iter().map(info).collect::<Result<Vec<_>, _>>()?;
+    let kind = options.particle_type.as_deref();
+    let infos = options.files.iter().map(|file| info_of_type(file, kind)).collect::<Result<Vec<_>, _>>()?;
     if options.json {
         print_json(&infos)?;
     } else {
@@ -51,13 +55,25 @@ fn describe(info: &Info) -> String {
             spacing,
             spacing_source,
             memory_bytes,
+            ghosts,
+            box_size,
+            unit_metres,
             ..
         }) => {
             line("particles", particles.to_string());
             if *not_finite > 0 {
                 line("not finite", not_finite.to_string());
             }
+            if *ghosts > 0 {
+                line("left out", format!("{ghosts} ghosts, copies of particles in other pieces"));
+            }
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            if let Some(edges) = box_size {
+                line("its own box", format!("edges {edges:?}; whether it is periodic is not said"));
+            }
+            if let Some(metres) = unit_metres {
+                line("unit", format!("of length {metres:?} m, by the file"));
+            }
             line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
             line("spacing", spacing.map_or("unknown".into(), |s| format!("{}, from {source}", shown(s))));

@@ -14,8 +14,8 @@ use crate::sequence_options::SequenceOptions;
 pub struct Options {
     /// The particles of a frame, or the frames of a simulation.
     ///
-    /// A frame: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not; or a .mnf that `pack` made. The frames of a
-    /// simulation: files, a folder, a glob, a name with {} for the number, or a .h5part of several steps.
+    /// A frame: .bgeo, .vtk, .vtu, .pvtu, .ply, .npy, .csv, .xyz, .bi4 or HDF5, gzipped or not; or a .mnf that `pack` made. The frames of
+    /// a simulation: files, a folder, a glob, a name with {} for the number, or a .h5part or .vtkhdf of several steps.
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
@@ -49,7 +49,7 @@ pub struct Options {
     /// Where the mesh ends at the faces of a periodic box [default: cut].
     #[arg(long, value_enum, value_name = "ENDS", help_heading = "Surface", hide_short_help = true)]
     periodic_mesh: Option<PeriodicMeshName>,
-    /// The mesh: .ply, .obj, .vtk, .vtp, .stl, .usdc or .glb.
+    /// The mesh: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc or .glb.
     ///
     /// Of a simulation: a name with {} or {:04} for the number, or a folder.
     #[arg(short, long, help_heading = "Output")]

@@ -16,7 +16,7 @@ use crate::sampling::SamplingOptions;
 
 #[derive(Args)]
 pub struct Options {
-    /// The particles: .bgeo, .vtk, .ply, .npy, .csv, .xyz or .bi4, gzipped or not.
+    /// The particles: .bgeo, .vtk, .vtu, .pvtu, .ply, .npy, .csv, .xyz, .bi4 or HDF5, gzipped or not.
     input: PathBuf,
     /// The frame: .mnf.
     #[arg(short, long)]

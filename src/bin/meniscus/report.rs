@@ -15,6 +15,9 @@ use crate::options::Options;
 /// Says what was opened, and what was chosen for it.
 pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
     notes.say(format!("{}: {} particles, {}", input.display(), opened.particles(), opened.format()));
+    if opened.ghosts() > 0 {
+        notes.say(format!("{} ghosts left out, copies of particles in other pieces", opened.ghosts()));
+    }
     let Some(cells) = opened.cells() else { return };
     let by = opened.indicator().map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
     notes.say(format!("{cells}{by}"));

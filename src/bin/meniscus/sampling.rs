@@ -44,6 +44,11 @@ pub struct SamplingOptions {
     /// A corner of the grid's cells [default: 0,0,0].
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     origin: Option<[f64; 3]>,
+    /// The type of particles, of an input that holds several [default: gas, or fluid].
+    ///
+    /// PartType1 of a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD.
+    #[arg(long, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
+    particle_type: Option<String>,
     /// A tank with walls [default: unbounded].
     ///
     /// Particles outside are not counted. `-` for both ends of an axis leaves it without walls.
@@ -140,6 +145,9 @@ impl SamplingOptions {
                 IndicatorName::Counting => IndicatorKind::Counting,
                 IndicatorName::Symmetry => IndicatorKind::Symmetry,
             });
+        }
+        if let Some(name) = &self.particle_type {
+            request = request.particle_type(name);
         }
         if let Some(mean) = self.mu0 {
             request = request.mean_count(mean);

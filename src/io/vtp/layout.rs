@@ -72,6 +72,8 @@ pub(super) struct Layout<'a> {
     pub polygons: usize,
     pub strips: usize,
     pub normals: Option<String>,
+    /// Name of the array of identifiers that points share with those of other pieces.
+    pub global_ids: Option<String>,
     pub arrays: Vec<Array>,
 }
 
@@ -105,6 +107,7 @@ impl<'a> Layout<'a> {
             polygons: 0,
             strips: 0,
             normals: None,
+            global_ids: None,
             arrays: Vec::new(),
         };
         let mut pieces = 0;
@@ -151,6 +154,7 @@ impl<'a> Layout<'a> {
                     section = section_named(name);
                     if section == Some(Section::PointData) {
                         layout.normals = tag.value("Normals")?;
+                        layout.global_ids = tag.value("GlobalIds")?;
                     }
                 }
                 _ => {}
@@ -261,13 +265,13 @@ impl<'a> Layout<'a> {
 }
 
 /// An element and where it starts.
-struct Tag<'a> {
-    tag: &'a BytesStart<'a>,
-    at: usize,
+pub(super) struct Tag<'a> {
+    pub tag: &'a BytesStart<'a>,
+    pub at: usize,
 }
 
 impl Tag<'_> {
-    fn value(&self, name: &str) -> Result<Option<String>, ReadFault> {
+    pub fn value(&self, name: &str) -> Result<Option<String>, ReadFault> {
         let fault = |fault: &dyn std::fmt::Display| malformed(self.at, fault.to_string());
         let attribute = self.tag.try_get_attribute(name).map_err(|e| fault(&e))?;
         attribute

@@ -4,8 +4,11 @@
 //! Each array is named in the XML with its type and where it lies: as text, in base64, or after `<AppendedData>` and
 //! an underscore, raw or in base64; all but text may be compressed by zlib, block by block. A mesh is written raw.
 
+pub(super) mod arrays;
 mod data;
+pub(super) mod divided;
 mod layout;
+pub mod parallel;
 mod read;
 mod write;
 
@@ -14,4 +17,4 @@ pub(super) use write::escaped;
 pub use write::write_mesh;
 
 /// Name of the array of normals.
-const NORMALS: &str = "Normals";
+pub(super) const NORMALS: &str = "Normals";

@@ -9,7 +9,7 @@ use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
 use super::data::Decoder;
-use super::layout::{DataSet, Layout, Section, TIME};
+use super::layout::{Array, DataSet, Layout, Section, TIME};
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
@@ -33,7 +33,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     };
     let mut decoder = Decoder::new(&layout, unpacking);
     let time = time(&layout, &mut decoder)?;
-    let vertices = vertices(&layout, decoder)?;
+    let vertices = vertices(&layout, decoder, None)?;
     Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) })
 }
 
@@ -42,8 +42,19 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// # Errors
 /// As [`read_particles`].
 pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
-    let layout = Layout::parse(&bytes)?;
-    Ok(layout.points == 0 || layout.polygons > 0 || layout.strips > 0)
+    let Counts { points, faces } = counts(bytes)?;
+    Ok(points == 0 || faces > 0)
+}
+
+/// Numbers of points, and of polygons and strips together.
+pub(super) struct Counts {
+    pub points: usize,
+    pub faces: usize,
+}
+
+pub(super) fn counts(bytes: &[u8]) -> Result<Counts, ReadFault> {
+    let Layout { points, polygons, strips, .. } = Layout::parse(&bytes)?;
+    Ok(Counts { points, faces: polygons.saturating_add(strips) })
 }
 
 /// Reads points, their attributes, and polygons, fanned from their first corner.
@@ -53,6 +64,17 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 /// # Errors
 /// As [`read_particles`]; besides [`ReadFault::Unsupported`] for triangle strips and an UnstructuredGrid.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
+    Ok(read_numbered(bytes)?.mesh)
+}
+
+/// A mesh, and the identifiers that its vertices share with those of other pieces.
+pub(super) struct NumberedMesh {
+    pub mesh: Mesh,
+    pub numbers: Option<Vec<i64>>,
+}
+
+/// Reads a mesh that may be a piece of another.
+pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     let layout = Layout::parse(&bytes)?;
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported("an UnstructuredGrid; a mesh is PolyData".to_owned()));
@@ -71,6 +93,14 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
         let what = format!("{} polygons are announced, {} have an offset", layout.polygons, ends.len());
         return Err(malformed(0, what));
     }
+    let ids = layout.global_ids.as_ref().and_then(|ids| {
+        let is_it = |array: &Array| array.section == Section::PointData && array.name == *ids;
+        layout.arrays.iter().position(is_it)
+    });
+    let numbers = ids.map(|index| decoder.integers(&layout.arrays[index])).transpose()?;
+    if numbers.as_ref().is_some_and(|numbers| numbers.len() != layout.points) {
+        return Err(malformed(0, format!("not one global identifier for each of {} points", layout.points)));
+    }
     let mut triangles = Triangles::new(layout.points)?;
     let mut start = 0;
     for (face, &end) in ends.iter().enumerate() {
@@ -80,7 +110,8 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
         triangles.polygon(face, 0, polygon)?;
         start += polygon.len();
     }
-    Ok(vertices(&layout, decoder)?.into_mesh(bytes, triangles.triangles))
+    let vertices = vertices(&layout, decoder, ids)?;
+    Ok(NumberedMesh { mesh: vertices.into_mesh(bytes, triangles.triangles), numbers })
 }
 
 fn time(layout: &Layout, decoder: &mut Decoder) -> Result<Option<f64>, ReadFault> {
@@ -89,7 +120,8 @@ fn time(layout: &Layout, decoder: &mut Decoder) -> Result<Option<f64>, ReadFault
     Ok(decoder.double(array)?.filter(|time| time.is_finite()))
 }
 
-fn vertices(layout: &Layout, mut decoder: Decoder) -> Result<Vertices, ReadFault> {
+/// The points and all of their attributes but for array number `except`.
+fn vertices(layout: &Layout, mut decoder: Decoder, except: Option<usize>) -> Result<Vertices, ReadFault> {
     let (count, endian) = (layout.points, layout.endian);
     if count == 0 {
         let nowhere = Column { offset: 0, stride: 0, scalar: Scalar::F32, endian };
@@ -97,7 +129,8 @@ fn vertices(layout: &Layout, mut decoder: Decoder) -> Result<Vertices, ReadFault
         return Ok(Vertices { decoded: None, count, position: [nowhere; 3], attributes, normals: None });
     }
     let is_of_points = |section| matches!(section, Section::Points | Section::PointData);
-    let arrays: Vec<_> = layout.arrays.iter().filter(|array| is_of_points(array.section)).collect();
+    let others = layout.arrays.iter().enumerate().filter(|(index, _)| Some(*index) != except);
+    let arrays: Vec<_> = others.map(|(_, array)| array).filter(|a| is_of_points(a.section)).collect();
     let is_normals = |name: &str| name == layout.normals.as_deref().unwrap_or(NORMALS);
     let (mut position, mut normals) = (None, None);
     let mut attributes = Vec::new();

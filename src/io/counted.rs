@@ -1,0 +1,42 @@
+//! Writing a file and knowing what was written.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+
+use crc32fast::Hasher;
+
+/// Bytes that are given to the system at once, where they come in pieces.
+const BUFFER: usize = 256 << 10;
+
+/// How many bytes `content` writes to `file`, and what sums them up, if anything does.
+pub(super) fn counted(
+    file: &mut File,
+    crc: Option<Hasher>,
+    content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<(u64, Option<Hasher>)> {
+    let out = Counted { out: file, bytes: 0, crc };
+    let mut out = BufWriter::with_capacity(BUFFER, out);
+    content(&mut out)?;
+    out.flush()?;
+    let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
+    Ok((bytes, crc))
+}
+
+struct Counted<W> {
+    out: W,
+    bytes: u64,
+    crc: Option<Hasher>,
+}
+
+impl<W: Write> Write for Counted<W> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(buffer)?;
+        self.bytes += written as u64;
+        self.crc.iter_mut().for_each(|crc| crc.update(&buffer[..written]));
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}

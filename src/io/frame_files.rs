@@ -1,0 +1,52 @@
+//! The files that one frame is in.
+
+use std::path::{Path, PathBuf};
+
+use super::input::{extension, file_and_step};
+pub use super::piece_name::snapshot_piece;
+use super::{ReadError, bi4, vtp};
+
+/// The pieces that a file names, whose particles are its own; none of another format.
+///
+/// # Errors
+/// [`ReadError`] where the file cannot be read.
+pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
+    match extension(path).as_deref() {
+        Some("pvtp" | "pvtu") => vtp::parallel::pieces(path),
+        _ => Ok(Vec::new()),
+    }
+}
+
+/// The file that holds a frame, and those of its other pieces that are there.
+#[must_use]
+pub fn files_of(path: &Path) -> Vec<PathBuf> {
+    let (file, _) = file_and_step(path);
+    let mut files = vec![file.to_owned()];
+    // What is wrong with it is told of when it is read.
+    let named = pieces_named(file).unwrap_or_default().into_iter();
+    let snapshot = snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
+        let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);
+        let piece = |number: u64| {
+            let extension = base.extension().unwrap_or_default().to_string_lossy();
+            base.with_extension(format!("{number}.{extension}"))
+        };
+        (0..pieces).map(piece).take_while(|piece| piece.exists()).collect()
+    });
+    let others = named.chain(snapshot).chain(bi4::later_pieces(file));
+    files.extend(others.filter(|other| other != file && other.exists()));
+    files
+}
+
+/// The number of files that the snapshot of one of them is in; `None` of anything else.
+#[cfg(feature = "hdf5")]
+#[must_use]
+pub fn snapshot_pieces(path: &Path) -> Option<u64> {
+    matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?
+}
+
+/// The number of files that a snapshot is in, which this build does not read.
+#[cfg(not(feature = "hdf5"))]
+#[must_use]
+pub fn snapshot_pieces(_: &Path) -> Option<u64> {
+    None
+}

@@ -1,0 +1,157 @@
+//! A file of HDF5 as the library parses it, within bounds.
+
+use std::sync::Arc;
+
+use hdf5_reader::error::{Error, Result as Parsed};
+use hdf5_reader::group::Group;
+use hdf5_reader::messages::HdfMessage;
+use hdf5_reader::messages::layout::DataLayout;
+use hdf5_reader::{Dataset, Hdf5File, OpenOptions, Storage, StorageBuffer};
+
+use crate::io::bytes::{ByteStore, Bytes, FileStamp, Unpacking, unpacked_limit};
+use crate::io::{ReadFault, malformed};
+use crate::system::positioned::read_exact_at;
+
+/// Names under which the time of a step or a file may be stored.
+const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
+/// Bytes of decoded chunks that are kept for those who read other rows of them.
+const CHUNKS: u64 = 16 << 20;
+/// Bytes that are read before their memory is given back.
+const LARGE: usize = 64 << 10;
+
+/// An open file. Data sets that are read from it must be gone before its bytes are taken.
+pub(super) struct File<'a> {
+    hdf: Hdf5File,
+    bytes: Arc<Bytes>,
+    pub unpacking: Unpacking<'a>,
+    /// Bytes that the data may unpack to.
+    pub limit: u64,
+}
+
+impl<'a> File<'a> {
+    pub fn open(bytes: Bytes, unpacking: Unpacking<'a>) -> Result<Self, ReadFault> {
+        let limit = unpacked_limit(bytes.len() as u64);
+        let most = usize::try_from(limit).unwrap_or(usize::MAX);
+        let options = OpenOptions::default()
+            .with_chunk_cache_bytes((unpacking.in_memory / 4).min(CHUNKS) as usize)
+            .with_max_chunk_bytes(most)
+            .with_max_read_bytes(most);
+        let bytes = Arc::new(bytes);
+        let storage = Arc::new(Ranges(Arc::clone(&bytes)));
+        let hdf = checked(Hdf5File::from_storage_with_options(storage, options))?;
+        let (needed, have) = (hdf.superblock().eof_address, bytes.len() as u64);
+        if needed > have && needed < u64::MAX {
+            return Err(ReadFault::Truncated { what: "HDF5".to_owned(), needed, have });
+        }
+        Ok(Self { hdf, bytes, unpacking, limit })
+    }
+
+    pub fn root(&self) -> Result<Group, ReadFault> {
+        checked(self.hdf.root_group())
+    }
+
+    pub fn group(&self, path: &str) -> Result<Group, ReadFault> {
+        checked(self.hdf.group(path))
+    }
+
+    /// Makes sure that all that was read is of one file.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] where it was written to since it was opened.
+    pub fn check(&self) -> Result<(), ReadFault> {
+        match &*self.bytes {
+            Bytes::Mapped(mapped) if FileStamp::of(&mapped.file.metadata()?) != mapped.stamp => {
+                Err(ReadFault::Changed)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The file's bytes, for columns that lie in it as they are.
+    pub fn into_bytes(self) -> Bytes {
+        drop(self.hdf);
+        Arc::into_inner(self.bytes).expect("the library has let go of the file")
+    }
+
+    /// Where in the file the rows of a data set lie one after the other as they are, if they do: not in chunks, nor elsewhere.
+    pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
+        let header = self.hdf.get_or_parse_header(set.address()).ok()?;
+        let elsewhere = |message: &HdfMessage| {
+            matches!(message, HdfMessage::ExternalFiles(_) | HdfMessage::FilterPipeline(_))
+        };
+        let address = header.messages.iter().find_map(|message| match message {
+            HdfMessage::DataLayout(message) => match message.layout {
+                DataLayout::Contiguous { address, size } if size >= bytes => Some(address),
+                _ => None,
+            },
+            _ => None,
+        })?;
+        let at = address.checked_add(self.hdf.superblock().base_address)?;
+        let within = at.checked_add(bytes).is_some_and(|end| end <= self.bytes.len() as u64);
+        (within && !header.messages.iter().any(elsewhere)).then_some(at)
+    }
+}
+
+/// The library's errors as faults of the file.
+pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
+    parsed.map_err(|error| match error {
+        Error::Io(fault) => ReadFault::Io(fault),
+        other => malformed(0, other.to_string()),
+    })
+}
+
+/// The time that a group says in an attribute.
+pub(super) fn time_of(group: &Group) -> Option<f64> {
+    TIMES.iter().find_map(|name| number(group, name)).filter(|time| time.is_finite())
+}
+
+/// A number in a group's attribute.
+pub(super) fn number(group: &Group, name: &str) -> Option<f64> {
+    group.attribute(name).ok()?.read_as_f64().ok()
+}
+
+/// All numbers of a group's attribute.
+pub(super) fn numbers(group: &Group, name: &str) -> Option<Vec<f64>> {
+    let attribute = group.attribute(name).ok()?;
+    let whole = |values: Vec<i64>| values.into_iter().map(|value| value as f64).collect();
+    let read = attribute.read_1d::<f64>();
+    read.or_else(|_| attribute.read_1d::<f32>().map(|values| values.into_iter().map(f64::from).collect()))
+        .or_else(|_| attribute.read_1d::<i64>().map(whole))
+        .or_else(|_| attribute.read_1d::<u64>().map(|v| v.into_iter().map(|value| value as f64).collect()))
+        .or_else(|_| attribute.read_1d::<i32>().map(|v| v.into_iter().map(f64::from).collect()))
+        .or_else(|_| attribute.read_1d::<u32>().map(|v| v.into_iter().map(f64::from).collect()))
+        .ok()
+}
+
+/// Reads ranges of the file as the library asks for them, by their position where it lies on disk as it is, and keeps none of them.
+struct Ranges(Arc<Bytes>);
+
+impl Storage for Ranges {
+    fn len(&self) -> u64 {
+        self.0.len() as u64
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Parsed<StorageBuffer> {
+        let start = usize::try_from(offset).unwrap_or(usize::MAX);
+        let range = start..start.saturating_add(len);
+        if range.end > self.0.len() {
+            let available = Storage::len(self).saturating_sub(offset);
+            return Err(Error::UnexpectedEof { offset, needed: len as u64, available });
+        }
+        let read = match &*self.0 {
+            Bytes::Mapped(mapped) => {
+                let mut read = vec![0; len];
+                read_exact_at(&mapped.file, offset, &mut read)?;
+                read
+            }
+            kept => {
+                let read = kept[range.clone()].to_vec();
+                if len >= LARGE {
+                    kept.release(range);
+                }
+                read
+            }
+        };
+        Ok(StorageBuffer::from_vec(read))
+    }
+}

@@ -1,0 +1,130 @@
+//! HDF5: which of the layouts that simulations write a file has.
+//!
+//! | layout | told by | frames |
+//! |---|---|---|
+//! | VTKHDF | the group `VTKHDF` | its steps |
+//! | openPMD | the attribute `openPMD` of the root | its iterations |
+//! | SWIFT and GADGET | groups `Header` and `PartType0` to `PartType6` | one, in one file or in several |
+//! | PySPH | groups `particles` and `solver_data` | one |
+//! | H5Part, and tables | groups `Step#12`, or data sets of equal length at the root | its steps |
+//!
+//! `sim.h5part#12` names one of several frames. The library that parses the file is bounded: no header, chunk
+//! or run of rows is read that the file's size does not vouch for.
+
+mod file;
+mod kinds;
+mod openpmd;
+mod pysph;
+mod snapshot;
+mod steps;
+mod table;
+mod vtkhdf;
+
+use std::path::Path;
+
+use crate::surface::mesh::Mesh;
+
+use super::bytes::{Bytes, Unpacking};
+use super::wanted::{Wanted, no_types};
+use super::{ParticleFile, ReadError, ReadFault};
+
+use file::File;
+pub use snapshot::pieces_of;
+
+/// Layouts of a file, but for that of tables, which all others are told from.
+enum Layout {
+    VtkHdf,
+    OpenPmd,
+    Snapshot,
+    PySph,
+    Table,
+}
+
+impl Layout {
+    fn of(file: &File) -> Result<Self, ReadFault> {
+        let root = file.root()?;
+        let (groups, _) = file::checked(root.member_names())?;
+        let has = |name: &str| groups.iter().any(|group| group == name);
+        Ok(if has(vtkhdf::ROOT) {
+            Self::VtkHdf
+        } else if root.attribute("openPMD").is_ok() {
+            Self::OpenPmd
+        } else if has(snapshot::HEADER) && snapshot::says_pieces(&root) {
+            Self::Snapshot
+        } else if has(pysph::PARTICLES) && has(pysph::SOLVER) {
+            Self::PySph
+        } else {
+            Self::Table
+        })
+    }
+}
+
+/// Reads a frame of the file at `path`, whose bytes these are; a snapshot's other files lie beside it.
+///
+/// # Errors
+/// [`ReadFault::Unsupported`] where a step or a type of particles has to be chosen or is not there, and where no position is
+/// found; [`ReadFault::Malformed`] for what HDF5 or the layout does not allow, and data sets that differ in length;
+/// [`ReadFault::Compression`] for a file that unpacks beyond all reason; [`ReadFault::Scratch`] where it is decoded into a scratch
+/// file that fails; [`ReadFault::Io`] for a missing piece, which the error names.
+pub fn open_particles(
+    path: &Path,
+    bytes: Bytes,
+    step: Option<u64>,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    let fail = |fault| ReadError::new(path, fault);
+    let file = File::open(bytes, unpacking).map_err(fail)?;
+    let layout = Layout::of(&file).map_err(fail)?;
+    if let (Layout::Snapshot | Layout::PySph, Some(step)) = (&layout, step) {
+        return Err(fail(ReadFault::Unsupported(format!("it holds one frame, and no step {step}"))));
+    }
+    if let (Layout::VtkHdf | Layout::Table, Some(name)) = (&layout, wanted.particle_type) {
+        return Err(fail(no_types(name)));
+    }
+    match layout {
+        Layout::VtkHdf => vtkhdf::read_particles(file, step, wanted.attributes).map_err(fail),
+        Layout::OpenPmd => openpmd::read_particles(file, step, wanted).map_err(fail),
+        Layout::Snapshot => snapshot::open_particles(path, file, wanted, unpacking),
+        Layout::PySph => pysph::read_particles(file, wanted).map_err(fail),
+        Layout::Table => steps::read_particles(file, step, wanted.attributes).map_err(fail),
+    }
+}
+
+/// The numbers of the frames in a file, in order; none in a file that is one frame.
+///
+/// # Errors
+/// [`ReadFault::Malformed`] for what is no HDF5.
+pub fn steps(bytes: Bytes) -> Result<Vec<u64>, ReadFault> {
+    let file = File::open(bytes, Unpacking::in_memory())?;
+    match Layout::of(&file)? {
+        Layout::VtkHdf => vtkhdf::steps(&file),
+        Layout::OpenPmd => openpmd::steps(&file),
+        Layout::Snapshot | Layout::PySph => Ok(Vec::new()),
+        Layout::Table => steps::steps(&file),
+    }
+}
+
+/// Whether a file holds polygons in VTKHDF; one of nothing at all is a mesh too.
+///
+/// # Errors
+/// As [`steps`].
+pub fn has_faces(bytes: Bytes) -> Result<bool, ReadFault> {
+    let file = File::open(bytes, Unpacking::in_memory())?;
+    match Layout::of(&file)? {
+        Layout::VtkHdf => vtkhdf::has_faces(&file),
+        _ => Ok(false),
+    }
+}
+
+/// Reads the polygons of a VTKHDF file as a mesh, fanned from their first corner.
+///
+/// # Errors
+/// As [`open_particles`]; besides [`ReadFault::Unsupported`] for strips, other layouts and data sets, and several steps.
+pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
+    let file = File::open(bytes, Unpacking::in_memory())?;
+    match Layout::of(&file)? {
+        Layout::VtkHdf => vtkhdf::read_mesh(file),
+        _ => Err(ReadFault::Unsupported("a mesh in HDF5 is one of VTKHDF".to_owned())),
+    }
+}

@@ -1,0 +1,214 @@
+//! openPMD in HDF5: species of particles whose records say in what unit they are.
+//!
+//! A particle is at `position` plus `positionOffset`, each in its own unit; all values are turned into the SI's.
+
+use std::io;
+
+use hdf5_reader::group::Group;
+
+use crate::io::bytes::Unpacked;
+use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
+use crate::io::encode::in_order;
+use crate::io::vertices::columns;
+use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::io::{ParticleFile, ReadFault, malformed};
+use crate::particles::AttributeInfo;
+
+use super::file::{File, checked, number, numbers, time_of};
+use super::kinds::chosen_type;
+use super::steps::a_sequence;
+use super::table::{Array, Windows, fault_of};
+
+/// Groups of a species that are no records of its particles.
+const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The group of all iterations, as the root says.
+fn iterations(root: &Group) -> Result<Group, ReadFault> {
+    let base = root.attribute("basePath").and_then(|path| path.read_string());
+    let base = base.unwrap_or_else(|_| "/data/%T/".to_owned());
+    let path = base.split("%T").next().unwrap_or_default().trim_matches('/').to_owned();
+    path.split('/')
+        .filter(|name| !name.is_empty())
+        .try_fold(root.clone(), |group, name| checked(group.group(name)))
+}
+
+/// The numbers of the iterations, in order.
+pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
+    let (groups, _) = checked(iterations(&file.root()?)?.member_names())?;
+    let mut steps: Vec<u64> = groups.iter().filter_map(|name| name.parse().ok()).collect();
+    steps.sort_unstable();
+    Ok(steps)
+}
+
+/// Reads the particles of an iteration, of the species that is `wanted` or the only one.
+pub fn read_particles(file: File, step: Option<u64>, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
+    let step = match (step, &*steps(&file)?) {
+        (Some(step), known) if known.contains(&step) => step,
+        (Some(step), _) => return Err(ReadFault::Unsupported(format!("there is no iteration {step}"))),
+        (None, [only]) => *only,
+        (None, []) => return Err(malformed(0, "no iterations")),
+        (None, [first, .., last]) => return Err(a_sequence(*first, *last)),
+    };
+    let root = file.root()?;
+    let (groups, _) = checked(iterations(&root)?.member_names())?;
+    let name = groups.iter().find(|name| name.parse() == Ok(step)).expect("listed above");
+    let iteration = checked(iterations(&root)?.group(name))?;
+    let time = time_of(&iteration).map(|time| time * number(&iteration, "timeUnitSI").unwrap_or(1.0));
+    let path = root.attribute("particlesPath").and_then(|path| path.read_string());
+    let path = path.unwrap_or_else(|_| "particles/".to_owned());
+    let all = checked(iteration.group(path.trim_matches('/')))?;
+    let (known, _) = checked(all.member_names())?;
+    let species = checked(all.group(&chosen_type(&known, wanted.particle_type, None)?))?;
+    Ok(ParticleFile { time, unit_metres: Some(1.0), ..particles(&species, &file, wanted.attributes)? })
+}
+
+/// A component of a record.
+struct Component {
+    values: Values,
+    /// The factor that makes SI units of the values.
+    unit: f64,
+}
+
+enum Values {
+    Stored(Array),
+    /// One value for so many particles.
+    Constant(f64, u64),
+}
+
+impl Component {
+    /// A data set, or a group that says a value for all.
+    fn named(group: &Group, name: &str) -> Result<Option<Self>, ReadFault> {
+        let (groups, sets) = checked(group.member_names())?;
+        if sets.iter().any(|set| set == name) {
+            let array = Array::named(group, name)?;
+            let unit = array.set.attribute("unitSI").and_then(|unit| unit.read_as_f64()).unwrap_or(1.0);
+            return Ok((array.components == 1).then_some(Self { values: Values::Stored(array), unit }));
+        }
+        if !groups.iter().any(|group| group == name) {
+            return Ok(None);
+        }
+        Ok(Self::constant(&checked(group.group(name))?))
+    }
+
+    fn constant(group: &Group) -> Option<Self> {
+        let value = number(group, "value")?;
+        let rows = numbers(group, "shape")?.first().copied().filter(|rows| *rows >= 0.0)? as u64;
+        Some(Self { values: Values::Constant(value, rows), unit: number(group, "unitSI").unwrap_or(1.0) })
+    }
+
+    fn rows(&self) -> u64 {
+        match &self.values {
+            Values::Stored(array) => array.rows,
+            Values::Constant(_, rows) => *rows,
+        }
+    }
+
+    /// Values of some rows, in SI units.
+    fn doubles(&self, rows: [u64; 2]) -> Result<Vec<f64>, ReadFault> {
+        let mut values = match &self.values {
+            Values::Stored(array) => array.doubles(rows)?,
+            Values::Constant(value, _) => vec![*value; (rows[1] - rows[0]) as usize],
+        };
+        if self.unit != 1.0 {
+            values.iter_mut().for_each(|value| *value *= self.unit);
+        }
+        Ok(values)
+    }
+}
+
+/// A record of one component or of three.
+fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFault> {
+    if let Some(scalar) = Component::named(species, name)? {
+        return Ok(Some(vec![scalar]));
+    }
+    let (groups, _) = checked(species.member_names())?;
+    if !groups.iter().any(|group| group == name) {
+        return Ok(None);
+    }
+    let group = checked(species.group(name))?;
+    let components: Vec<_> =
+        AXES.into_iter().filter_map(|axis| Component::named(&group, axis).transpose()).collect();
+    let components = components.into_iter().collect::<Result<Vec<_>, _>>()?;
+    Ok((components.len() == 3).then_some(components))
+}
+
+fn particles(species: &Group, file: &File, wanted: WantedAttributes) -> Result<ParticleFile, ReadFault> {
+    let position = record(species, "position")?.filter(|position| position.len() == 3);
+    let position = position.ok_or_else(|| {
+        ReadFault::Unsupported("no position of three components; particles are in space".to_owned())
+    })?;
+    let rows = position[0].rows();
+    let offset = record(species, "positionOffset")?.filter(|offset| offset.len() == 3);
+    if position.iter().chain(offset.iter().flatten()).any(|component| component.rows() != rows) {
+        return Err(malformed(0, "the components of the position differ in length"));
+    }
+    let (groups, sets) = checked(species.member_names())?;
+    let mut names: Vec<String> = groups.into_iter().chain(sets).collect();
+    names.retain(|name| !NO_RECORDS.contains(&name.as_str()));
+    names.sort_unstable();
+    let mut decoded = Unpacked::new(file.unpacking);
+    let spot = columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
+    let mut records = Vec::new();
+    for name in names {
+        let Some(components) = record(species, &name)? else { continue };
+        if components.iter().all(|component| component.rows() == rows) {
+            records.push((AttributeInfo { name, components: components.len() }, components));
+        }
+    }
+    let infos: Vec<AttributeInfo> = records.iter().map(|(info, _)| info.clone()).collect();
+    let (mut attributes, mut unread) = (Vec::new(), Vec::new());
+    for ((info, components), reads) in records.into_iter().zip(wanted.among(&infos)) {
+        if reads {
+            attributes.push((info, columns_of(&components, None, Scalar::F32, file, &mut decoded)?));
+        } else {
+            unread.push(info);
+        }
+    }
+    let rows = usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
+    file.check()?;
+    let position = spot.try_into().expect("of three components");
+    let store: ColumnStore = ColumnStore::new(decoded.finish()?, Rows::All(rows), position, attributes);
+    Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
+}
+
+/// Appends the sums of components, and says where their columns are.
+fn columns_of(
+    components: &[Component],
+    added: Option<&[Component]>,
+    scalar: Scalar,
+    file: &File,
+    decoded: &mut Unpacked,
+) -> Result<Vec<Column>, ReadFault> {
+    let rows = components[0].rows();
+    let stride = components.len() * scalar.size();
+    let end = rows.checked_mul(stride as u64).and_then(|bytes| bytes.checked_add(decoded.len()));
+    if end.is_none_or(|end| end > file.limit) {
+        return Err(ReadFault::Compression(format!("{rows} particles are beyond all reason for this file")));
+    }
+    let stored = components.iter().find_map(|component| match &component.values {
+        Values::Stored(array) => Some(array.windows()),
+        Values::Constant(..) => None,
+    });
+    let windows = stored.unwrap_or_else(|| Windows::of(rows, stride as u64));
+    let start = decoded.len() as usize;
+    let make = |index: usize, out: &mut Vec<u8>| -> io::Result<()> {
+        let window = windows.rows(index, rows);
+        let mut tuples = vec![0.0; (window[1] - window[0]) as usize * components.len()];
+        for components in [Some(components), added].into_iter().flatten() {
+            for (axis, component) in components.iter().enumerate() {
+                let values = component.doubles(window).map_err(io::Error::other)?;
+                for (tuple, value) in tuples.chunks_exact_mut(components.len()).zip(values) {
+                    tuple[axis] += value;
+                }
+            }
+        }
+        match scalar {
+            Scalar::F32 => tuples.iter().for_each(|&value| out.extend((value as f32).to_le_bytes())),
+            _ => tuples.iter().for_each(|&value| out.extend(value.to_le_bytes())),
+        }
+        Ok(())
+    };
+    in_order(windows.count, make, |bytes| decoded.push(bytes).map_err(io::Error::other)).map_err(fault_of)?;
+    Ok(columns(start, stride, components.len(), scalar, Endian::Little))
+}

@@ -1,0 +1,53 @@
+//! PySPH's output in HDF5: `particles`, with a group for each of its arrays of particles, and the solver's time.
+
+use crate::io::wanted::{TAG, Wanted};
+use crate::io::{ParticleFile, ReadFault, malformed};
+use crate::particles::AttributeInfo;
+
+use super::file::{File, checked, time_of};
+use super::kinds::chosen_type;
+use super::table::{Array, Place, Table};
+
+/// Name of the group of the arrays of particles.
+pub const PARTICLES: &str = "particles";
+/// Name of the group that the solver's time is in.
+pub const SOLVER: &str = "solver_data";
+
+/// Reads the particles of the array that is `wanted`, or of `fluid`. A `tag` that is not 0 marks copies of other processes' particles, and
+/// those that periodicity needs: they are left out.
+pub fn read_particles(file: File, wanted: Wanted) -> Result<ParticleFile, ReadFault> {
+    let time = time_of(&file.group(SOLVER)?);
+    let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
+    let kind = chosen_type(&known, wanted.particle_type, Some("fluid"))?;
+    let arrays = Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
+    let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
+    Ok(ParticleFile { time, ..file.without(TAG) })
+}
+
+/// Columns by their names: `x`, `y` and `z` are the position, `u`, `v` and `w` the velocity.
+fn table(arrays: Vec<Array>) -> Result<Table, ReadFault> {
+    let named = |name: &str| arrays.iter().position(|array| array.name == name && array.components == 1);
+    let vector = |names: [&str; 3]| -> Option<[usize; 3]> {
+        let [x, y, z] = names.map(named);
+        Some([x?, y?, z?])
+    };
+    let missing = || malformed(0, "no arrays x, y and z");
+    let position = vector(["x", "y", "z"]).ok_or_else(missing)?;
+    let rows = arrays[position[0]].rows;
+    if position.iter().any(|&axis| arrays[axis].rows != rows) {
+        return Err(malformed(0, "x, y and z differ in length"));
+    }
+    let velocity = vector(["u", "v", "w"]).filter(|v| v.iter().all(|&axis| arrays[axis].rows == rows));
+    let places = |columns: [usize; 3]| columns.map(|array| -> Place { (array, 0) });
+    let info = |name: &str, components| AttributeInfo { name: name.to_owned(), components };
+    let mut attributes: Vec<_> =
+        velocity.map(|v| (info("velocity", 3), places(v).to_vec())).into_iter().collect();
+    let used: Vec<usize> = position.into_iter().chain(velocity.into_iter().flatten()).collect();
+    for (index, array) in arrays.iter().enumerate() {
+        if array.rows == rows && !used.contains(&index) {
+            let places = (0..array.components).map(|component| (index, component)).collect();
+            attributes.push((info(&array.name, array.components), places));
+        }
+    }
+    Ok(Table { position: places(position), attributes, arrays })
+}

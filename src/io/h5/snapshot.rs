@@ -1,0 +1,203 @@
+//! Snapshots of SWIFT and GADGET: a group for each type of particles, `PartType0` for gas, in one file or in several.
+//!
+//! `base.0.hdf5`, `base.1.hdf5` and so on are one snapshot, and each says how many they are. A file `base.hdf5` beside them, whose
+//! data sets are views of theirs, is never read but for that number.
+
+use std::path::{Path, PathBuf};
+
+use hdf5_reader::group::Group;
+use rayon::prelude::*;
+
+use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
+use crate::io::piece_name::snapshot_piece;
+use crate::io::wanted::Wanted;
+use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
+use crate::particles::Particles;
+
+use super::file::{File, checked, number, numbers, time_of};
+use super::kinds::chosen_type;
+use super::table::{Array, Table};
+
+/// Name of the group of all that is said of the snapshot.
+pub const HEADER: &str = "Header";
+/// Prefix of the names of the groups of particles.
+const TYPE: &str = "PartType";
+const GAS: &str = "PartType0";
+const POSITION: &str = "Coordinates";
+const FORMAT: &str = "SWIFT or GADGET HDF5";
+
+/// Contents of the header that every file of a snapshot has.
+#[derive(Debug, Clone, PartialEq)]
+struct Header {
+    /// Numbers of particles in this file, by type.
+    here: Vec<u64>,
+    /// Numbers of particles in all files, by type.
+    total: Option<Vec<u64>>,
+    files: u64,
+    time: Option<f64>,
+    box_size: Option<[f64; 3]>,
+    unit_metres: Option<f64>,
+    /// Whether the file's data sets are views of those of others.
+    is_view: bool,
+}
+
+/// Whether a file is one of a snapshot, by its header.
+pub fn says_pieces(root: &Group) -> bool {
+    root.group(HEADER).is_ok_and(|header| header.attribute("NumPart_ThisFile").is_ok())
+}
+
+impl Header {
+    fn read(root: &Group) -> Result<Self, ReadFault> {
+        let header = checked(root.group(HEADER))?;
+        let counts = |name: &str| -> Option<Vec<u64>> {
+            let counts = numbers(&header, name)?.into_iter();
+            Some(counts.map(|count| if count >= 0.0 { count as u64 } else { 0 }).collect())
+        };
+        let here = counts("NumPart_ThisFile")
+            .ok_or_else(|| malformed(0, "no numbers of particles (NumPart_ThisFile)"))?;
+        let high = counts("NumPart_Total_HighWord").unwrap_or_default();
+        let total = counts("NumPart_Total").map(|low| {
+            let high = high.into_iter().chain(std::iter::repeat(0));
+            low.into_iter().zip(high).map(|(low, high)| low.saturating_add(high << 32)).collect()
+        });
+        let files = number(&header, "NumFilesPerSnapshot").filter(|files| *files >= 1.0).unwrap_or(1.0);
+        let box_size = numbers(&header, "BoxSize").and_then(|edges| match *edges {
+            [edge] => Some([edge; 3]),
+            [x, y, z] => Some([x, y, z]),
+            _ => None,
+        });
+        Ok(Self {
+            here,
+            total,
+            files: files as u64,
+            time: time_of(&header),
+            box_size: box_size.filter(|edges| edges.iter().all(|edge| edge.is_finite())),
+            unit_metres: unit_metres(root, &header),
+            is_view: number(&header, "Virtual").is_some_and(|is| is != 0.0),
+        })
+    }
+
+    /// The types of which there are particles, in any of the files.
+    fn types(&self) -> Vec<String> {
+        let counts = self.total.as_ref().unwrap_or(&self.here);
+        (0..).zip(counts).filter(|(_, count)| **count > 0).map(|(kind, _)| format!("{TYPE}{kind}")).collect()
+    }
+
+    /// Whether another file may be of the same snapshot.
+    fn is_like(&self, other: &Self) -> bool {
+        self.files == other.files && self.time == other.time && self.total == other.total
+    }
+}
+
+/// The unit of length: SWIFT says it in a group, GADGET in the header or among the parameters.
+fn unit_metres(root: &Group, header: &Group) -> Option<f64> {
+    let swift = || number(&root.group("Units").ok()?, "Unit length in cgs (U_L)");
+    let gadget = || {
+        let name = "UnitLength_in_cm";
+        number(header, name).or_else(|| number(&root.group("Parameters").ok()?, name))
+    };
+    swift().or_else(gadget).map(|centimetres| centimetres / 100.0).filter(|metres| *metres > 0.0)
+}
+
+/// Reads all files of the snapshot that `file`, at `path`, is one of: particles of the type that is `wanted`, or gas.
+pub fn open_particles(
+    path: &Path,
+    file: File,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    let fail = |fault| ReadError::new(path, fault);
+    let header = file.root().and_then(|root| Header::read(&root)).map_err(fail)?;
+    let kind = chosen_type(&header.types(), wanted.particle_type.or(Some(GAS)), None).map_err(fail)?;
+    let read = if header.files == 1 && !header.is_view {
+        read_piece(file, &kind, wanted, &header, None).map_err(fail)?
+    } else {
+        drop(file);
+        let paths = piece_paths(path, &header)?;
+        let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
+        let open = |piece: &PathBuf| {
+            let bytes = open_bytes_within(piece, share)?;
+            let read = File::open(bytes, share).and_then(|file| {
+                let own = Header::read(&file.root()?)?;
+                read_piece(file, &kind, wanted, &own, Some(&header))
+            });
+            read.map_err(|fault| ReadError::new(piece, fault))
+        };
+        // All are waited for, so that the error is the first piece's.
+        let all: Vec<_> = paths.par_iter().map(open).collect();
+        let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let unread = all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
+        let all = all.into_iter().map(|file| file.particles).collect();
+        let joined = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
+        let unread = unread.unwrap_or_default();
+        ParticleFile { unread, ..ParticleFile::new(joined, "SWIFT or GADGET HDF5 in pieces") }
+    };
+    check_total(&header, &kind, read.particles.len()).map_err(fail)?;
+    let Header { time, box_size, unit_metres, .. } = header;
+    Ok(ParticleFile { time, box_size, unit_metres, ..read })
+}
+
+/// Refuses files that hold other particles together than each of them says.
+fn check_total(header: &Header, kind: &str, found: usize) -> Result<(), ReadFault> {
+    let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
+    match header.total.as_ref().and_then(|total| total.get(index)) {
+        Some(&total) if total != found as u64 => {
+            Err(malformed(0, format!("{total} particles of {kind} are announced, its files hold {found}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The particles of one file. It may be one of those that `of` announces.
+fn read_piece(
+    file: File,
+    kind: &str,
+    wanted: Wanted,
+    own: &Header,
+    of: Option<&Header>,
+) -> Result<ParticleFile, ReadFault> {
+    if of.is_some_and(|of| !own.is_like(of)) {
+        return Err(malformed(0, "its header is of another snapshot"));
+    }
+    let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
+    let announced = own.here.get(index).copied().unwrap_or(0);
+    if of.is_some() && announced == 0 {
+        return Ok(ParticleFile::new(Pieces::default(), FORMAT));
+    }
+    let group = file.group(kind)?;
+    let arrays = Array::by_name(&group)?;
+    let missing = || malformed(0, format!("no {POSITION} of three components in {kind}"));
+    let table = Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
+    if table.rows() != announced {
+        let what = format!("{announced} particles of {kind} are announced, {} are there", table.rows());
+        return Err(malformed(0, what));
+    }
+    drop(group);
+    table.read(file, FORMAT, wanted.attributes)
+}
+
+/// The paths of a snapshot's files, all of which are there.
+fn piece_paths(path: &Path, header: &Header) -> Result<Vec<PathBuf>, ReadError> {
+    let base = snapshot_piece(path).filter(|(_, number)| !header.is_view && *number < header.files);
+    let base = base.map_or_else(|| path.to_owned(), |(base, _)| base);
+    let [stem, extension] =
+        [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
+    let unnamed = || ReadFault::Unsupported("one of several files whose names are like base.0.hdf5".into());
+    let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
+    let mut paths = Vec::new();
+    for number in 0..header.files {
+        let piece = path.with_file_name(format!("{stem}.{number}.{extension}"));
+        // Whatever the number of files, those that are there are not many.
+        piece.metadata().map_err(|fault| ReadError::new(&piece, fault.into()))?;
+        paths.push(piece);
+    }
+    Ok(paths)
+}
+
+/// How many files a snapshot is in, by one of them; `None` of what is no snapshot.
+#[must_use]
+pub fn pieces_of(path: &Path) -> Option<u64> {
+    let file = File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
+    let root = file.root().ok().filter(says_pieces)?;
+    Header::read(&root).ok().map(|header| header.files)
+}

@@ -1,0 +1,177 @@
+//! The particles of an input that is in one file or in several pieces: one after the other, those that are ghosts left out.
+//!
+//! A simulation on many nodes writes a piece for each, and may put copies of its neighbours' particles in it. These ghosts are
+//! flagged; a run of rows without them is a span, and the spans of all pieces in order are the particles.
+
+use std::ops::Range;
+
+use crate::particles::{AttributeInfo, Particles, Unread};
+
+use super::columns::ColumnStore;
+use super::{ReadFault, malformed};
+
+/// Flags that are looked at together.
+const FLAGS: usize = 1 << 14;
+
+/// The particles of all pieces.
+#[derive(Debug, Default)]
+pub struct Pieces {
+    stores: Vec<ColumnStore>,
+    /// In the order of their particles.
+    spans: Vec<Span>,
+    len: usize,
+    infos: Vec<AttributeInfo>,
+    /// For every piece the numbers of its own attributes, in the order of `infos`.
+    numbers: Vec<Vec<usize>>,
+}
+
+/// Particles that are neighbours in one piece.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    /// The number of the first among all particles.
+    first: usize,
+    /// The number of the piece.
+    piece: usize,
+    /// The number of the first among the piece's.
+    row: usize,
+}
+
+impl From<ColumnStore> for Pieces {
+    fn from(store: ColumnStore) -> Self {
+        let infos = store.attributes().to_vec();
+        let numbers = vec![(0..infos.len()).collect()];
+        let len = store.len();
+        Self { stores: vec![store], spans: vec![Span { first: 0, piece: 0, row: 0 }], len, infos, numbers }
+    }
+}
+
+impl Pieces {
+    /// Joins pieces, whose attributes must be the same but may be in any order and of any type; a piece without particles may lack
+    /// them.
+    ///
+    /// # Errors
+    /// The number of the piece that has other attributes than those before, and [`ReadFault::Malformed`] that says which.
+    pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
+        let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
+        let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
+        let mut all = Self { stores: Vec::new(), spans: Vec::new(), len: 0, infos, numbers: Vec::new() };
+        for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
+            let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
+            let (first, piece) = (all.len, all.stores.len());
+            let moved = |span: Span| Span { first: first + span.first, piece: piece + span.piece, ..span };
+            all.spans.extend(part.spans.into_iter().map(moved));
+            let numbers = part.numbers.iter();
+            all.numbers
+                .extend(numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()));
+            all.stores.extend(part.stores);
+            all.len += part.len;
+        }
+        Ok(all)
+    }
+
+    /// Leaves out the particles whose attribute `flags` of one number is not 0, and that attribute. Returns how many there were.
+    pub(super) fn leave_out(&mut self, flags: usize) -> usize {
+        let (mut spans, mut len) = (Vec::new(), 0);
+        let mut values = vec![0.0; FLAGS];
+        self.each_span(0..self.len, |span, count, _| {
+            let mut kept_before = false;
+            for first in (0..count).step_by(FLAGS) {
+                let values = &mut values[..FLAGS.min(count - first)];
+                let (store, number) = (&self.stores[span.piece], self.numbers[span.piece][flags]);
+                store.attribute(number, span.row + first, values);
+                for (row, &flag) in (span.row + first..).zip(&*values) {
+                    let kept = flag == 0.0;
+                    if kept && !kept_before {
+                        spans.push(Span { first: len, piece: span.piece, row });
+                    }
+                    len += usize::from(kept);
+                    kept_before = kept;
+                }
+            }
+        });
+        let dropped = self.len - len;
+        spans.shrink_to_fit();
+        (self.spans, self.len) = (spans, len);
+        self.infos.remove(flags);
+        for numbers in &mut self.numbers {
+            numbers.remove(flags);
+        }
+        dropped
+    }
+
+    /// Bytes of scratch files that the numbers are in.
+    #[must_use]
+    pub fn scratch_bytes(&self) -> u64 {
+        self.stores.iter().map(ColumnStore::scratch_bytes).sum()
+    }
+
+    /// Calls `take` for the spans within `range`, each cut to that, with its number of particles and the number of its first one
+    /// within `range`.
+    fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
+        assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
+        let mut first = range.start;
+        let mut index = self.spans.partition_point(|span| span.first <= first).saturating_sub(1);
+        while first < range.end {
+            let span = self.spans[index];
+            let end = self.spans.get(index + 1).map_or(self.len, |next| next.first).min(range.end);
+            let cut = Span { first, row: span.row + (first - span.first), ..span };
+            take(cut, end - first, first - range.start);
+            (first, index) = (end, index + 1);
+        }
+    }
+}
+
+/// The numbers of `own` attributes in the order of `infos`.
+fn same_attributes(infos: &[AttributeInfo], own: &[AttributeInfo]) -> Result<Vec<usize>, ReadFault> {
+    let differs = |what: &str, info: &AttributeInfo| {
+        let AttributeInfo { name, components } = info;
+        malformed(0, format!("{what} {name} of {components} numbers, unlike the pieces before"))
+    };
+    if let Some(extra) = own.iter().find(|info| !infos.contains(info)) {
+        return Err(differs("an attribute", extra));
+    }
+    let number = |info: &AttributeInfo| {
+        let found = own.iter().position(|own| own == info);
+        found.ok_or_else(|| differs("no attribute", info))
+    };
+    infos.iter().map(number).collect()
+}
+
+impl Particles for Pieces {
+    fn len(&self) -> usize {
+        self.len
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.each_span(first..first + out.len(), |span, count, at| {
+            self.stores[span.piece].positions(span.row, &mut out[at..at + count]);
+        });
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.stores.iter().try_for_each(Particles::check)
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        let stores: u64 = self.stores.iter().map(Particles::resident_bytes).sum();
+        stores + (self.spans.len() * size_of::<Span>()) as u64
+    }
+
+    fn release(&self, range: Range<usize>) {
+        self.each_span(range, |span, count, _| self.stores[span.piece].release(span.row..span.row + count));
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        &self.infos
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let components = self.infos[index].components;
+        let count = out.len() / components.max(1);
+        self.each_span(first..first + count, |span, count, at| {
+            let number = self.numbers[span.piece][index];
+            let out = &mut out[at * components..(at + count) * components];
+            self.stores[span.piece].attribute(number, span.row, out);
+        });
+    }
+}

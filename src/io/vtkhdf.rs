@@ -1,0 +1,324 @@
+//! Writing meshes as VTKHDF, which is HDF5: PolyData of one partition, every data set in one run of bytes.
+//!
+//! All sizes are known before the first byte, so the file is written from front to back: the superblock (version 0), the headers of
+//! all groups and data sets (version 1, with links in them), then the data. It is read by [`h5`](super::input) and by whatever reads HDF5.
+
+use std::io::{self, Write};
+
+use crate::surface::mesh::source::MeshSource;
+
+use super::CoordinateWidth;
+use super::columns::Scalar;
+use super::vtp::arrays::{Array, point_data, points, polygons};
+
+/// Stands where there is no address.
+const NOWHERE: u64 = u64::MAX;
+/// Bytes of the superblock.
+const SUPERBLOCK: u64 = 96;
+
+/// Writes `mesh` with all of its attributes, little-endian: points as f32 or f64 by `width`, indices as 32 bits as long as they
+/// fit.
+///
+/// A slash in a name, which HDF5 keeps for paths, is written as an underscore.
+///
+/// # Errors
+/// Those of `mesh` and `out`.
+///
+/// # Panics
+/// As [`MeshFormat::write`](crate::io::output::MeshFormat::write).
+pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateWidth) -> io::Result<()> {
+    let root = root(mesh, width);
+    let headers = root.header_bytes();
+    let mut out = Counting { out, at: 0 };
+    let mut data = SUPERBLOCK + headers;
+    let mut encoded = Vec::new();
+    root.encode(SUPERBLOCK, &mut data, &mut encoded);
+    out.write_all(&superblock(data))?;
+    out.write_all(&encoded)?;
+    root.write_data(&mut out, mesh)
+}
+
+/// A named thing in a group.
+type Link = (String, Node);
+
+enum Node {
+    Group { links: Vec<Link>, attributes: Vec<Attribute> },
+    Set { scalar: Scalar, shape: Vec<u64>, data: Data },
+}
+
+enum Data {
+    /// Counts, written as they are.
+    Counts(Vec<u64>),
+    Array(Array<'static>),
+    /// Ends of the triangles' corners, with the first one's beginning before them.
+    Ends(Array<'static>),
+}
+
+enum Attribute {
+    Text(&'static str, &'static str),
+    Counts(&'static str, [u64; 2]),
+}
+
+fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
+    let (vertices, triangles) = (mesh.vertex_count(), mesh.triangle_count());
+    let [corners, ends] = polygons(mesh);
+    let faces = |cells: u64, corners: Node, ends: Node| {
+        group(vec![
+            ("Connectivity", corners),
+            ("NumberOfCells", counts(&[cells])),
+            ("NumberOfConnectivityIds", counts(&[3 * cells])),
+            ("Offsets", ends),
+        ])
+    };
+    let none = || faces(0, counts(&[]), counts(&[0]));
+    let ends = Node::Set { scalar: ends.scalar(), shape: vec![triangles + 1], data: Data::Ends(ends) };
+    let data = point_data(mesh).into_iter().map(|array| (array.name.replace('/', "_"), set(array)));
+    let vtk = Node::Group {
+        links: vec![
+            ("Lines".to_owned(), none()),
+            ("NumberOfPoints".to_owned(), counts(&[vertices])),
+            ("PointData".to_owned(), Node::Group { links: data.collect(), attributes: Vec::new() }),
+            ("Points".to_owned(), set(points(mesh, width))),
+            ("Polygons".to_owned(), faces(triangles, set(corners), ends)),
+            ("Strips".to_owned(), none()),
+            ("Vertices".to_owned(), none()),
+        ],
+        attributes: vec![Attribute::Text("Type", "PolyData"), Attribute::Counts("Version", [2, 0])],
+    };
+    group(vec![("VTKHDF", vtk)])
+}
+
+fn group(links: Vec<(&str, Node)>) -> Node {
+    let links = links.into_iter().map(|(name, node)| (name.to_owned(), node)).collect();
+    Node::Group { links, attributes: Vec::new() }
+}
+
+fn counts(values: &[u64]) -> Node {
+    Node::Set { scalar: Scalar::I64, shape: vec![values.len() as u64], data: Data::Counts(values.to_vec()) }
+}
+
+fn set(array: Array<'static>) -> Node {
+    let components = array.components as u64;
+    let shape = match components {
+        1 => vec![array.length],
+        // Arrays of no components at all have rows nevertheless.
+        _ => vec![array.length / components.max(1), components],
+    };
+    Node::Set { scalar: array.scalar(), shape, data: Data::Array(array) }
+}
+
+impl Node {
+    /// The header's messages, the addresses in them those of the header's `links` or of its data.
+    fn messages(&self, addresses: &[u64]) -> Vec<u8> {
+        let mut messages = Messages::default();
+        match self {
+            Self::Group { links, attributes } => {
+                // Links are in the header itself, and not in a heap.
+                messages.add(0x02, &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat());
+                messages.add(0x0a, &[0, 0]);
+                for ((name, _), address) in links.iter().zip(addresses) {
+                    let name = &name.as_bytes()[..name.len().min(usize::from(u16::MAX) / 2)];
+                    let length = (name.len() as u16).to_le_bytes();
+                    // A hard link, its name in UTF-8.
+                    messages.add(0x06, &[&[1, 0x11, 1], &length[..], name, &address.to_le_bytes()].concat());
+                }
+                attributes.iter().for_each(|attribute| messages.add(0x0c, &attribute.encoded()));
+            }
+            Self::Set { scalar, shape, .. } => {
+                messages.add(0x01, &dataspace(shape));
+                messages.add(0x03, &datatype(*scalar));
+                // No value fills what was never written: all is.
+                messages.add(0x05, &[2, 2, 2, 0]);
+                let (bytes, address) = (self.data_bytes(), addresses[0]);
+                messages.add(0x08, &[&[3, 1], &address.to_le_bytes()[..], &bytes.to_le_bytes()].concat());
+            }
+        }
+        messages.with_prefix()
+    }
+
+    fn links(&self) -> &[Link] {
+        match self {
+            Self::Group { links, .. } => links,
+            Self::Set { .. } => &[],
+        }
+    }
+
+    /// Bytes of the header.
+    fn own_bytes(&self) -> u64 {
+        self.messages(&vec![0; self.links().len().max(1)]).len() as u64
+    }
+
+    /// Bytes of the header and of all below it.
+    fn header_bytes(&self) -> u64 {
+        self.own_bytes() + self.links().iter().map(|(_, node)| node.header_bytes()).sum::<u64>()
+    }
+
+    fn data_bytes(&self) -> u64 {
+        match self {
+            Self::Group { .. } => 0,
+            Self::Set { scalar, shape, .. } => shape.iter().product::<u64>() * scalar.size() as u64,
+        }
+    }
+
+    /// Appends the header, whose address is `at`, and those of all below; `data` is where the next data go.
+    fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
+        let bytes = self.data_bytes();
+        let addresses = match self {
+            Self::Set { .. } if bytes == 0 => vec![NOWHERE],
+            Self::Set { .. } => vec![std::mem::replace(data, *data + padded(bytes))],
+            Self::Group { links, .. } => {
+                let mut next = at + self.own_bytes();
+                let place = |(_, node): &Link| {
+                    let at = next;
+                    next += node.header_bytes();
+                    at
+                };
+                links.iter().map(place).collect()
+            }
+        };
+        out.extend(self.messages(&addresses));
+        for ((_, node), address) in self.links().iter().zip(addresses) {
+            node.encode(address, data, out);
+        }
+    }
+
+    /// Writes the data of all below in the order of [`encode`](Self::encode).
+    fn write_data(&self, out: &mut Counting, mesh: &dyn MeshSource) -> io::Result<()> {
+        match self {
+            Self::Group { links, .. } => links.iter().try_for_each(|(_, node)| node.write_data(out, mesh)),
+            Self::Set { scalar, data, .. } => {
+                match data {
+                    Data::Counts(values) => {
+                        values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))?;
+                    }
+                    Data::Array(array) => array.write(out, mesh)?,
+                    Data::Ends(array) => {
+                        out.write_all(&[0; 8][..scalar.size()])?;
+                        array.write(out, mesh)?;
+                    }
+                }
+                out.pad()
+            }
+        }
+    }
+}
+
+impl Attribute {
+    fn encoded(&self) -> Vec<u8> {
+        let (name, kind, space, value) = match self {
+            Self::Text(name, text) => {
+                // A string without an end: the type says its length.
+                let kind = [&[0x13, 1, 0, 0], &(text.len() as u32).to_le_bytes()[..]].concat();
+                (name, kind, dataspace(&[]), text.as_bytes().to_vec())
+            }
+            Self::Counts(name, values) => {
+                let value = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+                (name, datatype(Scalar::I64), dataspace(&[values.len() as u64]), value)
+            }
+        };
+        let length = |bytes: usize| (bytes as u16).to_le_bytes();
+        let mut encoded = vec![1, 0];
+        for bytes in [name.len() + 1, kind.len(), space.len()] {
+            encoded.extend(length(bytes));
+        }
+        for part in [&[name.as_bytes(), &[0]].concat(), &kind, &space] {
+            encoded.extend(part);
+            encoded.resize(padded(encoded.len() as u64) as usize, 0);
+        }
+        encoded.extend(value);
+        encoded
+    }
+}
+
+/// Messages of an object's header.
+#[derive(Default)]
+struct Messages {
+    bytes: Vec<u8>,
+    count: u16,
+}
+
+impl Messages {
+    fn add(&mut self, kind: u16, content: &[u8]) {
+        let size = padded(content.len() as u64);
+        self.bytes.extend(kind.to_le_bytes());
+        self.bytes.extend((size as u16).to_le_bytes());
+        self.bytes.extend([0; 4]);
+        self.bytes.extend(content);
+        self.bytes.resize(padded(self.bytes.len() as u64) as usize, 0);
+        self.count += 1;
+    }
+
+    /// The header: version 1, named once.
+    fn with_prefix(self) -> Vec<u8> {
+        let mut header = vec![1, 0];
+        header.extend(self.count.to_le_bytes());
+        header.extend(1u32.to_le_bytes());
+        header.extend((self.bytes.len() as u32).to_le_bytes());
+        header.extend([0; 4]);
+        header.extend(self.bytes);
+        header
+    }
+}
+
+/// Size of so many bytes with those that fill them up to a multiple of eight.
+fn padded(bytes: u64) -> u64 {
+    bytes.next_multiple_of(8)
+}
+
+fn dataspace(shape: &[u64]) -> Vec<u8> {
+    let mut space = vec![1, shape.len() as u8, 0, 0, 0, 0, 0, 0];
+    space.extend(shape.iter().flat_map(|extent| extent.to_le_bytes()));
+    space
+}
+
+/// Little-endian numbers: IEEE 754, or two's complement.
+fn datatype(scalar: Scalar) -> Vec<u8> {
+    let size = scalar.size() as u8;
+    let float = |sign: u8, exponent_at: u8, exponent: u8, bias: u16| {
+        let [low, high] = bias.to_le_bytes();
+        let head = [0x11, 0x20, sign, 0, size, 0, 0, 0];
+        [&head[..], &[0, 0, 8 * size, 0, exponent_at, exponent, 0, exponent_at, low, high, 0, 0]].concat()
+    };
+    match scalar {
+        Scalar::F32 => float(31, 23, 8, 127),
+        Scalar::F64 => float(63, 52, 11, 1023),
+        _ => vec![0x10, 8, 0, 0, size, 0, 0, 0, 0, 0, 8 * size, 0],
+    }
+}
+
+/// The head of a file that ends at byte `end`; the root's header follows it.
+fn superblock(end: u64) -> Vec<u8> {
+    let mut block = b"\x89HDF\r\n\x1a\n\0\0\0\0\0\x08\x08\0".to_vec();
+    // Sizes of nodes in trees, of which there are none.
+    block.extend([4, 0, 16, 0, 0, 0, 0, 0]);
+    for address in [0, NOWHERE, end, NOWHERE, 0, SUPERBLOCK] {
+        block.extend(address.to_le_bytes());
+    }
+    block.resize(SUPERBLOCK as usize, 0);
+    block
+}
+
+/// An output that knows how much was written.
+struct Counting<'a> {
+    out: &'a mut dyn Write,
+    at: u64,
+}
+
+impl Counting<'_> {
+    fn pad(&mut self) -> io::Result<()> {
+        let missing = padded(self.at) - self.at;
+        self.write_all(&[0; 8][..missing as usize])
+    }
+}
+
+impl Write for Counting<'_> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(buffer)?;
+        self.at += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}

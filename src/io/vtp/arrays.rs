@@ -1,0 +1,148 @@
+//! The arrays of a mesh as VTK's formats have them: points, their attributes, and triangles as corners and ends.
+
+use std::io::{self, Write};
+
+use crate::io::CoordinateWidth;
+use crate::io::columns::Scalar;
+use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
+use crate::surface::mesh::source::MeshSource;
+
+use super::NORMALS;
+
+/// Triangles whose ends are written at once.
+const ENDS: u64 = 1 << 14;
+
+/// An array of the file.
+pub(in crate::io) struct Array<'a> {
+    pub name: String,
+    pub components: usize,
+    /// Number of values, of all components together.
+    pub length: u64,
+    numbers: Numbers<'a>,
+}
+
+enum Numbers<'a> {
+    Normals,
+    /// By its number.
+    Attribute(usize),
+    Positions(CoordinateWidth),
+    Corners(IndexWidth),
+    /// Where each triangle's corners end: 3, 6, 9, ...
+    Ends(IndexWidth),
+    /// The numbers that vertices share with those of other pieces.
+    Identifiers(&'a [u64]),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::io) enum IndexWidth {
+    I32,
+    I64,
+}
+
+/// Normals, if there are any, and all attributes.
+pub(in crate::io) fn point_data(mesh: &dyn MeshSource) -> Vec<Array<'static>> {
+    let array = |name: String, components: usize, numbers: Numbers<'static>| {
+        let length = mesh.vertex_count() * components as u64;
+        Array { name, components, length, numbers }
+    };
+    let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, Numbers::Normals));
+    let attributes = mesh.attributes().into_iter().enumerate();
+    let attributes = attributes.map(|(index, a)| array(a.name, a.components, Numbers::Attribute(index)));
+    normals.into_iter().chain(attributes).collect()
+}
+
+/// The positions.
+pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Array<'static> {
+    let numbers = Numbers::Positions(width);
+    Array { name: "Points".to_owned(), components: 3, length: 3 * mesh.vertex_count(), numbers }
+}
+
+/// The triangles' corners, and where those of each end.
+pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
+    let triangles = mesh.triangle_count();
+    let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
+    let array = |name: &str, length, numbers| Array { name: name.to_owned(), components: 1, length, numbers };
+    [
+        array("connectivity", 3 * triangles, Numbers::Corners(width)),
+        array("offsets", triangles, Numbers::Ends(width)),
+    ]
+}
+
+/// The numbers of the vertices in the mesh that a piece is of.
+pub(super) fn identifiers<'a>(name: &str, numbers: &'a [u64]) -> Array<'a> {
+    let length = numbers.len() as u64;
+    Array { name: name.to_owned(), components: 1, length, numbers: Numbers::Identifiers(numbers) }
+}
+
+impl Array<'_> {
+    /// The type of its numbers.
+    pub fn scalar(&self) -> Scalar {
+        match self.numbers {
+            Numbers::Normals | Numbers::Attribute(_) | Numbers::Positions(CoordinateWidth::F32) => {
+                Scalar::F32
+            }
+            Numbers::Positions(CoordinateWidth::F64) => Scalar::F64,
+            Numbers::Corners(IndexWidth::I32) | Numbers::Ends(IndexWidth::I32) => Scalar::I32,
+            Numbers::Corners(IndexWidth::I64) | Numbers::Ends(IndexWidth::I64) | Numbers::Identifiers(_) => {
+                Scalar::I64
+            }
+        }
+    }
+
+    pub fn bytes(&self) -> u64 {
+        self.length * self.scalar().size() as u64
+    }
+
+    /// Writes all numbers, little-endian.
+    pub fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
+        match self.numbers {
+            Numbers::Normals => write_floats(out, mesh, |vertices| vertices.normals.as_flattened()),
+            Numbers::Attribute(index) => write_floats(out, mesh, |vertices| &vertices.attributes[index]),
+            Numbers::Positions(width) => write_vertices(out, mesh, |vertices, out| {
+                vertices.positions.iter().for_each(|&position| put_position(out, position, width));
+            }),
+            Numbers::Corners(width) => write_triangles(out, mesh, |triangles, out| {
+                triangles.as_flattened().iter().for_each(|&corner| width.put(out, corner));
+            }),
+            Numbers::Ends(width) => write_pieces(out, self.length.div_ceil(ENDS) as usize, |piece, out| {
+                let first = piece as u64 * ENDS;
+                let ends = first + 1..=(first + ENDS).min(self.length);
+                ends.for_each(|triangles| width.put(out, 3 * triangles));
+                Ok(())
+            }),
+            Numbers::Identifiers(numbers) => {
+                let all: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+                out.write_all(&all)
+            }
+        }
+    }
+}
+
+impl IndexWidth {
+    fn that_holds(greatest: u64) -> Self {
+        if i32::try_from(greatest).is_ok() { Self::I32 } else { Self::I64 }
+    }
+
+    fn put(self, out: &mut Vec<u8>, index: u64) {
+        match self {
+            Self::I32 => out.extend((index as u32).to_le_bytes()),
+            Self::I64 => out.extend(index.to_le_bytes()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::IndexWidth;
+
+    #[test]
+    fn indices_are_as_wide_as_the_greatest_one_needs() {
+        for (greatest, width, bytes) in [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
+        {
+            assert_eq!(IndexWidth::that_holds(greatest), width);
+            let mut out = Vec::new();
+            width.put(&mut out, greatest);
+            assert_eq!(out, u64::to_le_bytes(greatest)[..bytes]);
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! Parts of an input that are wanted: a type of particles, some of their attributes, and no ghosts.
+
+use crate::particles::{AttributeInfo, Particles, velocity_attribute};
+
+use super::{ParticleFile, ReadFault};
+
+/// Names of VTK's flags of points that are copies, or hidden.
+const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+/// Name of PySPH's flag of particles that are copies.
+pub(super) const TAG: &str = "tag";
+
+/// The particles that are wanted of an input that may hold others too, and what of them.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Wanted<'a> {
+    /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
+    pub particle_type: Option<&'a str>,
+    /// Attributes that have to be there. A format that reads all at once has others too.
+    pub attributes: WantedAttributes<'a>,
+}
+
+/// Attributes that are wanted of particles.
+#[derive(Debug, Clone, Copy, Default)]
+pub enum WantedAttributes<'a> {
+    /// All that there are.
+    #[default]
+    All,
+    /// The velocity.
+    Velocity,
+    /// Attributes of these names, `velocity` being whatever the particles call so.
+    Named(&'a [String]),
+}
+
+impl WantedAttributes<'_> {
+    /// Tells for each of an input's attributes whether it is to be read. All are, where one that is wanted is not there: whoever wants it will say
+    /// what is.
+    #[must_use]
+    pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
+        let velocity = velocity_attribute(infos);
+        let number = |name: &String| {
+            let named = infos.iter().position(|info| info.name == *name);
+            named.or(velocity.filter(|_| name == "velocity"))
+        };
+        let wanted: Option<Vec<usize>> = match self {
+            Self::All => None,
+            Self::Velocity => Some(velocity.into_iter().collect()),
+            Self::Named(names) => names.iter().map(number).collect(),
+        };
+        let reads = |(number, info): (usize, &AttributeInfo)| {
+            let is_flag = GHOSTS.contains(&info.name.as_str()) || info.name == TAG;
+            is_flag || wanted.as_ref().is_none_or(|wanted| wanted.contains(&number))
+        };
+        infos.iter().enumerate().map(reads).collect()
+    }
+}
+
+/// Refuses a type of particles in a file without such.
+pub(super) fn no_types(name: &str) -> ReadFault {
+    ReadFault::Unsupported(format!("its particles are of one type, and none is called {name}"))
+}
+
+impl ParticleFile {
+    /// Leaves out the points that VTK flags as copies or as hidden.
+    pub(super) fn without_ghosts(self) -> Self {
+        GHOSTS.iter().fold(self, |file, flag| file.without(flag))
+    }
+
+    /// Leaves out the particles whose attribute `flag` is not 0, and that attribute.
+    pub(super) fn without(mut self, flag: &str) -> Self {
+        let is_it = |info: &AttributeInfo| info.name == flag && info.components == 1;
+        if let Some(index) = self.particles.attributes().iter().position(is_it) {
+            self.ghosts += self.particles.leave_out(index);
+        }
+        self
+    }
+}
