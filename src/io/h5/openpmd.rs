@@ -71,7 +71,7 @@ struct Component {
 }
 
 enum Values {
-    Stored(Array),
+    Stored(Box<Array>),
     /// One value for so many particles.
     Constant(f64, u64),
 }
@@ -83,7 +83,9 @@ impl Component {
         if sets.iter().any(|set| set == name) {
             let array = Array::named(group, name)?;
             let unit = array.set.attribute("unitSI").and_then(|unit| unit.read_as_f64()).unwrap_or(1.0);
-            return Ok((array.components == 1).then_some(Self { values: Values::Stored(array), unit }));
+            return Ok(
+                (array.components == 1).then_some(Self { values: Values::Stored(Box::new(array)), unit })
+            );
         }
         if !groups.iter().any(|group| group == name) {
             return Ok(None);

@@ -192,10 +192,10 @@ pub fn read_mesh(file: File) -> Result<Mesh, ReadFault> {
         return Err(ReadFault::Unsupported("steps in time; a mesh is one frame".to_owned()));
     }
     let points = frame.points(&file, &root)?;
-    if let Some(strips) = sub_group(&root, "Strips")? {
-        if sum(&frame.of_parts(&file, &strips, "NumberOfCells", 0)?)? > 0 {
-            return Err(ReadFault::Unsupported("triangle strips; save them as triangles".to_owned()));
-        }
+    if let Some(strips) = sub_group(&root, "Strips")?
+        && sum(&frame.of_parts(&file, &strips, "NumberOfCells", 0)?)? > 0
+    {
+        return Err(ReadFault::Unsupported("triangle strips; save them as triangles".to_owned()));
     }
     let mut triangles = Triangles::new(usize::try_from(sum(&points)?).unwrap_or(usize::MAX))?;
     if let Some(polygons) = sub_group(&root, "Polygons")? {
