@@ -4,6 +4,8 @@
 //! whoever reads images has them made anew of the particles of their groups. Groups without any are not read again.
 
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -35,12 +37,12 @@ struct Images<'a> {
     astray: usize,
 }
 
-/// Counts of a group of particles.
+/// Counts of all groups.
 #[derive(Default)]
-struct Found {
-    images: u64,
-    astray: usize,
-    first_invalid: Option<BinError>,
+struct Counts {
+    astray: AtomicUsize,
+    /// The first group that has an invalid particle, and that particle.
+    first_invalid: Mutex<Option<(usize, BinError)>>,
 }
 
 impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
@@ -57,20 +59,23 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     ) -> Result<Self, BinError> {
         let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
         let images = Images { grid, domain, periodic, before: Vec::new(), astray: 0 };
-        let groups = (0..particles.len().div_ceil(GROUP)).into_par_iter();
-        let found: Vec<Found> = groups.map(|group| images.count(particles, group)).collect();
-        if invalid == InvalidParticles::Refuse
-            && let Some(error) = found.iter().find_map(|found| found.first_invalid)
-        {
+        let mut before = Vec::new();
+        let (counts, groups) = (Counts::default(), particles.len().div_ceil(GROUP));
+        (0..groups)
+            .into_par_iter()
+            .map(|group| images.count(particles, group, &counts))
+            .collect_into_vec(&mut before);
+        let Counts { astray, first_invalid } = counts;
+        let first_invalid = first_invalid.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if let (InvalidParticles::Refuse, Some((_, error))) = (invalid, first_invalid) {
             return Err(error);
         }
         let mut all = 0;
-        let before = std::iter::once(0).chain(found.iter().map(|found| {
-            all += found.images;
-            all
-        }));
-        let (before, astray) = (before.collect(), found.iter().map(|found| found.astray).sum());
-        Ok(Self { particles, images: Some(Images { before, astray, ..images }) })
+        for before in &mut before {
+            all += std::mem::replace(before, all);
+        }
+        before.push(all);
+        Ok(Self { particles, images: Some(Images { before, astray: astray.into_inner(), ..images }) })
     }
 
     /// The counts of the particles themselves, by those of a census that was taken with their images.
@@ -86,6 +91,17 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     }
 }
 
+/// A position between the faces, and its steps.
+type Placed = ([f64; 3], [i64; 3]);
+
+/// A particle that cannot be binned.
+enum Misplaced {
+    /// Outside of the box, along this axis.
+    Astray(char),
+    /// Nowhere on the grid.
+    Unplaced(Unplaced),
+}
+
 /// The particles of a group.
 fn group_range(particles: &(impl Particles + ?Sized), group: usize) -> Range<usize> {
     group * GROUP..particles.len().min((group + 1) * GROUP)
@@ -96,42 +112,57 @@ impl Images<'_> {
         self.before.last().map_or(0, |&all| all as usize)
     }
 
-    fn placer(&self) -> Placer<'_> {
-        Placer { grid: self.grid, domain: self.domain }
+    /// Where a particle is between the faces, and its steps; `None` outside of the domain.
+    fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, Misplaced> {
+        let inside = self.periodic.inside(position).map_err(Misplaced::Astray)?;
+        let placer = Placer { grid: self.grid, domain: self.domain };
+        let steps = placer.place(inside).map_err(Misplaced::Unplaced)?;
+        Ok(steps.map(|steps| (inside, steps)))
+    }
+
+    fn images(&self, (inside, steps): Placed) -> impl Iterator<Item = [f64; 3]> + use<> {
+        self.periodic.images(self.grid, inside, steps)
     }
 
     /// The images of a particle: none of one that is left out.
     fn of(&self, position: [f64; 3]) -> impl Iterator<Item = [f64; 3]> + use<> {
-        let inside = self.periodic.inside(position).ok();
-        let placed = inside.and_then(|inside| Some((inside, self.placer().place(inside).ok()??)));
-        let (periodic, grid) = (*self.periodic, *self.grid);
-        placed.into_iter().flat_map(move |(inside, steps)| periodic.images(&grid, inside, steps))
+        let near = self.periodic.is_near_face(position);
+        let placed = if near { self.placed(position).ok().flatten() } else { None };
+        placed.map(|placed| self.images(placed)).into_iter().flatten()
     }
 
-    /// Looks at the particles of a group.
-    fn count(&self, particles: &(impl Particles + ?Sized), group: usize) -> Found {
+    /// Counts the images of a group, and its particles that cannot be binned.
+    fn count(&self, particles: &(impl Particles + ?Sized), group: usize, counts: &Counts) -> u64 {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
-        let mut found = Found::default();
+        let (mut images, mut astray, mut first_invalid) = (0, 0, None);
         for (index, &position) in range.clone().zip(&positions) {
-            found.images += self.of(position).count() as u64;
-            let invalid = match self.periodic.inside(position) {
-                Err(axis) => {
-                    found.astray += 1;
-                    Some(BinError::OutsideBox { index, position, axis })
+            let invalid = match self.placed(position) {
+                Ok(placed) => {
+                    images += placed.map_or(0, |placed| self.images(placed).count()) as u64;
+                    continue;
                 }
-                Ok(inside) => self.placer().place(inside).err().map(|fault| match fault {
-                    Unplaced::NotFinite => BinError::NotFinite { index, position },
-                    Unplaced::TooFar => {
-                        BinError::TooFar { index, position, cell_size: self.grid.cell_size() }
-                    }
-                }),
+                Err(Misplaced::Astray(axis)) => {
+                    astray += 1;
+                    BinError::OutsideBox { index, position, axis }
+                }
+                Err(Misplaced::Unplaced(Unplaced::NotFinite)) => BinError::NotFinite { index, position },
+                Err(Misplaced::Unplaced(Unplaced::TooFar)) => {
+                    BinError::TooFar { index, position, cell_size: self.grid.cell_size() }
+                }
             };
-            found.first_invalid = found.first_invalid.or(invalid);
+            first_invalid.get_or_insert(invalid);
         }
         particles.release(range);
-        found
+        counts.astray.fetch_add(astray, Ordering::Relaxed);
+        if let Some(invalid) = first_invalid {
+            let mut first = counts.first_invalid.lock().unwrap_or_else(PoisonError::into_inner);
+            if first.is_none_or(|(before, _)| group < before) {
+                *first = Some((group, invalid));
+            }
+        }
+        images
     }
 
     /// Calls `take` with groups of which some images are wanted, the `count` ones from number `first` on: the group's particles, the
@@ -311,7 +342,7 @@ mod tests {
     }
 
     /// Particles that are elsewhere each time they are read.
-    struct Restless(std::sync::atomic::AtomicUsize);
+    struct Restless(AtomicUsize);
 
     impl Particles for Restless {
         fn len(&self) -> usize {
@@ -319,7 +350,7 @@ mod tests {
         }
 
         fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-            let read = self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            let read = self.0.fetch_add(1, Ordering::Relaxed);
             for (i, to) in (first..).zip(out) {
                 *to = [((i * 7919 + 131 * read * (first + 1)) % 1009) as f64 / 1009.0, 0.5, 0.5];
             }

@@ -194,6 +194,14 @@ impl Periodic {
         Ok(inside)
     }
 
+    /// Whether a particle is beyond the faces, or so near to one that it has images.
+    #[must_use]
+    pub fn is_near_face(&self, world: [f64; 3]) -> bool {
+        let [lo, hi] = self.faces.walls();
+        let is_far = |a: usize| world[a] >= lo[a] + self.reach_length && world[a] < hi[a] - self.reach_length;
+        !(0..3).all(is_far)
+    }
+
     /// Where the images of a particle between the faces stand, by its place and its steps on `grid`: none, one, three or seven.
     pub fn images(
         &self,

@@ -33,7 +33,7 @@ pub struct Opened {
 #[derive(Debug)]
 enum Input {
     Particles { file: Box<ParticleFile>, chosen: Box<ChosenSampling> },
-    Packed(SampledDif),
+    Packed(Box<SampledDif>),
 }
 
 /// Needs of a frame that was counted and not sampled.
@@ -72,7 +72,7 @@ impl Ready {
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?;
                 timings.done("open");
                 checked.asked.refuse_of_others(sampled.indicator.kind())?;
-                return Ok(Input::Packed(sampled));
+                return Ok(Input::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
             let file = open_wanted(path, checked.asked.wanted(), checked.unpacking())?;
@@ -204,7 +204,7 @@ impl Opened {
         let checked = &ready.checked;
         let sampled = ready.threads.install(|| match input {
             Input::Packed(sampled) => {
-                let engine = Engine::from_sampled(sampled, &checked.surfacing, checked.resources.clone());
+                let engine = Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());
                 Ok(Sampled { engine, cells: None, moved: false })
             }
             Input::Particles { file, chosen } => checked.sampled(&file.particles, *chosen, &mut timings),
