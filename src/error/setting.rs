@@ -30,6 +30,7 @@ pub enum Setting {
     Compression,
     Up,
     Backend,
+    Parts,
 }
 
 impl fmt::Display for Setting {
@@ -52,6 +53,7 @@ impl fmt::Display for Setting {
             Self::Compression => "compression",
             Self::Up => "another axis that points up",
             Self::Backend => "a device",
+            Self::Parts => "a mesh in parts",
         })
     }
 }

@@ -9,6 +9,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, unpack};
+use crate::grid::stretch::Stretch;
 use crate::grid::{BIN, BLOCK, TILE, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
@@ -23,11 +24,41 @@ const FIRST: TileMask = 0x1111_1111_1111_1111;
 
 /// The tiles that hold particles, by bin, and how many particles are in each bin.
 #[derive(Debug, Default)]
-pub(super) struct Occupied(Vec<(IVec3, u32, TileMask)>);
+pub struct Occupied(Vec<(IVec3, u32, TileMask)>);
+
+/// A bin that holds particles, as it is kept in a file.
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct OccupiedBin {
+    bin: [i32; 3],
+    particles: u32,
+    tiles: TileMask,
+}
+
+impl FromIterator<OccupiedBin> for Occupied {
+    fn from_iter<T: IntoIterator<Item = OccupiedBin>>(bins: T) -> Self {
+        let bin = |OccupiedBin { bin, particles, tiles }| (bin.into(), particles, tiles);
+        Self(bins.into_iter().map(bin).collect())
+    }
+}
 
 impl Occupied {
+    /// Bytes of memory that a bin takes while it is found how many particles are lost.
+    pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
+
+    /// The bins in a stretch of blocks.
+    pub fn within(&self, stretch: Stretch) -> impl Iterator<Item = OccupiedBin> + '_ {
+        let held = self.0.iter().filter(move |(bin, ..)| stretch.holds_bin(*bin));
+        held.map(|&(bin, particles, tiles)| OccupiedBin { bin: bin.to_array(), particles, tiles })
+    }
+
+    /// Adds other bins.
+    pub fn join(&mut self, other: Self) {
+        self.0.extend(other.0);
+    }
+
     /// Adds what bins hold.
-    pub fn add(&mut self, bins: &Bins) -> io::Result<()> {
+    pub(super) fn add(&mut self, bins: &Bins) -> io::Result<()> {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
             let place = |&record: &u64| unpack(record).0.map(|cell| cell as i32 / TILE).into();
@@ -39,8 +70,15 @@ impl Occupied {
         Ok(())
     }
 
+    /// How many times as many particles there are, at the least, as particles so many cells apart leave room for in the tiles that they
+    /// are in.
+    #[must_use]
+    pub fn crowding(&self, spacing_cells: f64) -> f64 {
+        self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
+    }
+
     /// Particles of a tile that holds any, on average.
-    pub fn mean(&self) -> f64 {
+    fn mean(&self) -> f64 {
         let sum = |of: fn(&(IVec3, u32, TileMask)) -> u32| self.0.iter().map(|bin| f64::from(of(bin))).sum();
         let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));
         particles / tiles.max(1.0)

@@ -4,6 +4,7 @@
 //! finer than a cell is a fixed-point offset with [`FRACTION_BITS`] bits, so that sums over particles
 //! are integers and their order cannot matter.
 
+pub mod stretch;
 pub mod units;
 
 use glam::{DVec3, IVec3};

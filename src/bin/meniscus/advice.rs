@@ -2,8 +2,8 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, Remedy, SequenceError, Setting, TooFine,
-    Unfit, UnitError, WriteFault,
+    BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, SequenceError,
+    Setting, TooFine, Unfit, UnitError, WriteFault,
 };
 use meniscus::{Doubt, Dropped, Emptiness, Warning};
 
@@ -75,6 +75,7 @@ fn option(setting: Setting) -> &'static str {
         Setting::Attributes => "--attributes",
         Setting::Compression => "--compress",
         Setting::Up => "--up",
+        Setting::Parts => "--parts",
         _ => "an option",
     }
 }
@@ -123,6 +124,12 @@ fn advice(error: &Error) -> String {
         } => {
             return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
         }
+        Error::Parts(PartsError::NoPlan(_)) => "; --plan makes it",
+        Error::Parts(PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. }) => {
+            "; --plan with --resume or --overwrite makes another"
+        }
+        Error::Parts(PartsError::Missing { .. }) => "; --part makes them",
+        Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => "; --part makes it again",
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
     }

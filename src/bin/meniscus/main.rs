@@ -11,6 +11,7 @@ mod notes;
 mod options;
 mod outcome;
 mod pack;
+mod parts;
 mod progress;
 mod reconstruct;
 mod report;

@@ -3,12 +3,14 @@
 use std::path::Path;
 
 use bytesize::ByteSize;
-use meniscus::files::{MeshFormat, Replace, file_and_step, is_same_file};
-use meniscus::{Error, Needs, Opened, Simulation};
+use meniscus::files::{MeshFormat, Output, Replace, file_and_step, is_same_file};
+use meniscus::{Error, Needs, Opened, Reconstruction, Simulation, Surface};
 
 use crate::interrupt;
+use crate::notes::Notes;
 use crate::options::Options;
 use crate::outcome::{Verdict, print};
+use crate::parts;
 use crate::report::{report, report_device, report_opened, report_stages, warn_all};
 use crate::run::bytes_of;
 use crate::sequence;
@@ -16,9 +18,14 @@ use crate::stats::{Made, record};
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    match Simulation::if_several(&options.inputs, &options.output)? {
-        Some(simulation) => sequence::run(options, simulation),
-        None => run_frame(options, &options.inputs[0]),
+    match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
+        (Some(_), Some(_)) => {
+            let what = "--parts is for one frame: jobs of a sequence take --frames of it each";
+            Err(Error::Request(what.into()))
+        }
+        (Some(simulation), None) => sequence::run(options, simulation),
+        (None, Some(count)) => parts::run(options, &options.inputs[0], count),
+        (None, None) => run_frame(options, &options.inputs[0]),
     }
 }
 
@@ -30,9 +37,20 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
+/// A request of which all is checked that can be before the work, and the file that it is for.
+pub struct Ready {
+    pub request: Reconstruction,
+    pub output: Output,
+    pub notes: Notes,
+}
+
+/// Checks a request for one frame, and makes sure that its mesh can be written.
+pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let notes = options.run.notes();
-    options.sequence.refuse_for_one_frame()?;
+    match options.parts.parts {
+        Some(_) => options.sequence.refuse_for_parts()?,
+        None => options.sequence.refuse_for_one_frame()?,
+    }
     let request = options.request()?;
     request.check(input)?;
     let request = options.run.machine(request, &options.output, || bytes_of([input]))?;
@@ -46,23 +64,26 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    let format = output.format();
 
     // What the file cannot hold need not be carried.
-    let carries = options.attributes.is_some() || format.holds_attributes();
+    let carries = options.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
-    let opened = request.open(input)?;
-    report_opened(input, &opened, &notes);
-    if options.dry_run {
-        print(&dry_run(options, &opened, format)?)?;
-        return Ok(Verdict::Good);
-    }
-    let frame = opened.sample()?;
-    let surface = frame.surface()?;
-    drop(frame);
+    Ok(Ready { request, output, notes })
+}
+
+/// Says what there is to know of a surface, and writes it.
+pub fn write(
+    options: &Options,
+    input: &Path,
+    surface: &Surface,
+    request: &Reconstruction,
+    output: Output,
+    notes: &Notes,
+) -> Result<(), Error> {
+    let format = output.format();
     let mut stages = surface.report().timings.clone();
-    report(options, surface.report(), surface.mesh(), &notes);
-    warn_all(&surface.warnings_in(format)?, Some(options), &notes);
+    report(options, surface.report(), surface.mesh(), notes);
+    warn_all(&surface.warnings_in(format)?, Some(options), notes);
     stages.skip();
     let bytes = surface.write_to(output)?;
     stages.done("write");
@@ -75,11 +96,25 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
         ByteSize(bytes),
         stages.total(),
     ));
-    report_stages(&stages, &notes);
-    report_device(request.device(), 1, &notes);
+    report_stages(&stages, notes);
+    report_device(request.device(), 1, notes);
     let counts = [mesh.vertex_count(), mesh.triangle_count(), bytes];
     let made = Made { input, output: &options.output, counts, stages: &stages, lost: report.lost };
-    options.append_stats(|| record(options, report, &made))?;
+    options.append_stats(|| record(options, report, &made))
+}
+
+fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
+    let Ready { request, output, notes } = ready(options, input)?;
+    let opened = request.open(input)?;
+    report_opened(input, &opened, &notes);
+    if options.dry_run {
+        print(&dry_run(options, &opened, output.format())?)?;
+        return Ok(Verdict::Good);
+    }
+    let frame = opened.sample()?;
+    let surface = frame.surface()?;
+    drop(frame);
+    write(options, input, &surface, &request, output, &notes)?;
     Ok(Verdict::Good)
 }
 

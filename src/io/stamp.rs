@@ -1,0 +1,30 @@
+//! What tells an input from what it was before.
+
+use std::io;
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+use serde::{Deserialize, Serialize};
+
+use super::input::file_and_step;
+
+/// What tells an input from what it was before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stamp {
+    /// Its size.
+    pub bytes: u64,
+    /// When it was written, in nanoseconds.
+    pub modified: u64,
+}
+
+impl Stamp {
+    /// Of the file as it is now, with all frames that it may hold.
+    ///
+    /// # Errors
+    /// Where the system has none.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        let metadata = file_and_step(path).0.metadata()?;
+        let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+        Ok(Self { bytes: metadata.len(), modified: since.as_nanos() as u64 })
+    }
+}
