@@ -134,7 +134,7 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
     // Twice as dense as the spacing says, with drops that hold no cell's centre; and some values that are not there.
     let mut random = Random::new(11);
     let mut particles = fill(12.0, 2.0, 0.3, 1, |p| p.length() < 10.0);
-    particles.extend((0..400).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
+    particles.extend((0..40).map(|_| std::array::from_fn(|_| 400.0 * random.unit() - 200.0)));
     shuffle(&mut particles, &mut random);
     let mut text = String::from("x,y,z,heat\n");
     for (number, [x, y, z]) in particles.iter().enumerate() {
@@ -143,7 +143,17 @@ fn what_is_doubted_of_a_single_run_is_doubted_of_its_parts() {
     }
     text += "nan,0,0,1\n";
     fs::write(folder.join("mist.csv"), text).unwrap();
-    let options = ["--spacing", "1.1", "--cell", "4", "--attributes", "heat", "--skip-invalid"];
+    let options = [
+        "--spacing",
+        "1.5",
+        "--cell",
+        "0.7",
+        "--indicator",
+        "counting",
+        "--attributes",
+        "heat",
+        "--skip-invalid",
+    ];
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in ["in no surface", "no heat", "times as many", "not finite"] {
         assert!(single.contains(word), "nothing of {word:?}: {single}");
@@ -293,7 +303,9 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
         let mut other = text.clone().into_bytes();
         other[at] = b'0' + (other[at] - b'0' + 1) % 10;
         fs::write(&plan, other).unwrap();
-        let says = run(folder, &with(&["--merge", "--overwrite"]), 2);
+        let output = meniscus(folder, &with(&["--merge", "--overwrite"]));
+        assert_eq!(output.status.code(), Some(2), "{:?} was not seen", &text[at - 30..at + 3]);
+        let says = String::from_utf8(output.stderr).unwrap();
         assert!(says.contains("plan.json"), "{says}");
     }
     for damaged in [&text[..text.len() / 2], "", "{}", "[]"] {
@@ -331,7 +343,7 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats goes with --merge"),
         (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run has no meaning with --parts"),
         (ask(&["--parts", "2", "--merge", "--resume"]), "--resume goes with --plan"),
-        (vec!["frames", "-o", "meshes", "--parts", "2", "--plan"], "--parts is for one frame"),
+        (vec!["frames", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["drop.xyz", "-o", "m_{}.ply", "--parts", "2", "--plan"], "--parts is for one frame"),
         (vec!["splash.xyz", "-o", "there.ply", "--parts", "2", "--plan"], "there.ply"),
         (vec!["splash.xyz", "-o", "m.jpg", "--parts", "2", "--plan"], "m.jpg"),
@@ -357,7 +369,7 @@ fn a_frame_without_a_surface_is_refused_like_a_single_run() {
     let with = |more: &[&'static str]| [&common[..], &["--parts", "2"], more].concat();
     run(folder, &with(&["--plan"]), 0);
     for part in ["0", "1"] {
-        run(folder, &[&with(&["--part"])[..], &[part]].concat(), 0));
+        run(folder, &[&with(&["--part"])[..], &[part]].concat(), 0);
     }
     assert_eq!(run(folder, &with(&["--merge"]), 3), single);
 }
@@ -401,7 +413,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
 fn a_full_disk_is_exit_4_and_the_part_can_be_made_when_there_is_room() {
     let folder = scenes();
     let folder = folder.path();
-    let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2", "-q", "--backend", "cpu"];
+    let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2", "-q"];
     run(folder, &[&common[..], &["--plan"]].concat(), 0);
     let program = env!("CARGO_BIN_EXE_meniscus");
     let limited =
@@ -410,7 +422,7 @@ fn a_full_disk_is_exit_4_and_the_part_can_be_made_when_there_is_room() {
     assert_eq!(output.status.code(), Some(4), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(names(&folder.join("m.ply.meniscus-parts")), ["plan.json"]);
     for part in ["0", "1"] {
-        run(folder, &[&common[..], &["--part", part]].concat(), 0));
+        run(folder, &[&common[..], &["--part", part]].concat(), 0);
     }
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
 }
@@ -450,41 +462,40 @@ fn needed(normals: Normals) -> CellBox {
 #[test]
 fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_with_clouds() {
     // The widest Gaussians reach farthest where the water is calm, and what counts as inside where it is not.
-    for (spacing, smooth, normals) in [
-        (1.0, 3.0, Normals::None),
-        (2.0, 3.0, Normals::Gradient),
-        (2.0, 1.6, Normals::None),
-        (4.0, 1.6, Normals::Gradient),
-    ] {
+    for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling = Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
-        let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
-        let (cells, sight) = (needed(normals), sampling.sight(IndicatorKind::Cloud.into(), &surfacing));
-        let seen = sight.cells(IVec3::ZERO);
-        // A lattice that wide cells hold all in the same way.
-        let half = (f64::from(seen.hi.max_element() + 16) / spacing).ceil() * spacing;
-        let lattice = fill(half, 1.0 / spacing, 0.0, 1, |_| true);
-        let all = CellBox { lo: IVec3::splat(-1000), hi: IVec3::splat(1000) };
-        let by = |plateau: u16| {
-            let surfacing = &surfacing;
-            move |frame: &Frame| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
-        };
-        // The greatest plateau by which all of it is inside: a little less fluid is not.
-        let inside = |plateau: u16| {
-            field_of(&lattice, all, &sampling, by(plateau), cells).samples().iter().all(|&x| x == u16::MAX)
-        };
-        let (mut is, mut is_not) = (1_u16, u16::MAX);
-        assert!(inside(is) && !inside(is_not));
-        while is_not - is > 1 {
-            let middle = is + (is_not - is) / 2;
-            *(if inside(middle) { &mut is } else { &mut is_not }) = middle;
-        }
-        // By a plateau of which nothing is inside it is the filters that see so far.
-        let plateau = if smooth > 2.0 { is_not + is_not / 3 } else { is };
-        let whole = field_of(&lattice, all, &sampling, by(plateau), cells);
-        assert_eq!(field_of(&lattice, seen, &sampling, by(plateau), cells), whole, "{spacing} {smooth}");
-        for less in narrower(seen) {
-            let narrow = field_of(&lattice, less, &sampling, by(plateau), cells);
-            assert_ne!(narrow, whole, "{spacing} {smooth}: {less:?} of {seen:?} is enough");
+        // Cells that are needed end in the middle of wide ones, of which those beyond tell most.
+        for (sides, normals) in [(0..3, Normals::None), (3..6, Normals::Gradient)] {
+            let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
+            let cells = needed(normals);
+            let seen = sampling.sight(IndicatorKind::Cloud.into(), &surfacing).cells(IVec3::ZERO);
+            let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
+            let by = |plateau: u16| {
+                let surfacing = &surfacing;
+                move |frame: &Frame| surfacing.recipe(dif(frame), &Calibration::Clouds { plateau })
+            };
+            // Particles that wide cells hold all in the same way, and that lie in the outermost cells that are seen.
+            let lattice: Vec<[f64; 3]> = (seen.grown(20, 20).cubes(1))
+                .filter(|cell| (*cell - outermost) % spacing as i32 == IVec3::ZERO)
+                .map(|cell| (cell.as_dvec3() + 0.5).to_array())
+                .collect();
+            let all = seen.grown(100, 100);
+            let of = |seen: CellBox, plateau: u16| field_of(&lattice, seen, &sampling, by(plateau), cells);
+            // The greatest plateau by which all of it is inside: a little less fluid is not.
+            let inside = |plateau: u16| of(all, plateau).samples().iter().all(|&x| x == u16::MAX);
+            let (mut is, mut is_not) = (1_u16, u16::MAX);
+            assert!(inside(is) && !inside(is_not));
+            while is_not - is > 1 {
+                let middle = is + (is_not - is) / 2;
+                *(if inside(middle) { &mut is } else { &mut is_not }) = middle;
+            }
+            // Where nothing is inside it is the filters that see so far: so shallow that the fine surface counts, too.
+            let plateau = if smooth > 2.0 { is / 2 * 3 } else { is };
+            let whole = of(all, plateau);
+            assert!(of(seen, plateau) == whole, "{spacing} {smooth}");
+            for less in &narrower(seen)[sides] {
+                assert!(of(*less, plateau) != whole, "{spacing} {smooth}: {less:?} of {seen:?} is enough");
+            }
         }
     }
 }
@@ -539,9 +550,9 @@ fn particles_decide_a_field_from_exactly_as_far_as_its_recipe_says_by_the_papers
             }
             let whole = field_of(&particles, all, &sampling, by(threshold), cells);
             // So that there is a frame at all.
-            particles.push(middle(at(edge - 40 * up)));
+            particles.push(middle(at(edge - 16 * up)));
             let whole_with = field_of(&particles, all, &sampling, by(threshold), cells);
-            assert_eq!(field_of(&particles, seen, &sampling, by(threshold), cells), whole_with);
+            assert!(field_of(&particles, seen, &sampling, by(threshold), cells) == whole_with);
             let narrow = field_of(&particles, less, &sampling, by(threshold), cells);
             assert_ne!(
                 narrow.at(at(edge)),

@@ -98,10 +98,10 @@ impl Plan {
         };
         let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
         let kept: Kept = serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
-        let (plan, fingerprint) = (kept.plan, kept.fingerprint);
-        if plan.fingerprint() != fingerprint {
-            return Err(damaged("its fingerprint is another".into()));
+        if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
+            return Err(damaged("it is not as it was written".into()));
         }
+        let Kept { plan, fingerprint } = kept;
         plan.validate().map_err(damaged)?;
         Ok(Some((plan, fingerprint)))
     }
@@ -111,9 +111,7 @@ impl Plan {
         fs::create_dir_all(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
         let kept = Kept { fingerprint: self.fingerprint(), plan: self.clone() };
-        let mut text = serde_json::to_vec_pretty(&kept).expect("string keys and finite depth");
-        text.push(b'\n');
-        replace_small(&path, &text).map_err(|fault| PartsError::Io { path, fault })?;
+        replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
         Ok(kept.fingerprint)
     }
 
@@ -224,4 +222,12 @@ struct Kept {
     fingerprint: u32,
     #[serde(flatten)]
     plan: Plan,
+}
+
+impl Kept {
+    fn to_text(&self) -> Vec<u8> {
+        let mut text = serde_json::to_vec_pretty(self).expect("string keys and finite depth");
+        text.push(b'\n');
+        text
+    }
 }
