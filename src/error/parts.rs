@@ -43,7 +43,7 @@ pub enum PartsError {
     Settings {
         /// The plan's file.
         path: PathBuf,
-        /// Which.
+        /// The settings' names.
         differing: String,
     },
     /// Particles that are not those that the plan was made for.
@@ -59,7 +59,7 @@ pub enum PartsError {
     Missing {
         /// Where they would be.
         folder: PathBuf,
-        /// Their numbers.
+        /// Numbers of those parts.
         missing: Vec<u32>,
         /// How many parts there are.
         of: u32,

@@ -1,9 +1,11 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
+use glam::IVec3;
+
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::frame::estimate::{Estimate, OverBudget};
-use crate::grid::stretch::WantedBins;
-use crate::grid::{Grid, MortonKey};
+use crate::grid::stretch::{Stretch, WantedBins};
+use crate::grid::{CellBox, Grid, MortonKey};
 use crate::particles::Particles;
 use crate::surface::mesh::spool::Spool;
 
@@ -15,6 +17,8 @@ pub struct Counted<'a, P: ?Sized> {
     pub(super) sampling: &'a Sampling,
     pub(super) plan: BinPlan<'a>,
     surfacing: Surfacing,
+    /// The blocks that are going to be meshed.
+    stretch: Stretch,
 }
 
 impl<'a, P: Particles + ?Sized> Counted<'a, P> {
@@ -33,7 +37,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         if plan.census().binned == 0 {
             return Err(FrameError::NoParticles(plan.census()));
         }
-        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN })
+        Ok(Self { particles, sampling, plan, surfacing: Surfacing::PLAIN, stretch: Stretch::ALL })
     }
 
     /// Counts the particles in some bins alone, of which there may be none; the others have been counted before, and refused or skipped
@@ -55,7 +59,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
             plan => plan?,
         };
         resources.go_on()?;
-        Ok(Self { particles, sampling, plan, surfacing: *surfacing })
+        Ok(Self { particles, sampling, plan, surfacing: *surfacing, stretch: wanted.stretch })
     }
 
     /// Refuses what such a surface cannot be drawn through, then counts the particles for it.
@@ -86,7 +90,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let bins = self.bins();
-        let estimate = self.sampling.estimate(self.particles, &self.surfacing, bins);
+        let estimate = self.sampling.estimate(self.particles, &self.surfacing, bins, self.stretch);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.field {
             FieldRequest::Indicator(_) => estimate,
@@ -100,12 +104,14 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
 }
 
 impl Sampling {
-    /// Estimates the memory and disk space that a frame with such bins takes, but for kernels and for places.
+    /// Estimates the memory and disk space that a frame with such bins takes, of which the blocks in a stretch are meshed, but for kernels
+    /// and for places.
     pub fn estimate(
         &self,
         particles: &(impl Particles + ?Sized),
         surfacing: &Surfacing,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
+        stretch: Stretch,
     ) -> Estimate {
         let Self { grid, field, side, carried, spacing, resources, .. } = self;
         let attributes = particles.attributes();
@@ -113,11 +119,17 @@ impl Sampling {
         let drawing = field.drawing(surfacing, *spacing, grid, components);
         let in_memory = particles.resident_bytes() + resources.host_bytes();
         let shape = field.indicator().map(|asked| asked.kind.shape(*side));
-        Estimate::of(bins, shape, &drawing, in_memory)
+        let estimate = Estimate::of(bins.clone(), shape, &drawing, in_memory);
+        if stretch == Stretch::ALL {
+            return estimate;
+        }
+        // Of the others none but those next to the blocks that are meshed have a surface there.
+        let near =
+            |bin: IVec3| (CellBox { lo: bin - 1, hi: bin + 2 }).cubes(1).any(|bin| stretch.holds_bin(bin));
+        let meshed = bins.filter(|(bin, _)| near(bin.coord()));
+        Estimate { surface: Estimate::of(meshed, None, &drawing, in_memory).surface, ..estimate }
     }
-}
 
-impl Sampling {
     /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many bins that hold particles, are listed
     /// and nothing else of the frame is there.
     #[must_use]

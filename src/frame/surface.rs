@@ -130,7 +130,7 @@ impl CalibratedFrame<'_> {
         self.drawn.regions.iter().map(|cells| (block_of(cells), cells.volume()))
     }
 
-    /// The same frame, of which only the blocks in a stretch are meshed.
+    /// Leaves only the blocks in a stretch to be meshed.
     #[must_use]
     pub fn within(mut self, stretch: Stretch) -> Self {
         self.drawn.regions.retain(|cells| {

@@ -1,4 +1,4 @@
-//! What tells an input from what it was before.
+//! Stamps that tell an input from what it was before.
 
 use std::io;
 use std::path::Path;
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 
 use super::input::file_and_step;
 
-/// What tells an input from what it was before.
+/// Size and time of a file, which tell it from what it was before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
-    /// Its size.
+    /// The file's size.
     pub bytes: u64,
-    /// When it was written, in nanoseconds.
+    /// Time at which it was written, in nanoseconds.
     pub modified: u64,
 }
 
 impl Stamp {
-    /// Of the file as it is now, with all frames that it may hold.
+    /// Stamps the file as it is now, with all frames that it may hold.
     ///
     /// # Errors
     /// Where the system has none.

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum, value_parser};
 use meniscus::{Error, Method, Reconstruction, UpAxis};
 
 use crate::method::MethodName;
-use crate::parts::PartsOptions;
+use crate::parts_options::PartsOptions;
 use crate::run::RunOptions;
 use crate::sampling::SamplingOptions;
 use crate::sequence_options::SequenceOptions;

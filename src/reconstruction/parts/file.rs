@@ -30,7 +30,7 @@ const MAGIC: u64 = 0x3150_5f73_7563_6e6d;
 /// Bytes that are read at once where all of a file are.
 const PIECE: usize = 1 << 18;
 
-/// Whose part a file is.
+/// The part that a file holds, and its plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Mark {
     /// The plan's fingerprint.
@@ -45,7 +45,7 @@ pub(super) struct Mark {
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct End {
-    /// Of the file up to this.
+    /// Bytes of the file up to this.
     bytes: u64,
     blocks: u64,
     bins: u64,
@@ -63,7 +63,7 @@ struct End {
 
 const END: u64 = size_of::<End>() as u64;
 
-/// What a part has made.
+/// Everything that a part has made.
 pub(super) struct Made<'a> {
     pub(super) spool: Option<&'a Spool>,
     pub(super) occupied: Vec<OccupiedBin>,

@@ -108,7 +108,7 @@ impl Parts {
     }
 }
 
-/// Whose a part's file is.
+/// The mark of a part's file.
 pub(super) fn mark(plan: &Plan, fingerprint: u32, part: u32, checked: &Checked) -> Mark {
     let normals = checked.surfacing.normals == Normals::Gradient;
     Mark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }

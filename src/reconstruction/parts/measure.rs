@@ -4,8 +4,10 @@ use rayon::prelude::*;
 
 use crate::error::{Error, PartsError};
 use crate::field::indicator::IndicatorRequest;
-use crate::frame::{Counted, Frame as Engine, Sampling, Surfacing};
+use crate::frame::estimate::Estimate;
+use crate::frame::{Counted, Frame as Engine, Sampling};
 use crate::grid::stretch::{Sight, Stretch};
+use crate::grid::units::MemoryBudget;
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::io::input::open_particles;
 use crate::io::stamp::Stamp;
@@ -145,10 +147,7 @@ impl Parts {
             (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
         drop(engine);
         let shared = shared(&bins, &cuts, sampling.sight(asked, surfacing));
-        let takes = shared
-            .iter()
-            .map(|own| takes(&file, &sampling, surfacing, own.iter().map(|&bin| bins[bin as usize])));
-        let takes = takes.collect();
+        let parts = shares(&bins, &cuts, &shared);
         let plan = Plan {
             meniscus: env!("CARGO_PKG_VERSION").into(),
             settings: checked.asked.settings(),
@@ -166,8 +165,14 @@ impl Parts {
             measured: measured.map(Into::into),
             mean_symmetry,
             attributes: carried_infos(particles.attributes(), &sampling.carried),
-            parts: shares(&bins, &cuts, &shared),
+            parts,
         };
+        let takes = (0..).zip(&shared).map(|(part, known)| {
+            let bins = known.iter().map(|&bin| bins[bin as usize]);
+            let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
+            PartTakes::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+        });
+        let takes = takes.collect();
         timings.done("share out");
         Ok((plan, takes))
     }
@@ -245,19 +250,14 @@ fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) 
     parts.map(|((first, particles), counted)| Share { first: first.0, particles, counted }).collect()
 }
 
-/// What a part takes that has to know some bins.
-fn takes(
-    file: &ParticleFile,
-    sampling: &Sampling,
-    surfacing: &Surfacing,
-    bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
-) -> PartTakes {
-    let estimate = sampling.estimate(&file.particles, surfacing, bins);
-    let plan = estimate.plan(sampling.resources.budget);
-    PartTakes {
-        memory: estimate.peak(plan),
-        in_core: estimate.in_core(),
-        scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
+impl PartTakes {
+    fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
+        let plan = estimate.plan(budget);
+        Self {
+            memory: estimate.peak(plan),
+            in_core: estimate.in_core(),
+            scratch: input_scratch + estimate.scratch(plan),
+        }
     }
 }
 

@@ -24,7 +24,7 @@ use super::make::{components, mark};
 use super::plan::Plan;
 use super::{Begun, Parts, part_in};
 
-/// What the files of all parts hold together.
+/// Contents of the files of all parts.
 struct Joined {
     spool: Spool,
     occupied: Occupied,

@@ -61,14 +61,14 @@ pub struct Parts {
     again: Again,
 }
 
-/// What becomes of a plan that is there already.
+/// Treatment of a plan that is there already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Again {
-    /// It is kept if it is what would be made again, and refused else.
+    /// Kept if it is what would be made again, and refused else.
     Refuse,
-    /// It is kept if it is what would be made again, and replaced else.
+    /// Kept if it is what would be made again, and replaced else.
     Differing,
-    /// It is replaced.
+    /// Replaced.
     Always,
 }
 
@@ -110,7 +110,7 @@ pub struct PartShare {
     pub particles: u64,
     /// Particles that it keeps: those, and what decides their blocks from around.
     pub kept: u64,
-    /// What it takes of a machine, by one that is like this; `None` where the plan was there.
+    /// Needs of a machine that is like this; `None` where the plan was there.
     pub takes: Option<PartTakes>,
 }
 
@@ -132,11 +132,11 @@ pub struct PartTakes {
 pub struct PartMade {
     /// The part's file.
     pub path: PathBuf,
-    /// Its size.
+    /// The file's size.
     pub bytes: u64,
     /// Blocks that the surface passes through.
     pub blocks: usize,
-    /// Their triangles.
+    /// Triangles of all blocks.
     pub triangles: u64,
     /// Whether it was there already, whole, and made by the same plan.
     pub was_there: bool,
@@ -159,7 +159,7 @@ impl Reconstruction {
     }
 }
 
-/// What all steps begin with.
+/// All that every step begins with.
 struct Begun {
     checked: Checked,
     folder: PathBuf,

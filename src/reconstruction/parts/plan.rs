@@ -27,15 +27,15 @@ use crate::reconstruction::{Cells, as_numbers};
 pub(super) struct Plan {
     /// The version of this library.
     pub(super) meniscus: String,
-    /// What was asked for.
+    /// The request, by the names of the options.
     pub(super) settings: Settings,
-    /// What was asked for beside that, where a caller of the library did.
+    /// Whether a calibration was given, which only a caller of the library does.
     pub(super) calibrated: bool,
     /// The particles' file.
     pub(super) input: Stamp,
-    /// Its particles, whatever becomes of them.
+    /// Number of particles, whatever becomes of them.
     pub(super) particles: usize,
-    /// Its format, for people.
+    /// The kind of file, for people.
     pub(super) format: String,
     pub(super) indicator: String,
     /// The cells that were chosen.
@@ -51,9 +51,9 @@ pub(super) struct Plan {
     pub(super) calibration: Option<Calibration>,
     /// By what that was told, unless it was given.
     pub(super) measured: Option<Measured>,
-    /// What symmetry makes of full cells.
+    /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
-    /// What the vertices carry.
+    /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
     pub(super) parts: Vec<Share>,
 }
@@ -208,7 +208,7 @@ impl Plan {
         })
     }
 
-    /// What was measured, unless it was given.
+    /// The measurements, unless a calibration was given.
     pub(super) fn calibrated(&self) -> Option<Calibrated> {
         let (calibration, Measured { plateau, step_cells }) = (self.calibration?, self.measured?);
         Some(Calibrated { calibration, plateau, step_cells })
@@ -218,7 +218,7 @@ impl Plan {
 /// A plan as it is kept.
 #[derive(Serialize, Deserialize)]
 struct Kept {
-    /// So that no number in it can change unseen.
+    /// CRC-32 of the plan, so that no number in it can change unseen.
     fingerprint: u32,
     #[serde(flatten)]
     plan: Plan,

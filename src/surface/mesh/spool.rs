@@ -50,11 +50,11 @@ enum Store {
 pub struct ListedBlock {
     /// The block's coordinates, counted in blocks.
     pub block: [i32; 3],
-    /// Its tiles.
+    /// Number of tiles.
     pub tiles: u32,
-    /// Its vertices.
+    /// Number of vertices.
     pub vertices: u32,
-    /// Its triangles.
+    /// Number of triangles.
     pub triangles: u32,
 }
 
