@@ -153,7 +153,7 @@ pub mod internals {
     pub mod surface {
         pub use crate::surface::*;
     }
-    /// What the pipeline takes of the machine: memory and its budget, scratch files, time, and an early end.
+    /// Resources of the machine: memory and its budget, scratch files, time, and an early end.
     pub mod system {
         pub use crate::system::*;
     }

@@ -109,7 +109,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
             };
             let estimate =
                 Estimate::of(plan.keys().iter().copied().zip(plan.counts()), Some(rule.shape()), &drawing, 0);
-            let bins = plan.fill(&particles[..], &[]);
+            let bins = plan.fill(&particles[..], &[]).unwrap();
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);
             for (info, samples) in &pages {

@@ -231,7 +231,7 @@ fn on_host(
     let room = CountingRoom { bins: limit, ..CountingRoom::BINS };
     let plan = BinPlan::count(particles, grid, domain, invalid, room)?;
     let census = plan.census();
-    let bins = plan.fill(particles, &[]);
+    let bins = plan.fill(particles, &[]).unwrap();
     let records = |bin| {
         let mut records = bins.contents(bin).unwrap().packed().to_vec();
         records.sort_unstable();

@@ -36,7 +36,7 @@ fn sample(
     let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, CountingRoom::BINS)
         .unwrap();
     let census = plan.census();
-    let bins = plan.fill(particles, &[]);
+    let bins = plan.fill(particles, &[]).unwrap();
     let facts = FrameFacts { grid, domain, census, spacing: Some(0.5) };
     // What a particle adds is told by the spacing.
     let mean = match indicator {

@@ -135,7 +135,7 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
     let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
     let plan =
         BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS).unwrap();
-    let bins = plan.fill(&particles[..], &[]);
+    let bins = plan.fill(&particles[..], &[]).unwrap();
     let all = 0..bins.keys().len();
     let mut made = Vec::new();
     for indicator in INDICATORS {

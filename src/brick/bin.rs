@@ -5,25 +5,24 @@
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
-use std::hash::BuildHasher;
 use std::io;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use hashbrown::hash_table::Entry;
-use hashbrown::{DefaultHashBuilder, HashMap, HashTable};
+use hashbrown::HashMap;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::grid::stretch::WantedBins;
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
-use crate::particles::Particles;
+use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
+use super::bin_table::{BinTable, CUBE, Latest, NOWHERE, Placed};
 use super::bins::{Bins, RECORD_BITS, Record, Slots, tuple_bytes};
-use super::place::{Address, BinCode, CHUNK, COORD_BITS, Placer, bin_coord};
+use super::place::{BinCode, CHUNK, Placer, bin_coord};
 use super::spill::SpilledBins;
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
@@ -132,17 +131,11 @@ pub struct BinPlan<'a> {
 struct RangePlan {
     range: Range<usize>,
     table: BinTable,
-    /// The rank among all bins of each bin in the table.
+    /// The rank among all bins of each bin in the table; [`NOWHERE`] for those without particles.
     ranks: Vec<u32>,
     /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where they were not kept.
     places: Vec<Record>,
 }
-
-/// A particle's bin, by its rank in the table of its range, and its place there.
-type Placed = (u32, Record);
-
-/// The bin of a particle that is left out.
-const NOWHERE: u32 = u32::MAX;
 
 /// In one word, where its bin is none or one of the first [`KEPT_BINS`].
 #[inline(always)]
@@ -230,9 +223,10 @@ impl<'a> BinPlan<'a> {
             .into_iter()
             .zip(counts)
             .map(|(range, RangeCount { table, places, .. })| {
-                let ranks: Vec<u32> = table.bins.iter().map(|bin| rank[bin]).collect();
-                for (&rank, count) in ranks.iter().zip(&table.numbers) {
-                    first[rank as usize + 1] += count;
+                let mut ranks = vec![NOWHERE; table.len()];
+                for (at, bin, count) in table.bins() {
+                    ranks[at] = rank[&bin];
+                    first[ranks[at] as usize + 1] += count;
                 }
                 RangePlan { range, table, ranks, places }
             })
@@ -268,25 +262,35 @@ impl<'a> BinPlan<'a> {
 
     /// The second reading, into memory: sorts the same `particles` into their bins, and with them the
     /// attributes whose numbers are in `carried`.
-    #[must_use]
-    pub fn fill(self, particles: &(impl Particles + ?Sized), carried: &[usize]) -> Bins {
+    ///
+    /// # Errors
+    /// [`Unread::Changed`] for particles that are not where they were when they were counted.
+    pub fn fill(self, particles: &(impl Particles + ?Sized), carried: &[usize]) -> Result<Bins, Unread> {
         let Self { placer, census, keys, first, ranges } = self;
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
-        let mut next = first.clone();
-        let mut ranges = ranges;
-        for RangePlan { table, ranks, .. } in &mut ranges {
-            // From now on the table's numbers are the range's next free slots.
-            for (number, &rank) in table.numbers.iter_mut().zip(&*ranks) {
-                let slot = next[rank as usize];
-                next[rank as usize] += *number;
-                *number = slot;
-            }
-        }
-        ranges.into_par_iter().for_each(|RangePlan { range, mut table, places, .. }| {
+        let (binned, mut next) = (census.binned, first.clone());
+        // Each range's next free slot of each of its bins, and where a range of such a bin's slots ends.
+        let cursors: Vec<Vec<usize>> = ranges
+            .iter()
+            .map(|RangePlan { table, ranks, .. }| {
+                let mut cursors = vec![binned; ranks.len()];
+                for (at, _, count) in table.bins() {
+                    let next = &mut next[ranks[at] as usize];
+                    cursors[at] = *next;
+                    *next += count;
+                }
+                cursors
+            })
+            .collect();
+        let as_counted = ranges.into_par_iter().zip(cursors).map(|(plan, mut cursors)| {
+            let RangePlan { range, mut table, places, .. } = plan;
+            let ends = cursors.iter().zip(table.counts());
+            let ends: Vec<usize> = ends.map(|(&first, &count)| first + count as usize).collect();
             let mut placed = Vec::with_capacity(CHUNK);
-            let put = |table: &mut BinTable, first: usize, placed: &[Placed]| {
-                let to: Vec<Option<usize>> = placed.iter().map(|&(rank, _)| table.advance(rank)).collect();
+            let mut put = |first: usize, placed: &[Placed]| {
+                let slot = |&(rank, _): &Placed| advance(&mut cursors, rank).filter(|&slot| slot < binned);
+                let to: Vec<Option<usize>> = placed.iter().map(slot).collect();
                 for (slot, &(_, record)) in to.iter().zip(placed) {
                     if let &Some(slot) = slot {
                         slots.put(slot, record);
@@ -305,20 +309,26 @@ impl<'a> BinPlan<'a> {
                 for (first, places) in range.clone().step_by(CHUNK).zip(places.chunks(CHUNK)) {
                     placed.clear();
                     placed.extend(places.iter().map(|&place| unpack_place(place)));
-                    put(&mut table, first, &placed);
+                    put(first, &placed);
                 }
                 particles.release(range);
-                return;
+            } else {
+                let mut latest = Latest::of(particles.len());
+                let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
+                    placed.clear();
+                    placed.extend(addresses.iter().map(|&address| table.place(address, &mut latest)));
+                    put(first, &placed);
+                    Ok::<_, Infallible>(())
+                });
             }
-            let mut latest = Latest::of(particles.len());
-            let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
-                placed.clear();
-                placed.extend(addresses.iter().map(|&address| table.place(address, &mut latest)));
-                put(&mut table, first, &placed);
-                Ok::<_, Infallible>(())
-            });
+            // A cube that was not there has counters and no slots.
+            cursors == ends && table.len() == ends.len()
         });
-        slots.into_bins(keys, first, components)
+        if as_counted.reduce(|| true, |one, other| one & other) {
+            Ok(slots.into_bins(keys, first, components))
+        } else {
+            Err(Unread::Changed)
+        }
     }
 
     /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
@@ -350,7 +360,8 @@ impl<'a> BinPlan<'a> {
     /// attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in all.
     ///
     /// # Errors
-    /// Where the scratch file cannot be created or written.
+    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for particles that are not where they
+    /// were when they were counted.
     pub fn spill(
         self,
         particles: &(impl Particles + ?Sized),
@@ -358,31 +369,44 @@ impl<'a> BinPlan<'a> {
         runs: Vec<Range<usize>>,
         folder: &Path,
         buffer_bytes: usize,
-    ) -> io::Result<SpilledBins> {
+    ) -> io::Result<Result<SpilledBins, Unread>> {
         let Self { placer, keys, first, mut ranges, .. } = self;
         ranges.iter_mut().for_each(|range| range.places = Vec::new());
         let mut run_of_bin = vec![0_u32; keys.len()];
         runs.iter().zip(0..).for_each(|(run, i)| run_of_bin[run.clone()].fill(i));
         let spilled = SpilledBins::new(keys, first, components(particles, carried), runs, folder)?;
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
-        ranges.into_par_iter().try_for_each(|RangePlan { range, mut table, ranks, .. }| {
+        let as_counted = ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
             let mut latest = Latest::of(particles.len());
+            let mut again = vec![0; ranks.len()];
             placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
                 let attributes =
                     Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
                 for (i, address) in addresses.iter().enumerate() {
-                    if address.is_somewhere() {
-                        let bin = ranks[table.rank(address.bin, &mut latest) as usize] as usize;
-                        buffers.push(run_of_bin[bin] as usize, bin, address.record, attributes.tuple(i))?;
+                    let (at, record) = table.place(*address, &mut latest);
+                    if let Some(&bin) = ranks.get(at as usize).filter(|&&bin| bin != NOWHERE) {
+                        again[at as usize] += 1;
+                        let run = run_of_bin[bin as usize] as usize;
+                        buffers.push(run, bin as usize, record, attributes.tuple(i))?;
                     }
                 }
                 Ok::<_, io::Error>(())
             })?;
-            buffers.flush()
-        })?;
-        Ok(spilled)
+            buffers.flush()?;
+            Ok(again == table.counts())
+        });
+        let as_counted = as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
+        Ok(if as_counted { Ok(spilled) } else { Err(Unread::Changed) })
     }
+}
+
+/// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`], or was in no table before.
+#[inline(always)]
+fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
+    let number = numbers.get_mut(rank as usize)?;
+    *number += 1;
+    Some(*number - 1)
 }
 
 /// The carried attributes of some particles that follow one another.
@@ -418,9 +442,13 @@ fn components(particles: &(impl Particles + ?Sized), carried: &[usize]) -> Vec<u
     carried.iter().map(|&index| particles.attributes()[index].components).collect()
 }
 
+/// Particles of a range at the most: a bin's counter holds them all.
+const MOST_COUNTED: usize = u32::MAX as usize;
+
 /// A few ranges of particles a thread. What is computed does not depend on how many there are.
 fn ranges(len: usize) -> Vec<Range<usize>> {
-    let count = (rayon::current_num_threads() * 2).min(len.div_ceil(1 << 16)).max(1);
+    let count = (rayon::current_num_threads() * 2).min(len.div_ceil(1 << 16)).max(len.div_ceil(MOST_COUNTED));
+    let count = count.max(1);
     (0..count).map(|i| len * i / count..len * (i + 1) / count).collect()
 }
 
@@ -433,88 +461,10 @@ struct RangeCount {
     places: Vec<Record>,
 }
 
-/// A direct-mapped cache of ranks in a table: of all bins that are so many apart along each axis, that which was last
-/// asked for. A rank is worth nothing until the table confirms it.
-struct Latest {
-    /// The number of low bits of a bin's coordinate that index the cache, along each axis.
-    bits: u32,
-    ranks: Vec<u32>,
-}
-
-impl Latest {
-    /// For so many particles, which may lie in any order: about as many bins along each axis as a pool of them has.
-    fn of(particles: usize) -> Self {
-        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
-        let bits = 4 + doublings.div_ceil(3).min(2);
-        Self { bits, ranks: vec![0; 1 << (3 * bits)] }
-    }
-
-    #[inline(always)]
-    fn rank(&mut self, bin: BinCode) -> &mut u32 {
-        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << self.bits) - 1);
-        let at = axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits);
-        &mut self.ranks[at]
-    }
-}
-
-/// The bins that a range of particles touches.
-#[derive(Default)]
-struct BinTable {
-    /// The rank of each bin, found by its code.
-    ranks: HashTable<u32>,
-    hasher: DefaultHashBuilder,
-    /// By rank.
-    bins: Vec<BinCode>,
-    /// The number of each bin: first its count of particles, then its next free record.
-    numbers: Vec<usize>,
-}
-
-impl BinTable {
-    /// The rank of a bin in this table; a new one is entered with the number 0.
-    #[inline(always)]
-    fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
-        let latest = latest.rank(bin);
-        if self.bins.get(*latest as usize) != Some(&bin) {
-            *latest = self.found_rank(bin);
-        }
-        *latest
-    }
-
-    fn found_rank(&mut self, bin: BinCode) -> u32 {
-        let Self { ranks, hasher, bins, numbers } = self;
-        let code = |&rank: &u32| bins[rank as usize];
-        match ranks.entry(hasher.hash_one(bin), |rank| code(rank) == bin, |rank| hasher.hash_one(code(rank)))
-        {
-            Entry::Occupied(found) => *found.get(),
-            Entry::Vacant(free) => {
-                let rank = bins.len() as u32;
-                free.insert(rank);
-                bins.push(bin);
-                numbers.push(0);
-                rank
-            }
-        }
-    }
-
-    /// The rank of a particle's bin, and its place there.
-    #[inline(always)]
-    fn place(&mut self, address: Address, latest: &mut Latest) -> Placed {
-        if address.is_somewhere() { (self.rank(address.bin, latest), address.record) } else { (NOWHERE, 0) }
-    }
-
-    /// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`].
-    #[inline(always)]
-    fn advance(&mut self, rank: u32) -> Option<usize> {
-        let number = self.numbers.get_mut(rank as usize)?;
-        *number += 1;
-        Some(*number - 1)
-    }
-}
-
 /// All bins of all ranges, in Morton order, each with its key.
 fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
-    let touched = counts.iter().flat_map(|c| &c.table.bins);
-    let mut bins: Vec<_> = touched.map(|&bin| (MortonKey::of(bin_coord(bin)), bin)).collect();
+    let touched = counts.iter().flat_map(|c| c.table.bins());
+    let mut bins: Vec<_> = touched.map(|(_, bin, _)| (MortonKey::of(bin_coord(bin)), bin)).collect();
     bins.par_sort_unstable();
     bins.dedup();
     bins
@@ -539,7 +489,7 @@ impl Counter<'_> {
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             for (i, address) in addresses.iter().enumerate() {
                 let (rank, record) = table.place(*address, &mut latest);
-                table.advance(rank);
+                table.add(rank);
                 if kept {
                     places.push(pack_place((rank, record)));
                 }
@@ -556,15 +506,15 @@ impl Counter<'_> {
                     census.outside += 1;
                 }
             }
-            if kept && table.bins.len() > KEPT_BINS {
+            if kept && table.len() > KEPT_BINS {
                 (kept, places) = (false, Vec::new());
             }
-            if table.bins.len() > self.room.bins {
+            if table.len() / CUBE > self.room.bins {
                 self.stop.store(true, Ordering::Relaxed);
             }
             if self.stop.load(Ordering::Relaxed) { Err(()) } else { Ok(()) }
         });
-        census.binned = table.numbers.iter().sum();
+        census.binned = table.bins().map(|(.., count)| count).sum();
         RangeCount { table, census, first_invalid, places }
     }
 }
@@ -577,7 +527,7 @@ mod tests {
 
     /// Each bin with its particles' records, sorted.
     fn binned(plan: BinPlan<'_>, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
-        let bins = plan.fill(particles, &[]);
+        let bins = plan.fill(particles, &[]).unwrap();
         let sorted = |bin: usize| {
             let mut records = bins.contents(bin).unwrap().packed().to_vec();
             records.sort_unstable();

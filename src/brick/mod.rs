@@ -1,6 +1,7 @@
 //! Sparse storage: particles sorted into bins, the DIF in bricks, and padded blocks cut out of it.
 
 mod bin;
+mod bin_table;
 mod binned;
 mod bins;
 mod block;

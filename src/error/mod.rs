@@ -17,6 +17,7 @@ pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::DomainError;
 pub use crate::grid::units::{UnitError, shown};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
+pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
@@ -63,7 +64,7 @@ pub enum Error {
     /// The particles of a file.
     #[error("{}{fault}", file(path.as_deref()))]
     Frame {
-        /// Which file, if they are of one.
+        /// The file, if the particles are of one.
         path: Option<PathBuf>,
         /// The fault.
         #[source]
@@ -78,7 +79,7 @@ pub enum Error {
     /// A mesh that cannot be compared.
     #[error("{}: {fault}", path.display())]
     Mesh {
-        /// Which file.
+        /// The file.
         path: PathBuf,
         /// The fault.
         #[source]
@@ -87,7 +88,7 @@ pub enum Error {
     /// An attribute that the particles do not have.
     #[error("{}no attribute {name:?}; there are: {}", file(path.as_deref()), listed(known))]
     NoAttribute {
-        /// Which file, if they are of one.
+        /// The file, if the particles are of one.
         path: Option<PathBuf>,
         /// The attribute that was asked for.
         name: String,
@@ -108,7 +109,7 @@ pub enum Error {
     /// The spacing is not given, not in the file, and cannot be estimated.
     #[error("{}the spacing of {particles} particles cannot be estimated", file(path.as_deref()))]
     NoSpacing {
-        /// Which file, if they are of one.
+        /// The file, if the particles are of one.
         path: Option<PathBuf>,
         /// How many particles it has.
         particles: usize,
@@ -136,7 +137,7 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// Whose fault an error is.
+/// The kind of an error: who has to change something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
@@ -164,7 +165,7 @@ impl Error {
         self
     }
 
-    /// Whose fault it is.
+    /// Returns the kind of the error: who has to change something.
     #[must_use]
     pub fn cause(&self) -> Cause {
         match self {
@@ -196,6 +197,7 @@ impl Error {
                 fault:
                     FrameError::NoParticles(_)
                     | FrameError::Bin(_)
+                    | FrameError::Unread(_)
                     | FrameError::MeanCount(_)
                     | FrameError::NoSurface { .. }
                     | FrameError::NoKernelSurface

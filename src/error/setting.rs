@@ -58,7 +58,7 @@ impl fmt::Display for Setting {
     }
 }
 
-/// What a setting does not go with.
+/// The other side of a conflict between settings.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
@@ -83,7 +83,7 @@ pub enum Conflict {
 pub struct Unfit {
     /// The setting.
     pub setting: Setting,
-    /// What it does not go with.
+    /// The other side of the conflict.
     pub with: Conflict,
 }
 

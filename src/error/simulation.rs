@@ -23,6 +23,9 @@ pub enum SequenceError {
     /// A time to wait that is none.
     #[error("a wait takes seconds; {0} are none")]
     Wait(f64),
+    /// Steps of one file, which cannot be followed while they are written.
+    #[error("{0}: files can be followed, and not the steps of one")]
+    Steps(String),
     /// A first number after the last.
     #[error("there are no frames from {first} to {last}")]
     Range {
@@ -42,7 +45,7 @@ pub enum SequenceError {
     Several {
         /// Where they were found.
         from: String,
-        /// Their names, and how many frames each has.
+        /// The names of the sequences, and how many frames each has.
         families: String,
     },
     /// A folder or the state that cannot be read.
@@ -67,7 +70,7 @@ pub enum SequenceError {
     Settings {
         /// The state file.
         path: PathBuf,
-        /// Which.
+        /// The names of the settings that differ.
         differing: String,
     },
 }

@@ -22,12 +22,12 @@ pub(super) fn sorted(
     resources: &Resources,
 ) -> Result<BinnedParticles, FrameError> {
     let Plan::OutOfCore(shares) = plan else {
-        return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)));
+        return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)?));
     };
     let runs = bin_plan.runs(particles, carried, shares.particles);
     // The field is not there yet, so its share is free for buffers.
     let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, shares.field as usize);
-    spilled.map(BinnedParticles::Spilled).map_err(resources.scratch_error())
+    Ok(BinnedParticles::Spilled(spilled.map_err(resources.scratch_error())??))
 }
 
 /// Particles whose pages go into a sink.

@@ -29,7 +29,9 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
         let Sampling { grid, domain, invalid, resources, .. } = sampling;
         let room = CountingRoom::within(resources.budget.0);
-        let plan = match BinPlan::count(particles, grid, domain.as_ref(), *invalid, room) {
+        let plan = BinPlan::count(particles, grid, domain.as_ref(), *invalid, room);
+        particles.check()?;
+        let plan = match plan {
             Err(BinError::TooManyBins { .. }) => return Err(over_budget(particles, sampling, room)),
             plan => plan?,
         };
@@ -54,6 +56,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let Sampling { grid, domain, resources, .. } = sampling;
         let room = CountingRoom::within(resources.budget.0);
         let plan = BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room);
+        particles.check()?;
         let plan = match plan {
             Err(BinError::TooManyBins { .. }) => return Err(over_budget(particles, sampling, room)),
             plan => plan?,

@@ -13,6 +13,7 @@ use crate::field::calibration::{NoMeanCount, TooFine};
 use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
 use crate::grid::units::Isovalue;
+use crate::particles::Unread;
 use crate::surface::simplify::Dropped;
 use crate::vulkan::VulkanError;
 
@@ -25,6 +26,9 @@ pub enum FrameError {
     /// A particle that the grid cannot hold.
     #[error(transparent)]
     Bin(#[from] BinError),
+    /// The particles could not be read as they were.
+    #[error(transparent)]
+    Unread(#[from] Unread),
     /// The frame cannot be brought under its memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),

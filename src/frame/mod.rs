@@ -111,6 +111,7 @@ impl Frame {
         resources.check_room(estimate.least_scratch(plan))?;
 
         let binned = binned::sorted(bin_plan, particles, carried, plan, &resources)?;
+        particles.check()?;
         let keep = !carried.is_empty();
         let mut occupied = Occupied::default();
         let (field, occupied, bins) = match *field {

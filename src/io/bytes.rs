@@ -1,11 +1,12 @@
-//! The bytes of an input file: mapped where they are on disk as they are; unpacked or decoded where not, in
-//! memory or in a scratch file.
+//! The bytes of an input file: mapped while its header is read where they are on disk as they are; unpacked or decoded where not,
+//! in memory or in a scratch file.
 
 use std::fmt::Debug;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
+use std::time::SystemTime;
 
 use flate2::read::MultiGzDecoder;
 use libdeflater::Decompressor;
@@ -13,6 +14,19 @@ use memchr::memmem;
 use memmap2::Mmap;
 
 use super::{ReadError, ReadFault};
+
+/// A file's size and time, which tell whether it was written to since.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct FileStamp {
+    pub(super) bytes: u64,
+    modified: Option<SystemTime>,
+}
+
+impl FileStamp {
+    pub(super) fn of(metadata: &Metadata) -> Self {
+        Self { bytes: metadata.len(), modified: metadata.modified().ok() }
+    }
+}
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
@@ -28,12 +42,21 @@ const ALWAYS_UNPACKED: u64 = 64 << 20;
 /// A file's bytes, read-only.
 #[derive(Debug)]
 pub enum Bytes {
-    /// Pages come and go with their use.
-    Mapped(Mmap),
+    /// A file that lies on disk as it is.
+    Mapped(MappedFile),
     /// A mapped scratch file; pages come and go with their use.
     Scratch(Mmap),
     /// In memory.
     Owned(Vec<u8>),
+}
+
+/// A file whose pages come and go with their use, and the way to read it otherwise.
+#[derive(Debug)]
+pub struct MappedFile {
+    map: Mmap,
+    pub(super) file: File,
+    /// The file as it was when it was mapped.
+    pub(super) stamp: FileStamp,
 }
 
 impl Bytes {
@@ -42,7 +65,8 @@ impl Bytes {
     /// # Errors
     /// Where the system refuses.
     pub fn map(file: &File) -> io::Result<Self> {
-        map(file).map(Self::Mapped)
+        let stamp = FileStamp::of(&file.metadata()?);
+        Ok(Self::Mapped(MappedFile { map: map(file)?, file: file.try_clone()?, stamp }))
     }
 
     /// Bytes of scratch files.
@@ -86,7 +110,7 @@ impl ByteStore for Bytes {
 
     fn release(&self, range: Range<usize>) {
         #[cfg(unix)]
-        if let Self::Mapped(map) | Self::Scratch(map) = self {
+        if let Self::Mapped(MappedFile { map, .. }) | Self::Scratch(map) = self {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
             // SAFETY: the map is of a file and never written: pages that are dropped are read again.
@@ -109,7 +133,7 @@ impl Deref for Bytes {
 
     fn deref(&self) -> &[u8] {
         match self {
-            Self::Mapped(map) | Self::Scratch(map) => map,
+            Self::Mapped(MappedFile { map, .. }) | Self::Scratch(map) => map,
             Self::Owned(vec) => vec,
         }
     }

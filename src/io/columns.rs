@@ -4,14 +4,17 @@
 //! decodes into little-endian columns first. Nothing else differs between formats.
 
 use std::collections::HashSet;
-use std::ops::{Deref, Range};
+use std::ops::Range;
 
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::{AttributeInfo, Particles, Unread};
 
-use super::bytes::{ByteStore, Bytes};
+use super::windows::{Source, Windows};
 
 /// Bytes whose memory is given back at once.
 const WINDOW: usize = 1 << 20;
+
+/// Rows within which chosen ones are read at once.
+const NEAR: u32 = 1 << 10;
 
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,9 +62,9 @@ impl Column {
     }
 }
 
-/// The numbers of a particle file, still as stored, in bytes that are owned, mapped or borrowed.
+/// The numbers of a particle file, still as stored, in bytes that are kept, borrowed, or read from the file.
 #[derive(Debug)]
-pub struct ColumnStore<B = Bytes> {
+pub struct ColumnStore<B = Source> {
     bytes: B,
     rows: Rows,
     /// x, y and z, which need not be neighbours (a .ply may order its properties freely).
@@ -91,7 +94,7 @@ impl Rows {
     }
 }
 
-impl<B: Deref<Target = [u8]>> ColumnStore<B> {
+impl<B: Windows> ColumnStore<B> {
     /// Joins columns to the bytes that hold them. Of attributes with one name the first is kept.
     ///
     /// # Panics
@@ -99,11 +102,12 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
     /// believe them.
     #[must_use]
     pub fn new(
-        bytes: B,
+        bytes: impl Into<B>,
         rows: Rows,
         position: [Column; 3],
         mut attributes: Vec<(AttributeInfo, Vec<Column>)>,
     ) -> Self {
+        let bytes = bytes.into();
         let mut names = HashSet::new();
         attributes.retain(|(info, _)| names.insert(info.name.clone()));
         let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
@@ -114,7 +118,7 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
         if let Some(last) = last {
             for column in position.iter().chain(columns.iter().flatten()) {
                 let end = column.offset + last * column.stride + column.scalar.size();
-                assert!(end <= bytes.len(), "a column ends at byte {end} of {}", bytes.len());
+                assert!(end <= bytes.count(), "a column ends at byte {end} of {}", bytes.count());
                 assert!(column.stride >= column.scalar.size(), "a stride of {} bytes", column.stride);
             }
         }
@@ -164,22 +168,36 @@ impl<B: Deref<Target = [u8]>> ColumnStore<B> {
                 assert!(end <= *rows, "particles {first} to {end} of {rows}");
                 if count > 0 {
                     let start = column.offset + first * column.stride;
-                    let bytes = &self.bytes[start..][..(count - 1) * column.stride + K * N];
-                    if column.stride == K * N && step == K {
-                        // Without gaps on either side: vectors' work.
-                        for (out, stored) in out.iter_mut().zip(bytes.as_chunks::<N>().0) {
-                            *out = number(*stored);
+                    let end = start + (count - 1) * column.stride + K * N;
+                    self.bytes.with(start..end, |bytes| {
+                        if column.stride == K * N && step == K {
+                            // Without gaps on either side: vectors' work.
+                            for (out, stored) in out.iter_mut().zip(bytes.as_chunks::<N>().0) {
+                                *out = number(*stored);
+                            }
+                            return;
                         }
-                        return;
-                    }
-                    for (out, row) in out.chunks_mut(step).zip(bytes.chunks(column.stride)) {
-                        tuple(out, row);
-                    }
+                        for (out, row) in out.chunks_mut(step).zip(bytes.chunks(column.stride)) {
+                            tuple(out, row);
+                        }
+                    });
                 }
             }
             Rows::Chosen(rows) => {
-                for (out, &row) in out.chunks_mut(step).zip(&rows[first..first + count]) {
-                    tuple(out, &self.bytes[column.offset + row as usize * column.stride..]);
+                // Rows near each other lie in one window.
+                let (mut out, mut rows) = (out, &rows[first..first + count]);
+                while let Some(&row) = rows.first() {
+                    let near = |&&other: &&u32| (row..row.saturating_add(NEAR)).contains(&other);
+                    let (these, later) = rows.split_at(rows.iter().take_while(near).count());
+                    let (to, rest) = out.split_at_mut((these.len() * step).min(out.len()));
+                    let start = column.offset + row as usize * column.stride;
+                    let last = these.iter().max().map_or(0, |&last| (last - row) as usize);
+                    self.bytes.with(start..start + last * column.stride + K * N, |bytes| {
+                        for (out, &other) in to.chunks_mut(step).zip(these) {
+                            tuple(out, &bytes[(other - row) as usize * column.stride..]);
+                        }
+                    });
+                    (out, rows) = (rest, later);
                 }
             }
         }
@@ -194,13 +212,17 @@ impl ColumnStore {
     }
 }
 
-impl<B: ByteStore> Particles for ColumnStore<B> {
+impl<B: Windows> Particles for ColumnStore<B> {
     fn len(&self) -> usize {
         self.rows.count()
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         self.read(&self.position, first, out.as_flattened_mut());
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.bytes.check()
     }
 
     fn resident_bytes(&self) -> u64 {
@@ -214,7 +236,7 @@ impl<B: ByteStore> Particles for ColumnStore<B> {
         let mut windows: Vec<Range<usize>> =
             columns.map(|c| c.offset + range.start * c.stride..c.offset + range.end * c.stride).collect();
         windows.sort_unstable_by_key(|window| window.start);
-        let len = self.bytes.len();
+        let len = self.bytes.count();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
             let end = group.iter().map(|window| window.end).max().unwrap_or_default().min(len);
             // Small ranges wait until those that follow complete a window.
@@ -262,7 +284,7 @@ macro_rules! stored {
             $(fn $type(value: $type) -> Self { value as Self })*
         }
 
-        impl<B: Deref<Target = [u8]>> ColumnStore<B> {
+        impl<B: Windows> ColumnStore<B> {
             /// [`tuples`](Self::tuples) of whatever type and byte order `column` has.
             fn read_tuples<T: Nearest, const K: usize>(
                 &self,

@@ -33,6 +33,7 @@ mod vertices;
 pub mod vtk;
 pub mod vtp;
 pub mod whole;
+pub mod windows;
 pub mod xyz;
 
 use columns::ColumnStore;

@@ -30,7 +30,8 @@ impl Vertices {
     /// The vertices of a mesh.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
-        let store = ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
+        let store: ColumnStore<&[u8]> =
+            ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         let mut positions = vec![[0.0; 3]; self.count];
         store.positions(0, &mut positions);
         let normals = self.normals.map(|index| {

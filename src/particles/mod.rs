@@ -2,12 +2,14 @@
 
 pub mod lattice;
 
+use std::io;
 use std::ops::Range;
 
 use glam::DVec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,7 +28,18 @@ impl AttributeInfo {
     }
 }
 
-/// Particles, held in memory or in a mapped file.
+/// Particles that could not be read again as they were.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum Unread {
+    /// Their file was written to meanwhile.
+    #[error("it has changed while it was read")]
+    Changed,
+    /// The system's refusal to read their file.
+    #[error("{0}")]
+    Io(io::ErrorKind),
+}
+
+/// Particles, held in memory or in a file.
 ///
 /// The order is the file's, and an index names a particle in error messages. Values are handed out as
 /// stored: they may be NaN or infinite.
@@ -45,12 +58,20 @@ pub trait Particles: Sync {
     /// If `first + out.len()` exceeds [`len`](Self::len).
     fn positions(&self, first: usize, out: &mut [[f64; 3]]);
 
-    /// Bytes of memory that the particles occupy as long as they are there; none where a file is mapped.
+    /// Makes sure, after they were read, that all that was read is what they are.
+    ///
+    /// # Errors
+    /// [`Unread`], for particles of a file: what was read of it is worth nothing.
+    fn check(&self) -> Result<(), Unread> {
+        Ok(())
+    }
+
+    /// Bytes of memory that the particles occupy as long as they are there.
     fn resident_bytes(&self) -> u64 {
         0
     }
 
-    /// Says that the particles of a range will not be read soon: a mapped file can give its pages back.
+    /// Says that the particles of a range will not be read soon: a mapped scratch file can give its pages back.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }

@@ -1,4 +1,4 @@
-//! What a caller has asked for, as it was said: nothing is checked, and nothing filled in.
+//! Settings as a caller said them: nothing is checked, and nothing filled in.
 
 use serde_json::{Map, Value, json};
 

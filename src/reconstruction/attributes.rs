@@ -1,4 +1,4 @@
-//! Which attributes of the particles go to the vertices.
+//! The choice of particle attributes that go to the vertices.
 
 use crate::error::Error;
 use crate::particles::{AttributeInfo, velocity_attribute};
@@ -9,7 +9,7 @@ pub enum Attributes {
     /// The velocity, if the particles have it.
     #[default]
     Velocity,
-    /// These, by their names; `velocity` is whatever the particles call so. None where there are no names.
+    /// Attributes by their names; `velocity` is whatever the particles call so. None where there are no names.
     Named(Vec<String>),
 }
 

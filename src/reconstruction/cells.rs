@@ -73,7 +73,7 @@ impl fmt::Display for SpacingSource {
 /// Why a spacing may not be that of the particles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Doubt {
-    /// They are of two resolutions.
+    /// The particles are of two resolutions.
     TwoResolutions {
         /// How far most are apart, and how far the others.
         spacings: [f64; 2],

@@ -12,7 +12,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use super::checked::Checked;
 use super::report::Report;
-use super::warning::{Warning, of_isovalue, of_lost};
+use super::warning::{Warning, lost_warning, of_isovalue};
 
 /// A surface that was drawn, but for the threads that it was made by.
 pub(crate) struct Drawn {
@@ -78,7 +78,7 @@ impl Checked {
         report.warnings.extend(doubt);
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
-        report.warnings.extend(of_lost(report.lost, report.facts.census.binned, smoothed));
+        report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
         let warning = |shortfall| Warning::Shortfall { shortfall, clouds, measured_on: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();

@@ -1,4 +1,4 @@
-//! What a particle file, a packed frame or a mesh holds.
+//! Contents of a particle file, a packed frame or a mesh, for people and programs that look before they convert.
 
 use std::path::{Path, PathBuf};
 

@@ -42,5 +42,6 @@ pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest};
 pub use surface::Surface;
 pub(crate) use surface::merged;
+pub(crate) use warning::lost_warning;
 pub use warning::{Emptiness, Warning};
 pub use width::SinglePrecision;

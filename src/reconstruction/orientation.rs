@@ -1,4 +1,4 @@
-//! Which way is up, in the particles, in the mesh file, and as programs show that.
+//! The axis that points up: in the particles, in the mesh file, and on the screens of programs that show it.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ pub(crate) struct Orientation {
     particles: UpAxis,
     /// In the file's coordinates.
     pub(crate) file: UpAxis,
-    /// As programs show it, after whatever the file says of turning.
+    /// The axis that is up on a screen, after whatever the file says of turning.
     pub(crate) shown: UpAxis,
 }
 

@@ -102,7 +102,7 @@ impl Output {
         &self.path
     }
 
-    /// The same file laid out as it was asked for.
+    /// Lays the same file out as it was asked for.
     pub(crate) fn with_layout(mut self, layout: crate::io::glb::Layout) -> Self {
         self.file = self.file.with_layout(layout);
         self

@@ -1,4 +1,4 @@
-//! What may be wrong with a frame, or with the request for it, although there is a surface.
+//! Doubts about a frame, or about the request for it, although there is a surface.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ use super::Doubt;
 /// Particles that are so many times too dense for their spacing are half as far apart.
 const CROWDED: f64 = 8.0;
 
-/// So many particles in no surface are not worth a word.
+/// Particles in no surface that are not worth a word.
 const FEW: u64 = 10;
 
 /// A doubt about a surface, or about the request for it.
@@ -24,7 +24,7 @@ const FEW: u64 = 10;
 pub enum Warning {
     /// The spacing may not be that of the particles.
     Spacing(Doubt),
-    /// There are many more particles than their spacing leaves room for.
+    /// Many more particles are there than their spacing leaves room for.
     Crowded {
         /// How many times as many, at the least.
         times: f64,
@@ -202,6 +202,6 @@ pub(crate) fn of_isovalue(measured: &Calibrated, given: Option<Isovalue>) -> Opt
 }
 
 /// A doubt about particles that are in no surface, if they are many.
-pub(crate) fn of_lost(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
+pub(crate) fn lost_warning(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
     (lost > FEW).then_some(Warning::Lost { lost, of, smoothed })
 }

@@ -8,11 +8,11 @@ const COARSEST: f64 = 1.0 / 256.0;
 /// The effect of f32 on a surface's coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SinglePrecision {
-    /// It moves no vertex by more than 1 / 256 of a cell.
+    /// Rounding moves no vertex by more than 1 / 256 of a cell.
     Enough,
-    /// It moves some by more.
+    /// Rounding moves some vertices by more.
     TooCoarse,
-    /// It cannot hold them.
+    /// Some coordinates exceed 32 bits.
     Exceeded,
 }
 

@@ -38,7 +38,7 @@ struct Job {
     again: bool,
 }
 
-/// What became of a frame.
+/// The outcome of a frame.
 struct Outcome<T> {
     frame: FrameFile,
     result: Result<T, Error>,
@@ -236,7 +236,7 @@ impl Conversion<'_> {
     }
 }
 
-/// What comes next to any of several threads.
+/// Receives the next item, for any of several threads.
 fn next<T>(receiver: &Mutex<Receiver<T>>) -> Option<T> {
     receiver.lock().unwrap_or_else(PoisonError::into_inner).recv().ok()
 }

@@ -1,4 +1,4 @@
-//! What a running conversion tells its caller.
+//! Events of a running conversion, for its caller.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use crate::error::Error;
 use crate::field::calibration::{Calibration, Plateau};
 use crate::grid::units::shown;
 use crate::io::series::SeriesFrame;
-use crate::reconstruction::{Doubt, Report, Warning};
+use crate::reconstruction::{Doubt, Report, Warning, lost_warning};
 use crate::system::control::Stage;
 
 use super::frozen::{Frozen, Trust};
@@ -20,7 +20,7 @@ use super::inputs::Gaps;
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub enum Event<'a> {
-    /// There is no frame yet, and one is waited for.
+    /// No frame has come yet, and one is waited for.
     Waiting {
         /// The inputs, as they were asked for.
         inputs: &'a str,
@@ -38,14 +38,14 @@ pub enum Event<'a> {
     GoesOn {
         /// The state's file.
         state: &'a Path,
-        /// What all frames have in common.
+        /// The measurements that all frames share.
         frozen: &'a Frozen,
     },
-    /// What all frames have in common was measured.
+    /// The measurements that all frames share are made.
     Measured {
         /// The file of the frame that it was measured on.
         path: &'a Path,
-        /// What all frames have in common.
+        /// The measurements that all frames share.
         frozen: &'a Frozen,
         /// How much this frame can tell of all others.
         trust: Trust,
@@ -230,6 +230,12 @@ impl Summary {
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.failed == 0 && self.missing.is_empty()
+    }
+
+    /// A doubt about particles that are in no surface, if they are many.
+    #[must_use]
+    pub fn lost(&self) -> Option<Warning> {
+        lost_warning(self.left_out.lost, self.left_out.census.binned, self.smoothed)
     }
 }
 

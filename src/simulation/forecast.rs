@@ -1,4 +1,4 @@
-//! What a conversion would do and take, found out on its largest frame.
+//! Forecast of a conversion, found out on its largest frame.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -38,9 +38,9 @@ pub struct Forecast {
     pub output: PathBuf,
     /// Numbers that are missing between others.
     pub missing: Gaps,
-    /// What all frames would have in common.
+    /// The measurements that all frames would share.
     pub frozen: Frozen,
-    /// What was found out on the largest frame; `None` where frames are packed.
+    /// The forecast of the largest frame; `None` where frames are packed.
     pub largest: Option<Largest>,
 }
 

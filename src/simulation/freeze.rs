@@ -1,4 +1,4 @@
-//! What is measured once for all frames, on the first that can tell.
+//! Measuring once for all frames, on the first that can tell.
 
 use super::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
 use super::inputs::FrameFile;
@@ -106,7 +106,7 @@ impl Setup<'_> {
         }
     }
 
-    /// What one frame says of all. The grid and mu0 are those of a lattice that came before, if one did.
+    /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one did.
     fn measure_on(
         &self,
         frame: &FrameFile,

@@ -17,15 +17,15 @@ use crate::system::timings::Timings;
 pub struct Frozen {
     /// The number of the frame that it was measured on.
     pub frame: u64,
-    /// That frame's file.
+    /// The stamp of that frame's file.
     pub input: Stamp,
-    /// Of the particles, where it is known.
+    /// Distance between neighbouring particles, where it is known.
     pub spacing: Option<f64>,
     /// Where the spacing comes from, for people.
     pub spacing_source: Option<String>,
     /// Edge of a cell.
     pub cell_size: f64,
-    /// Of the grid.
+    /// Origin of the grid.
     pub origin: [f64; 3],
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
@@ -35,16 +35,16 @@ pub struct Frozen {
 /// Whether the grid may be moved to suit the particles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
-    /// As far as half a cell.
+    /// The grid may move by up to half a cell.
     Free,
-    /// It was asked for where it is.
+    /// The grid stays where it was asked for.
     Given,
 }
 
-/// What a frame says about all others.
+/// Measurements on one frame that hold for all.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measured {
-    /// Of the grid for all frames.
+    /// The grid for all frames.
     pub grid: Grid,
     /// Measured, or given; `None` for kernels, which have nothing to measure.
     pub calibration: Option<Calibration>,
@@ -59,7 +59,7 @@ pub enum Trust {
     Shallow,
     /// Counts on a lattice are all the same, as they will not be in disorder.
     Lattice,
-    /// It is like all others.
+    /// The frame is like all others.
     Sound,
 }
 

@@ -1,4 +1,4 @@
-//! Which files are the frames of a sequence, and in which order.
+//! The files that are the frames of a sequence, and their order.
 //!
 //! A frame has a number. `{}` in a name says where it stands, padded or not; otherwise it is the last digits of the
 //! name before its extensions. Order is that of the numbers.
@@ -14,7 +14,7 @@ use crate::error::SequenceError;
 /// One frame, as found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameFile {
-    /// What it is called by.
+    /// The frame's number.
     pub number: u64,
     /// The number as the name spells it.
     pub digits: String,
@@ -29,22 +29,22 @@ pub enum Inputs {
     Pattern(Pattern),
     /// All that we read in a folder.
     Folder(PathBuf),
-    /// Those of a folder or a glob whose names differ in their numbers alone.
+    /// Files of a folder or a glob whose names differ in their numbers alone.
     Part {
         /// All of them.
         of: Box<Self>,
-        /// What tells them from others.
+        /// The names that tell them from other files.
         family: Family,
     },
-    /// Those in one file.
+    /// Frames in one file.
     Steps(PathBuf),
-    /// What a shell would expand.
+    /// A pattern that a shell would expand.
     Glob(String),
-    /// As they are.
+    /// Files that are named one by one.
     Files(Vec<PathBuf>),
 }
 
-/// What the names of a sequence's files have in common. A name with `.gz` appended is no other.
+/// The common part of the names of a sequence's files. A name with `.gz` appended is no other.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Family {
     /// Before the number.
@@ -56,7 +56,7 @@ pub struct Family {
 /// A file name with a place for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pattern {
-    /// Of the file.
+    /// The folder of the files.
     pub folder: PathBuf,
     /// Before the number.
     pub prefix: String,
@@ -118,7 +118,7 @@ fn all_digits(text: &str) -> bool {
 }
 
 impl Inputs {
-    /// What the arguments ask for; `None` where they name one file.
+    /// Reads the arguments as a sequence; `None` where they name one file.
     ///
     /// # Errors
     /// [`SequenceError::Names`] for a pattern that cannot be one.
@@ -139,7 +139,7 @@ impl Inputs {
         Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
     }
 
-    /// As it was asked for.
+    /// Returns the inputs in the words of the request.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
@@ -214,7 +214,7 @@ impl Inputs {
         Ok(families.into_iter().map(part).collect())
     }
 
-    /// The same without what comes to be in its folder and is named otherwise than `first`, such as the meshes that are made.
+    /// Leaves out whatever comes to be in its folder and is named otherwise than `first`, such as the meshes that are made.
     #[must_use]
     pub fn like(&self, first: &FrameFile) -> Self {
         match self {
@@ -317,7 +317,7 @@ impl FrameFile {
         file_and_step(&self.path).0.metadata().map_or(0, |metadata| metadata.len())
     }
 
-    /// What its name shares with those of its sequence; nothing where it has no number.
+    /// The part of its name that it shares with the others of its sequence; nothing where it has no number.
     fn family(&self) -> Family {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let cut = split_number(&name).filter(|(_, digits, _)| *digits == self.digits);
@@ -425,7 +425,7 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SequenceError> {
     Ok(files)
 }
 
-/// Which of the frames are wanted. Ends are included.
+/// The numbers of the frames that are wanted. Ends are included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Selection {
     /// The first number.
@@ -473,7 +473,7 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// What the file of a missing number would be called, going by the one before it.
+/// The name that the file of a missing number would have, going by the one before it.
 #[must_use]
 pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
@@ -484,7 +484,7 @@ pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
     path.with_file_name(format!("{}{number:0width$}{}", &name[..at], &name[at + digits.len()..]))
 }
 
-/// What [`gaps`] finds.
+/// Missing numbers, found by [`gaps`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Gaps {
     /// From one number to the next.
@@ -502,7 +502,7 @@ impl Gaps {
         self.ranges.iter().map(|(first, last)| (last - first) / self.step.max(1) + 1).sum()
     }
 
-    /// Those of them from `first` to `last`.
+    /// Keeps the gaps from `first` to `last`.
     #[must_use]
     pub fn within(&self, first: u64, last: u64) -> Self {
         let step = self.step.max(1);

@@ -15,11 +15,11 @@ pub(super) struct Division {
     pub(super) lanes: usize,
     /// Threads of each.
     pub(super) threads: usize,
-    /// What a lane may take before it is known how large its frame is.
+    /// Memory of a lane before it is known how large its frame is.
     pub(super) opening: MemoryBudget,
-    /// What a frame may take beside others.
+    /// Memory of a frame beside others.
     pub(super) share: MemoryBudget,
-    /// What a frame may take alone.
+    /// Memory of a frame alone.
     pub(super) alone: MemoryBudget,
 }
 
@@ -77,7 +77,7 @@ pub(super) struct Permit<'a> {
 }
 
 impl Gate {
-    /// Who is alone has so many threads.
+    /// Opens for so many lanes; a lane that is alone has `threads` threads.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
         let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
         Self { lanes, threads, all, state, changed }

@@ -41,7 +41,7 @@ pub struct LiveSimulation {
     settled: bool,
 }
 
-/// What frames have in common.
+/// Measurements that the frames share.
 #[derive(Debug, Clone, Copy)]
 struct Known {
     grid: Grid,
@@ -103,7 +103,7 @@ impl LiveSimulation {
     }
 }
 
-/// What a frame says of all, on the grid of a lattice that came before, if one did.
+/// Measures a frame for all, on the grid of a lattice that came before, if one did.
 fn measured(
     ready: &Ready,
     particles: &(impl Particles + ?Sized),

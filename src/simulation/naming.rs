@@ -1,4 +1,4 @@
-//! What the outputs of a sequence are called.
+//! The names of a sequence's outputs.
 
 use std::path::{Path, PathBuf};
 
@@ -13,15 +13,15 @@ use crate::error::SequenceError;
 pub enum Naming {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// As the inputs, in this folder, as .ply.
+    /// Named like the inputs, in this folder, as .ply.
     Folder(PathBuf),
 }
 
-/// What a folder is filled with.
+/// The extension of outputs in a folder.
 const IN_FOLDER: &str = ".ply";
 
 impl Naming {
-    /// What an output path asks for; `None` where it names one file.
+    /// Reads an output path as the names of a sequence; `None` where it names one file.
     ///
     /// # Errors
     /// [`SequenceError::Names`] for a pattern that cannot be one.

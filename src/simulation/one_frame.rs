@@ -65,7 +65,7 @@ struct Ready<'a> {
     /// `None` where there are no particles.
     frame: Option<Frame>,
     left_out: LeftOut,
-    /// What its vertices carry.
+    /// The attributes of its vertices.
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
     permit: Permit<'a>,
@@ -255,7 +255,7 @@ impl Conversion<'_> {
         Ok(Ready { frame, left_out: census.into(), infos, time: file.time, permit })
     }
 
-    /// What is left of a lane's memory for the frame, where as much as its surface takes is needed beside it: for the
+    /// The part of a lane's memory that is left for the frame, where as much as its surface takes is needed beside it: for the
     /// triangles that are left, or for a writer that holds them all.
     fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
         let Checked { asked, reduction, .. } = self.setup.checked;
@@ -321,7 +321,7 @@ impl Conversion<'_> {
     }
 }
 
-/// What is written where there is no surface: every program can load it, and finds what it expects.
+/// The mesh that is written where there is no surface: every program can load it, and finds what it expects.
 fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
     let attribute = |info: AttributeInfo| VertexAttribute {
         name: info.name,

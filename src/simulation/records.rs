@@ -1,4 +1,4 @@
-//! What is known of the frames that are done, a line of JSON each.
+//! Records of the frames that are done, a line of JSON each.
 //!
 //! Every process writes a log of its own, `frames.1.jsonl`, `frames.2.jsonl` and so on, and holds a lock on it while it
 //! lives. Whoever is done moves all logs that nobody writes any more into `frames.jsonl`, in the frames' order: at the
@@ -25,11 +25,11 @@ const MERGED: &str = "frames.jsonl";
 /// A frame that is done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// What it was made from.
+    /// The input that it was made from.
     pub input: Stamp,
     /// The fingerprint of what it was made with.
     pub fingerprint: u32,
-    /// What it was made into.
+    /// The mesh that it was made into.
     pub mesh: SeriesFrame,
     /// CRC-32 of the bytes of that file.
     pub crc: u32,
@@ -59,7 +59,7 @@ fn crc(path: &Path) -> io::Result<u32> {
 pub struct Records(BTreeMap<u64, Record>);
 
 impl Records {
-    /// Those that are in `folder` now. What cannot be read is none: the frame is made again.
+    /// Reads the records in `folder`. One that cannot be read is none: the frame is made again.
     #[must_use]
     pub fn read(folder: &Path) -> Self {
         // A log that is moved meanwhile is in the merged file, which is why that one is read last.
@@ -70,7 +70,7 @@ impl Records {
         records
     }
 
-    /// What is added later holds.
+    /// Adds records; later ones replace earlier ones.
     fn add(&mut self, lines: &[u8]) {
         let records = lines.split(|&byte| byte == b'\n').filter_map(|line| serde_json::from_slice(line).ok());
         self.0.extend(records.map(|record: Record| (record.mesh.frame, record)));

@@ -118,8 +118,7 @@ impl Simulation {
         self.validate()?;
         let (inputs, naming) = self.names()?;
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
-            let what = format!("{}: files can be followed, and not the steps of one", inputs.describe());
-            return Err(SequenceError::Names(what).into());
+            return Err(SequenceError::Steps(inputs.describe()).into());
         }
         let mut request = self.request.clone();
         request.scratch.get_or_insert_with(|| naming.folder().to_owned());

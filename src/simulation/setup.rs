@@ -1,4 +1,4 @@
-//! What is known before any frame of a simulation is read, and what is refused by it.
+//! Setting up a conversion before any frame is read, and refusing what cannot work.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -30,7 +30,7 @@ use super::state::{State, Store};
 /// Between two looks at a simulation that runs.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
-/// What is known of a sequence before any of its frames is read.
+/// A sequence before any of its frames is read.
 pub(super) struct Setup<'a> {
     pub(super) simulation: &'a Simulation,
     pub(super) inputs: &'a Inputs,

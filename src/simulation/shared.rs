@@ -1,4 +1,4 @@
-//! What all lanes of a conversion share.
+//! State that all lanes of a conversion share.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -14,7 +14,7 @@ use super::state::{State, Store};
 use super::lanes::{Division, Gate};
 use super::setup::Setup;
 
-/// What all lanes share.
+/// State that all lanes share.
 pub(super) struct Conversion<'a> {
     pub(super) setup: &'a Setup<'a>,
     pub(super) format: MeshFormat,
@@ -26,7 +26,7 @@ pub(super) struct Conversion<'a> {
     pub(super) stop: AtomicBool,
 }
 
-/// What all frames have in common.
+/// Measurements that all frames share.
 pub(super) struct Settled {
     pub(super) state: State,
     pub(super) fingerprint: u32,

@@ -1,4 +1,4 @@
-//! What is kept beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
+//! Files beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
 //! all frames have in common, and the [records](super::records) of those that are done.
 
 use std::fs::{self, File};
@@ -15,17 +15,17 @@ use super::frozen::Frozen;
 use super::records::Log;
 use crate::error::SequenceError;
 
-/// What was asked for, by the names of the options.
+/// Settings by the names of the options.
 pub type Settings = Map<String, Value>;
 
-/// What all frames of a sequence have in common.
+/// The state of a sequence: all that its frames have in common.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The version of this library.
     pub meniscus: String,
-    /// What was asked for.
+    /// The settings of the request.
     pub settings: Settings,
-    /// What was measured.
+    /// The measurements.
     pub frozen: Frozen,
 }
 
@@ -42,7 +42,7 @@ impl State {
         crc32fast::hash(&json(self))
     }
 
-    /// Which settings differ from `wanted`, for people; empty where none does.
+    /// The names of the settings that differ from `wanted`, for people; empty where none does.
     #[must_use]
     pub fn differing(&self, wanted: &Settings) -> String {
         differing(&self.meniscus, &self.settings, wanted)

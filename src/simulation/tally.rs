@@ -1,4 +1,4 @@
-//! What became of the frames: noted one by one, listed for other programs, and summed up at the end.
+//! The outcome of all frames: noted one by one, listed for other programs, and summed up at the end.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use super::shared::Conversion;
 /// Between two writings of what lists all frames, at the least.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);
 
-/// What became of the frames so far.
+/// The outcome of the frames so far.
 pub(super) struct Tally<'a> {
     conversion: &'a Conversion<'a>,
     series: &'a Series,

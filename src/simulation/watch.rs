@@ -1,4 +1,4 @@
-//! Which frames of a running simulation are complete: those whose file has not changed for a while. One that turns out
+//! Finding the complete frames of a running simulation: those whose file has not changed for a while. One that turns out
 //! not to be, because it grows after a pause or is written once more, is given again.
 
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use super::inputs::{FrameFile, Selection};
 /// A file that has not changed for so long is taken to be complete.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// What was seen of the frames so far.
+/// The frames that were seen so far.
 pub(super) struct Watch {
     /// Seconds without news after which the simulation is over.
     idle: f64,
@@ -22,7 +22,7 @@ pub(super) struct Watch {
 struct Seen {
     stamp: Stamp,
     since: Instant,
-    /// What it was when it was given.
+    /// The file's stamp when the frame was given.
     given: Option<Stamp>,
     under_way: bool,
 }

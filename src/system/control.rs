@@ -1,4 +1,4 @@
-//! What the caller of long work has in hand: how far it is told to be, and an early end.
+//! The caller's hold on long work: how far it has come, and an early end.
 
 use std::fmt;
 use std::sync::Arc;

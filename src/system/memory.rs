@@ -38,7 +38,7 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// What this process's limits on data and on addresses leave of it: files that are mapped later take of the addresses too.
+/// Bytes that this process's limits on data and on addresses leave: files that are mapped later take of the addresses too.
 fn limit_available() -> Option<u64> {
     let limits = read_to_string("/proc/self/limits").ok()?;
     let left = |limit: &str, used: &str| {
@@ -64,7 +64,7 @@ pub(crate) fn zeroed_in_huge_pages<T: Zeroable>(len: usize) -> Vec<T> {
     zeros
 }
 
-/// The same with nothing in it yet.
+/// An empty vector with room, in huge pages where the system has them.
 pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     let mut empty = Vec::with_capacity(capacity);
     advise_huge_pages(empty.spare_capacity_mut());
@@ -74,7 +74,7 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
 /// Before anything is written: what has its pages keeps them.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn advise_huge_pages<T>(memory: &[T]) {
-    /// What huge pages begin at multiples of, on most machines; on others less of the memory lies in them.
+    /// The alignment of huge pages on most machines; on others less of the memory lies in them.
     const HUGE: usize = 2 << 20;
     let bytes = memory.as_ptr().cast::<u8>();
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));

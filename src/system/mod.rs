@@ -1,7 +1,8 @@
-//! What the pipeline takes of the machine: memory and its budget, scratch files, time, and an early end.
+//! Resources of the machine: memory and its budget, scratch files, time, and an early end.
 
 pub mod cancel;
 pub mod control;
 pub mod memory;
+pub mod positioned;
 pub mod scratch;
 pub mod timings;

@@ -59,6 +59,7 @@ fn main() {
         BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS)
             .expect("valid particles")
             .fill(&particles[..], &[])
+            .expect("the same particles")
     };
     let (bin_seconds, bins) = best_seconds(3, bin);
     row("bin", count, "M particles/s", bin_seconds);

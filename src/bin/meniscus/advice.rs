@@ -3,7 +3,7 @@
 use bytesize::ByteSize;
 use meniscus::error::{
     BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, SequenceError,
-    Setting, TooFine, Unfit, UnitError, WriteFault,
+    Setting, TooFine, Unfit, UnitError, Unread, WriteFault,
 };
 use meniscus::{Doubt, Dropped, Emptiness, Warning};
 
@@ -44,6 +44,9 @@ fn in_options(error: &Error) -> Option<String> {
         Error::Sequence(SequenceError::Rate(_)) => error.to_string().replace("frames a second", "--fps"),
         Error::Sequence(SequenceError::Wait(seconds)) => {
             format!("--watch takes seconds; {seconds} are none")
+        }
+        Error::Sequence(SequenceError::Steps(inputs)) => {
+            format!("{inputs}: --watch follows files, and not the steps of one")
         }
         Error::Sequence(SequenceError::Range { first, last }) => {
             format!("there are no frames from --start {first} to --end {last}")
@@ -138,6 +141,7 @@ fn advice(error: &Error) -> String {
 
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
+        FrameError::Unread(Unread::Changed) => "; convert it once it is written",
         FrameError::Bin(BinError::NotFinite { .. }) => "; --skip-invalid drops such particles",
         FrameError::Bin(BinError::TooFar { .. }) => {
             "; use a larger cell size, move --origin, or drop such particles with --skip-invalid"
@@ -166,7 +170,7 @@ pub fn doubted(doubt: &Doubt) -> String {
 }
 
 /// The advice on particles that are in no surface.
-pub fn on_lost(smoothed: bool) -> &'static str {
+fn on_lost(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud keeps drops" } else { "smaller cells keep more" }
 }
 

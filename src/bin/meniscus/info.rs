@@ -15,7 +15,7 @@ pub struct Options {
     /// Particle files or meshes.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// As JSON, for programs: a list with an entry for each file.
+    /// Print JSON, for programs: a list with an entry for each file.
     #[arg(long)]
     json: bool,
 }

@@ -14,7 +14,7 @@ pub struct CheckOptions {
     /// Meshes.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
-    /// As JSON, for programs: a list with an entry for each mesh.
+    /// Print JSON, for programs: a list with an entry for each mesh.
     #[arg(long)]
     json: bool,
 }
@@ -25,7 +25,7 @@ pub struct CompareOptions {
     reference: PathBuf,
     /// The mesh that is compared with it.
     mesh: PathBuf,
-    /// As JSON, for programs.
+    /// Print JSON, for programs.
     #[arg(long)]
     json: bool,
 }

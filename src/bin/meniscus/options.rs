@@ -128,7 +128,7 @@ impl From<Axis> for UpAxis {
 }
 
 impl Options {
-    /// What was asked for, but for the machine.
+    /// Returns the request for a surface, without the machine's part.
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let method = match self.method {
             MethodName::Dif => None,

@@ -1,8 +1,8 @@
-//! What commands find, and how they print it.
+//! The outcome of a command, and how it is printed.
 
 use meniscus::Error;
 
-/// What a command that ran to its end found.
+/// The verdict of a command that ran to its end.
 pub enum Verdict {
     /// All is well.
     Good,

@@ -1,4 +1,4 @@
-//! What a run says of a frame, for people.
+//! The report of a frame, for people.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use meniscus::{
     Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, Timings, Warning,
 };
 
-use crate::advice::{doubted, on_lost, warned};
+use crate::advice::{doubted, warned};
 use crate::notes::Notes;
 use crate::options::Options;
 
@@ -106,18 +106,7 @@ pub fn report_census(census: &Census, notes: &Notes) {
     }
 }
 
-/// So many particles in no surface are not worth a word.
-const FEW: u64 = 10;
-
-/// Says how many particles of all frames are in no surface.
-pub fn report_lost(lost: u64, of: usize, smoothed: bool, notes: &Notes) {
-    if lost > FEW {
-        let advice = on_lost(smoothed);
-        notes.warn(&format!("at least {lost} of {of} particles are in no surface; {advice}"));
-    }
-}
-
-/// What is said of drops of few particles.
+/// The sentence about drops of few particles.
 pub fn dropped(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }

@@ -11,7 +11,7 @@ use crate::notes::Notes;
 use crate::options::Options;
 use crate::outcome::{Verdict, print};
 use crate::progress::{Progress, ProgressMode};
-use crate::report::{dropped, report_census, report_device, report_lost};
+use crate::report::{dropped, report_census, report_device, warn_all};
 use crate::stats::{of_failed, of_frame};
 
 /// Runs the command, for each sequence that is there.
@@ -72,7 +72,7 @@ struct Teller<'a> {
     bars: Mutex<Option<Arc<(Progress, Notes)>>>,
     /// Why frames are not there.
     failed: Mutex<BTreeMap<u64, String>>,
-    /// What cannot be written beside the meshes.
+    /// The failure of a file beside the meshes.
     broken: Mutex<Option<Error>>,
     bad: Mutex<bool>,
     stop: &'a (dyn Fn() + Sync),
@@ -169,7 +169,7 @@ impl Teller<'_> {
             notes.say(dropped(left_out.drops, particles));
         }
         report_census(&left_out.census, notes);
-        report_lost(left_out.lost, left_out.census.binned, summary.smoothed, notes);
+        warn_all(summary.lost().as_slice(), None, notes);
         let mut failed = std::mem::take(&mut *lock(&self.failed));
         if summary.is_complete() {
             return;

@@ -73,7 +73,7 @@ impl SequenceOptions {
         ])
     }
 
-    /// What was asked for, of a simulation.
+    /// Adds these options to the request for a simulation.
     pub fn of(&self, mut simulation: Simulation) -> Simulation {
         if let Some(start) = self.start {
             simulation = simulation.start(start);

@@ -48,7 +48,7 @@ impl Options {
     }
 }
 
-/// What is known of a frame among others.
+/// Writes the record of a frame among others.
 pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
     let FrameDone { input, output, mesh, report, lost, .. } = done;
     let mut stats = match report {
@@ -64,12 +64,12 @@ pub fn of_frame(options: &Options, done: &FrameDone) -> Value {
     stats
 }
 
-/// What is known of a frame that failed.
+/// Writes the record of a frame that failed.
 pub fn of_failed(failed: &FrameFailed) -> Value {
     json!({ "frame": failed.frame, "input": failed.input, "error": told(&failed.error) })
 }
 
-/// What is known of a frame.
+/// Writes the record of a frame.
 pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
     let Made { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;
     let seconds = stages.seconds().iter().map(|&(stage, seconds)| (stage.to_owned(), json!(seconds)));

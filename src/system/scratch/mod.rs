@@ -9,6 +9,8 @@ use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::system::positioned::{read_exact_at, write_all_at};
+
 /// An unnamed file. It is written and read by position, by several threads at once; it is never mapped, so a
 /// full disk is an error and nothing else.
 #[derive(Debug)]
@@ -55,10 +57,7 @@ impl Scratch {
     /// # Errors
     /// The system's, such as a full disk.
     pub fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
-        #[cfg(unix)]
-        return std::os::unix::fs::FileExt::write_all_at(&self.file, bytes, at);
-        #[cfg(not(unix))]
-        return serial::at(&self.file, at, |file| io::Write::write_all(file, bytes));
+        write_all_at(&self.file, at, bytes)
     }
 
     /// Fills `bytes` from position `at` on.
@@ -66,10 +65,7 @@ impl Scratch {
     /// # Errors
     /// The system's, and [`io::ErrorKind::UnexpectedEof`] past what was written.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
-        #[cfg(unix)]
-        return std::os::unix::fs::FileExt::read_exact_at(&self.file, bytes, at);
-        #[cfg(not(unix))]
-        return serial::at(&self.file, at, |file| io::Read::read_exact(file, bytes));
+        read_exact_at(&self.file, at, bytes)
     }
 
     /// Writes `bytes` at the end and returns where they begin.
@@ -89,20 +85,4 @@ impl Scratch {
 /// The system's, such as that there is no such folder.
 pub fn free_bytes(folder: &Path) -> io::Result<u64> {
     fs4::available_space(folder)
-}
-
-/// Where a file has one position for all threads, they take turns.
-#[cfg(not(unix))]
-mod serial {
-    use std::fs::File;
-    use std::io::{self, Seek, SeekFrom};
-    use std::sync::{Mutex, PoisonError};
-
-    static TURN: Mutex<()> = Mutex::new(());
-
-    pub fn at(mut file: &File, at: u64, work: impl FnOnce(&mut &File) -> io::Result<()>) -> io::Result<()> {
-        let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        file.seek(SeekFrom::Start(at))?;
-        work(&mut file)
-    }
 }

@@ -1,0 +1,140 @@
+//! A table of the bins that a range of particles touches, found by their coordinates.
+//!
+//! Particles come in any order, so a table of a large frame is looked up all over. Its bins lie in cubes: a hash finds a cube, a small
+//! cache in front of it those that were asked for before, and counters of neighbouring bins share a line of the processor's cache.
+
+use std::hash::BuildHasher;
+
+use hashbrown::hash_table::Entry;
+use hashbrown::{DefaultHashBuilder, HashTable};
+
+use super::bins::Record;
+use super::place::{Address, BinCode, COORD_BITS};
+
+/// A particle's bin, by its rank in the table of its range, and its place there.
+pub(super) type Placed = (u32, Record);
+
+/// The bin of a particle that is left out.
+pub(super) const NOWHERE: u32 = u32::MAX;
+
+/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the cache.
+const CUBE_BITS: u32 = 1;
+/// Bins of a cube.
+pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
+/// The bits of a bin's code that are the same for all bins of a cube.
+const CUBE_MASK: BinCode = {
+    let axis = (1 << CUBE_BITS) - 1;
+    !(axis | axis << COORD_BITS | axis << (2 * COORD_BITS))
+};
+
+/// The number of a bin in its cube.
+#[inline(always)]
+fn in_cube(bin: BinCode) -> u32 {
+    let axis = |a: u32| (bin >> (a * COORD_BITS)) as u32 & ((1 << CUBE_BITS) - 1);
+    axis(0) | axis(1) << CUBE_BITS | axis(2) << (2 * CUBE_BITS)
+}
+
+/// The code of a bin of a cube, by its number there.
+fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
+    let axis = |a: u32| (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS);
+    cube | axis(0) | axis(1) | axis(2)
+}
+
+/// A direct-mapped cache of cubes' numbers in a table: of all cubes that are so many apart along each axis, that which was
+/// last asked for. A number is worth nothing until the table confirms it.
+pub(super) struct Latest {
+    /// The number of low bits of a cube's coordinate that index the cache, along each axis.
+    bits: u32,
+    cubes: Vec<u32>,
+}
+
+impl Latest {
+    /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
+    pub(super) fn of(particles: usize) -> Self {
+        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
+        let bits = 3 + doublings.div_ceil(3).min(4);
+        Self { bits, cubes: vec![0; 1 << (3 * bits)] }
+    }
+
+    #[inline(always)]
+    fn cube(&mut self, bin: BinCode) -> &mut u32 {
+        let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);
+        let at = axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits);
+        &mut self.cubes[at]
+    }
+}
+
+/// The bins that a range of particles touches, by cubes: a hash finds a cube, and a cube its bins.
+#[derive(Default)]
+pub(super) struct BinTable {
+    /// The number of each cube, found by its code.
+    cubes: HashTable<u32>,
+    hasher: DefaultHashBuilder,
+    /// By number.
+    codes: Vec<BinCode>,
+    /// How many particles each bin of each cube holds.
+    counts: Vec<[u32; CUBE]>,
+}
+
+impl BinTable {
+    /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no particles.
+    #[inline(always)]
+    pub(super) fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
+        let latest = latest.cube(bin);
+        if self.codes.get(*latest as usize) != Some(&(bin & CUBE_MASK)) {
+            *latest = self.found_cube(bin & CUBE_MASK);
+        }
+        *latest << (3 * CUBE_BITS) | in_cube(bin)
+    }
+
+    fn found_cube(&mut self, cube: BinCode) -> u32 {
+        let Self { cubes, hasher, codes, counts } = self;
+        let code = |&number: &u32| codes[number as usize];
+        match cubes.entry(hasher.hash_one(cube), |number| code(number) == cube, |n| hasher.hash_one(code(n)))
+        {
+            Entry::Occupied(found) => *found.get(),
+            Entry::Vacant(free) => {
+                let number = codes.len() as u32;
+                free.insert(number);
+                codes.push(cube);
+                counts.push([0; CUBE]);
+                number
+            }
+        }
+    }
+
+    /// The rank of a particle's bin, and its place there.
+    #[inline(always)]
+    pub(super) fn place(&mut self, address: Address, latest: &mut Latest) -> Placed {
+        if address.is_somewhere() { (self.rank(address.bin, latest), address.record) } else { (NOWHERE, 0) }
+    }
+
+    /// How many ranks there are, whether their bins hold particles or not.
+    pub(super) fn len(&self) -> usize {
+        CUBE * self.codes.len()
+    }
+
+    /// The number of particles by rank.
+    pub(super) fn counts(&self) -> &[u32] {
+        self.counts.as_flattened()
+    }
+
+    /// Counts a particle of the bin with a rank, unless that is [`NOWHERE`].
+    #[inline(always)]
+    pub(super) fn add(&mut self, rank: u32) {
+        if let Some(count) = self.counts.as_flattened_mut().get_mut(rank as usize) {
+            *count += 1;
+        }
+    }
+
+    /// The rank, the code and the number of particles of each bin that holds some.
+    pub(super) fn bins(&self) -> impl Iterator<Item = (usize, BinCode, usize)> + '_ {
+        let cubes = self.codes.iter().zip(&self.counts).enumerate();
+        cubes.flat_map(|(cube, (&code, counts))| {
+            let full = counts.iter().enumerate().filter(|&(_, &count)| count > 0);
+            full.map(move |(number, &count)| {
+                (cube * CUBE + number, bin_of_cube(code, number), count as usize)
+            })
+        })
+    }
+}
