@@ -395,7 +395,7 @@ fn the_library_plans_makes_and_merges_what_the_program_does() {
     assert_eq!((one.facts, one.calibration, one.measured), (many.facts, many.calibration, many.measured));
     assert_eq!((&one.cells, one.lost, &one.warnings), (&many.cells, many.lost, &many.warnings));
     // By the calibration of another frame, which the plan keeps.
-    let other = request.clone().calibrated(Calibration::Clouds { plateau: 15_000 });
+    let other = request.calibrated(Calibration::Clouds { plateau: 15_000 });
     assert!(matches!(
         other.parts(&input, &output, 4).merge(),
         Err(meniscus::Error::Parts(meniscus::error::PartsError::Settings { differing, .. })) if differing == "calibration"
@@ -587,8 +587,7 @@ fn a_part_counts_what_is_wanted_and_no_more() {
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));
-    for stretch in [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first: first, ..Stretch::ALL }]
-    {
+    for stretch in [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }] {
         let wanted = WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud.into(), &surfacing) };
         let part = Counted::of_wanted(&particles[..], &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> = all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();

@@ -155,7 +155,6 @@ impl Parts {
             input: stamp,
             particles: particles.len(),
             format: file.format.to_owned(),
-            indicator: asked.kind.name().to_owned(),
             cells,
             origin: sampling.grid.origin().to_array(),
             moved,

@@ -37,7 +37,6 @@ pub(super) struct Plan {
     pub(super) particles: usize,
     /// The kind of file, for people.
     pub(super) format: String,
-    pub(super) indicator: String,
     /// The cells that were chosen.
     pub(super) cells: Cells,
     pub(super) origin: [f64; 3],
