@@ -1,6 +1,6 @@
 //! with wide binned
-// Cell sums and the discrete indicator function (eq. 6, eq. 7) of one octant of a bin a work group: atomic sums in
-// shared memory, then theta, or for counting the number of particles.
+// Cell sums of one octant of a bin a work group, by atomic sums in shared memory, and of them theta by symmetry (eq. 7), or for
+// counting the number of particles, of which a table of the host's makes theta (eq. 6) where they are gathered.
 
 struct Push {
     // 0 for symmetry.

@@ -1,4 +1,4 @@
-//! Watertight surface meshes from particle fluids, by discrete indicator functions.
+//! Watertight surface meshes from particle fluids, by discrete indicator functions (DIF).
 //!
 //! ```
 //! use meniscus::Reconstruction;
@@ -8,14 +8,15 @@
 //! let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
 //! let ball: Vec<[f64; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f64>() < 36.0).collect();
 //!
-//! let surface = Reconstruction::new().spacing(1.0).run(&ball[..])?;
+//! let surface = Reconstruction::new().spacing(1.0).run(&ball)?;
 //! let folder = tempfile::tempdir()?;
 //! surface.write(folder.path().join("ball.ply"))?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; a [`Frame`] is sampled once and drawn
-//! as often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
+//! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; [`Reconstruction::sample`] gives a
+//! [`Frame`], which is sampled once and drawn as often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a
+//! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
 //! fails is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
 //!
 //! ```text
@@ -29,7 +30,7 @@
 //! on the particles' order, the threads, or how the field is stored. Every mesh is a closed, oriented
 //! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
 //!
-//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to know in [`guide`]. The rooms of the
+//! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to know in [`guide`]. The modules of the
 //! pipeline are in [`internals`], for whoever changes them.
 
 mod backend;
@@ -97,17 +98,24 @@ pub mod files {
     };
 }
 
-/// Where stages run: the processor, a Vulkan device, or a caller's own.
+/// Where stages run: the processor, a Vulkan device, or a caller's own. A [`Pipeline`](devices::Pipeline) meshes particles that are on a
+/// device already, by [`Settings`](devices::Settings) whose types are here or at the root of the library.
 pub mod devices {
     pub use crate::backend::choice::{OnCpu, bytes_of, device, fastest};
     pub use crate::backend::{Backend, Cpu, Vulkan, Work};
+    pub use crate::brick::InvalidParticles;
+    pub use crate::brick::vulkan::{Coordinate, DevicePositions};
+    pub use crate::field::indicator::IndicatorRequest;
     pub use crate::frame::resident::{Exchange, Pipeline, ResidentSurface, Settings};
+    pub use crate::frame::{Detail, Normals, Surfacing};
+    pub use crate::grid::units::{Sigma, Smooth};
     pub use crate::vulkan::{
-        Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign, Instance, Timing,
+        Buffer, Counters, Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Foreign, Instance,
+        Moment, Timing, View,
     };
 }
 
-/// All rooms of the house, for its own tests and tools: what is in here may change from one version to the next.
+/// All modules, for the library's own tests and tools: what is in here may change from one version to the next.
 pub mod internals {
     /// Backends for the stages of a frame: the processor's cores, or a Vulkan device.
     pub mod backend {

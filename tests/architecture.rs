@@ -113,6 +113,17 @@ const GOING_ON: [&str; 18] = [
     "Who", "Which", "There", "Another", "Such",
 ];
 
+/// Beginnings with which a public item says too little where its line stands alone.
+const TOO_LITTLE: [&str; 6] = ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
+
+/// Whether the item is public that the documentation before `lines` is of.
+fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
+    let mut lines = lines.into_iter().map(str::trim_start);
+    lines
+        .find(|line| !line.starts_with("///") && !line.starts_with("#["))
+        .is_some_and(|line| line.starts_with("pub "))
+}
+
 #[test]
 fn first_lines_of_docs_stand_alone() {
     let (mut seen, mut going_on) = (0, Vec::new());
@@ -130,7 +141,8 @@ fn first_lines_of_docs_stand_alone() {
                         .is_some_and(|rest| rest.starts_with(|c: char| !c.is_alphanumeric()))
                 };
                 seen += 1;
-                if GOING_ON.iter().any(begins) {
+                let says_little = TOO_LITTLE.iter().any(|words| first.starts_with(words));
+                if GOING_ON.iter().any(begins) || says_little && is_public(text.lines().skip(number)) {
                     going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
                 }
             }

@@ -130,7 +130,10 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
         (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
-        (ball(&["--iso", "0.4"]), "--iso is for --indicator counting and symmetry"),
+        (
+            ball(&["--iso", "0.4"]),
+            "--iso is for --indicator counting and symmetry, and for --method mueller and yu-turk",
+        ),
         (ball(&["--detail"]), "distances told by clouds are 0, and --smooth says how calm it is"),
         (ball(&["--mu0", "3"]), "--mu0 has no meaning for --indicator cloud"),
         (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth is for --indicator cloud"),
@@ -142,7 +145,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
         (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
-        (ball(&["--cell", "0"]), "--cell"),
+        (ball(&["--cell", "0"]), "--cell must be positive and finite; 0 is not"),
         (ball(&["--cell-size", "-1"]), "--cell-size"),
         (ball(&["--cell-size", "1", "--cell", "1"]), "cannot be used with"),
         (ball(&["--spacing", "inf"]), "--spacing"),
@@ -751,7 +754,7 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
     let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
     let frame = frame.to_str().unwrap();
     // The one finds an interior, the other none.
-    for (indicator, told) in [("cloud", "in each cubed spacing"), ("counting", "the spacing tells")] {
+    for (indicator, told) in [("cloud", "as no fluid is deep enough"), ("counting", "the spacing tells")] {
         let fine = ["--cell", "0.333333", "--indicator", indicator];
         let (whole, notes) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
         assert!(notes.contains(told), "{notes}");
@@ -770,7 +773,11 @@ fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
 fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
     let folder = folder_with_ball();
     let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
-    assert_refused(folder.path(), &finest, 2, &["ball.xyz", "less than 0.1 spacings", "use cells of 0.05"]);
+    let says = ["ball.xyz", "less than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
+    assert_refused(folder.path(), &finest, 2, &says);
+    let enough =
+        ["reconstruct", "ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--dry-run"];
+    assert_eq!(meniscus(folder.path(), &enough).status.code(), Some(0));
     let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--indicator", "counting"];
     assert_refused(
         folder.path(),
@@ -892,4 +899,88 @@ fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
     });
     let place = |heading: &str| help.find(heading).unwrap();
     assert!(place("Input:") < place("--spacing") && place("Sequences:") < place("--resume"));
+}
+
+#[test]
+fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_their_own_are_none() {
+    let folder = folder_with_ball();
+    let drawn = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
+    assert!(drawn.status.success());
+    for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp"] {
+        // A packed frame is an input as before.
+        let drawn = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
+        assert!(drawn.status.success(), "{mesh}");
+        let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
+        let says = format!("{mesh}: holds a mesh ({faces} faces), not particles");
+        assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&says]);
+        let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
+        let errors = String::from_utf8_lossy(&packed.stderr);
+        assert!(packed.status.code() == Some(3) && errors.contains(&says), "{errors}");
+        assert!(!folder.path().join("out.mnf").exists());
+        let info = meniscus(folder.path(), &["info", mesh]);
+        assert!(String::from_utf8_lossy(&info.stdout).contains("triangles"), "{mesh}");
+    }
+    let points = "0 0 0 1 0 0 2 0 0\n";
+    let vertices = "VERTICES 3 6\n1 0 1 1 1 2\nLINES 1 4\n3 0 1 2\n";
+    let grid = "CELLS 3 6\n1 0 1 1 1 2\nCELL_TYPES 3\n1 1 1\n";
+    for (name, kind, cells) in [("a.vtk", "POLYDATA", vertices), ("b.vtk", "UNSTRUCTURED_GRID", grid)] {
+        let file =
+            format!("# vtk DataFile Version 3.0\n\nASCII\nDATASET {kind}\nPOINTS 3 float\n{points}{cells}");
+        fs::write(folder.path().join(name), file).unwrap();
+        let run =
+            meniscus(folder.path(), &["reconstruct", name, "-o", "out.ply", "--spacing", "1", "--dry-run"]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    }
+}
+
+#[test]
+fn an_output_in_a_folder_that_is_not_there_is_refused_by_the_folders_name() {
+    let folder = folder_with_ball();
+    let output = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "none/such/x.ply"]);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{errors}");
+    assert!(errors.contains("none/such/x.ply: there is no folder none/such"), "{errors}");
+    assert!(!errors.contains(".tmp"), "{errors}");
+}
+
+#[test]
+fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
+    let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
+    let folder = TempDir::new().unwrap();
+    let frame = frame.to_str().unwrap();
+    let info = String::from_utf8(meniscus(folder.path(), &["info", frame]).stdout).unwrap();
+    let (_, memory) = info.split_once("about ").unwrap();
+    let (memory, _) = memory.split_once(" by default").unwrap();
+    let run =
+        meniscus(folder.path(), &["reconstruct", frame, "-o", "a.ply", "--dry-run", "--backend", "cpu"]);
+    let run = String::from_utf8(run.stdout).unwrap();
+    assert!(run.contains(&format!("memory: about {memory} of ")), "{memory}: {run}");
+    assert!(run.contains("scratch: none") && run.contains("cells of 0.025 into"), "{run}");
+    fs::write(folder.path().join("a.toml"), "").unwrap();
+    let unknown = meniscus(folder.path(), &["info", "a.toml"]);
+    let errors = String::from_utf8_lossy(&unknown.stderr);
+    assert_eq!(unknown.status.code(), Some(2), "{errors}");
+    assert!([".bgeo", ".mnf", ".stl"].iter().all(|known| errors.contains(known)), "{errors}");
+}
+
+#[test]
+fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json() {
+    let folder = folder_with_ball();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "a.ply", "--spacing", "0.5"]);
+    let notes = String::from_utf8(run.stderr).unwrap();
+    assert!(notes.contains("spacing 0.5 (as given), cell size 0.25,"), "{notes}");
+    assert!(
+        notes.contains("measured density: 1.0") && notes.contains(" particles per cubed spacing"),
+        "{notes}"
+    );
+    let digits = |text: &str| text.chars().filter(char::is_ascii_digit).count();
+    for command in ["info", "check"] {
+        let text = String::from_utf8(meniscus(folder.path(), &[command, "a.ply"]).stdout).unwrap();
+        let corners = text.lines().find(|line| line.trim().starts_with("box")).unwrap();
+        // Six numbers of six digits, and the noughts before their points.
+        assert!((12..=42).contains(&digits(corners)), "{corners}");
+    }
+    let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert!(json[0]["measures"]["area"].to_string().len() > 9, "{json}");
 }

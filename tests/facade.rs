@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::Command;
 
 use common::{fill, splashes};
-use meniscus::error::{Cause, Error};
+use meniscus::error::{Cause, Conflict, Error, Setting};
 use meniscus::internals::baselines::Method;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::FrameError;
@@ -106,6 +106,7 @@ fn positions_are_read_where_they_are_however_wide_and_far_apart() {
     let request = Reconstruction::new().spacing(0.5);
     let expected = bytes(&request.run(&particles[..]).unwrap());
     assert!(bytes(&request.run(&wide[..]).unwrap()) == expected);
+    assert!(bytes(&request.run(&particles).unwrap()) == expected);
     assert!(bytes(&request.run(&strided).unwrap()) == expected);
     assert!(StridedPositions::new(&structures, 0, 2).is_none());
     assert_eq!(StridedPositions::new(&structures[..5], 2, 6).unwrap().len(), 1);
@@ -172,7 +173,7 @@ fn errors_name_the_file_and_lead_to_their_source() {
     assert!(matches!(in_memory, Error::NoSpacing { path: None, particles: 2 }), "{in_memory}");
     let missing = Reconstruction::new().spacing(0.5).attributes(["heat"]).run(&ball()[..]).unwrap_err();
     assert!(matches!(&missing, Error::NoAttribute { name, .. } if name == "heat"), "{missing}");
-    let empty = Reconstruction::new().spacing(1.0).run(&[[f64::NAN; 3]; 0][..]).unwrap_err();
+    let empty = Reconstruction::new().spacing(1.0).run(&[[f64::NAN; 3]; 0]).unwrap_err();
     assert!(matches!(empty, Error::Frame { path: None, fault: FrameError::NoParticles(_) }), "{empty}");
 }
 
@@ -204,4 +205,52 @@ fn calls_side_by_side_do_not_disturb_each_other() {
         calls.into_iter().map(|call| call.join().unwrap()).collect()
     });
     assert!(all.iter().all(|bytes| *bytes == alone));
+}
+
+#[test]
+fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
+    let water = ball();
+    let asked = Reconstruction::new;
+    let frame = asked().spacing(0.5).cell(0.6).sample(&water).unwrap();
+    let drawn = bytes(&frame.surface().unwrap());
+    for same in [asked(), asked().spacing(0.5).cell(0.6), asked().indicator(IndicatorKind::Cloud)] {
+        assert!(bytes(&frame.surface_by(&same).unwrap()) == drawn, "{same:?}");
+    }
+    assert!(bytes(&frame.surface_by(&asked().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
+    for (other, what) in [
+        (asked().cell(0.25), Setting::Cell),
+        (asked().cell_size(0.3), Setting::CellSize),
+        (asked().spacing(0.4), Setting::Spacing),
+        (asked().origin([0.1; 3]), Setting::Origin),
+        (asked().walls([-1.0; 3], [1.0; 3]), Setting::Walls),
+        (asked().indicator(IndicatorKind::Counting), Setting::Indicator),
+        (asked().skip_invalid(), Setting::SkipInvalid),
+        (asked().baseline(Method::ZhuBridson), Setting::Baseline),
+        (asked().attributes(["heat"]), Setting::Attributes),
+    ] {
+        let error = frame.surface_by(&other).unwrap_err();
+        let Error::Unfit(unfit) = &error else { panic!("{what:?}: {error}") };
+        assert_eq!((unfit.setting, &unfit.with), (what, &Conflict::Sampled), "{error}");
+    }
+}
+
+#[test]
+fn lengths_are_shown_in_as_many_digits_as_people_read() {
+    for (number, text) in [
+        (0.0, "0"),
+        (0.05, "0.05"),
+        (1.0, "1"),
+        (-1.946_808_218_955_993_7, "-1.94681"),
+        (17.878_077_719_545_484, "17.8781"),
+        (5e-4, "0.0005"),
+        (1e-5, "1e-5"),
+        (4.999_944e-321, "4.99994e-321"),
+        (999_999.7, "1000000"),
+        (1_234_567.25, "1234567"),
+        (2.5e12, "2.5e12"),
+        (f64::INFINITY, "inf"),
+    ] {
+        assert_eq!(meniscus::error::shown(number), text);
+    }
+    assert_eq!(meniscus::error::significant(0.060_234_9, 4), "0.06023");
 }

@@ -293,7 +293,7 @@ fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
     for word in [
         "3 of 3 frames",
         "missing: 3",
-        "particles in a cubed spacing",
+        "particles per cubed spacing",
         "in memory of",
         "disk: about",
         "time: about",
@@ -473,7 +473,7 @@ fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_war
     fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
     let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
     assert!(notes.contains("warning: next to no fluid is deeper than the filters reach"), "{notes}");
-    assert!(notes.contains("1.0000 particles in a cubed spacing"), "{notes}");
+    assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
     let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
     let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);
     assert!((volume - 1.0).abs() < 0.02, "{volume}");

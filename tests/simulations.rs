@@ -216,6 +216,71 @@ fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
 }
 
 #[test]
+fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
+    let water = fill(30.0, 1.0, 0.3, 5, |_| true);
+    assert!(water.len() > 200_000);
+    for (threads, kind) in
+        [(1, IndicatorKind::Cloud), (2, IndicatorKind::Cloud), (2, IndicatorKind::Counting)]
+    {
+        let cancel = Cancel::new();
+        let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+        let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+        let request = Reconstruction::new().spacing(1.0).indicator(kind).threads(threads).cancel(cancel);
+        let error = request
+            .progress(move |progress| {
+                hear.lock().unwrap().push(progress);
+                if progress.stage == Stage::Meshing && progress.done > 0.0 {
+                    stop.cancel();
+                }
+            })
+            .run(&water)
+            .unwrap_err();
+        assert!(matches!(error, Error::Cancelled), "{error}");
+        let last = *told.lock().unwrap().last().unwrap();
+        assert!(last.stage == Stage::Meshing && last.done < 0.5, "{last:?}");
+    }
+}
+
+#[test]
+fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
+    let folder = simulated(1);
+    let input = folder.path().join("sim/drop_1.xyz");
+    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let hear = std::sync::Arc::clone(&told);
+    let asked = || Reconstruction::new().spacing(0.5).simplify(0.5);
+    let surface =
+        asked().progress(move |progress| hear.lock().unwrap().push(progress)).run_file(&input).unwrap();
+    surface.write(folder.path().join("mesh.ply")).unwrap();
+    // Nobody holds it when the last file is written.
+    let told = std::mem::take(&mut *told.lock().unwrap());
+    let stages: Vec<_> = told.chunk_by(|a, b| a.stage == b.stage).collect();
+    let names: Vec<_> = stages.iter().map(|stage| stage[0].stage).collect();
+    use Stage::{Counting, Meshing, Reading, Sampling, Simplifying, Writing};
+    assert_eq!(names, [Reading, Counting, Sampling, Meshing, Simplifying, Writing]);
+    for stage in stages {
+        assert!(stage[0].done == 0.0 && stage[stage.len() - 1].done == 1.0, "{stage:?}");
+        assert!(stage.is_sorted_by(|a, b| a.done <= b.done), "{stage:?}");
+    }
+    for last in [Reading, Counting, Sampling, Meshing, Simplifying] {
+        let cancel = Cancel::new();
+        let stop = cancel.clone();
+        let request = asked().cancel(cancel).progress(move |progress| {
+            if progress.stage == last && progress.done == 1.0 {
+                stop.cancel();
+            }
+        });
+        assert!(matches!(request.run_file(&input), Err(Error::Cancelled)), "{last}");
+    }
+    // A file that is being written does not get its name.
+    let cancel = Cancel::new();
+    let output =
+        asked().cancel(cancel.clone()).output(folder.path().join("late.ply"), Replace::Refuse).unwrap();
+    cancel.cancel();
+    assert!(matches!(surface.write_to(output), Err(Error::Cancelled)));
+    assert!(!folder.path().join("late.ply").exists());
+}
+
+#[test]
 fn what_is_cancelled_before_it_begins_writes_nothing() {
     let folder = simulated(2);
     let cancel = Cancel::new();

@@ -45,7 +45,7 @@ impl fmt::Display for OnCpu {
             Self::LittleMemory(needed) => {
                 write!(f, "drivers of GPUs may need {}, and less may be used", ByteSize(*needed))
             }
-            Self::NoGpu => f.write_str("there is no GPU"),
+            Self::NoGpu => f.write_str("no GPU (drivers such as llvmpipe compute on the processor)"),
             Self::Small(bytes) => {
                 write!(f, "{} of particles are done before a GPU is ready", ByteSize(*bytes))
             }

@@ -23,11 +23,12 @@ use crate::grid::units::MemoryBudget;
 use crate::grid::{BLOCK, CellBox};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::BlockMesh;
+use crate::system::control::Meter;
 use crate::vulkan::Device;
 
-/// Something that stages run on.
+/// A processor or device that the stages of a frame run on.
 pub trait Backend: Debug + Send + Sync {
-    /// Returns the backend's name, for people.
+    /// Returns the name of the backend, for people.
     fn name(&self) -> String;
 
     /// The device that it computes on, unless that is the processor.
@@ -63,11 +64,18 @@ pub trait Stages: Debug + Send + Sync {
     fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages>;
 
     /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes them in order, so many at once as
-    /// are made together, while others are on their way.
+    /// are made together, while others are on their way. `meter` counts the regions; once it does not go on, what is taken is worth
+    /// nothing.
     ///
     /// # Errors
     /// Those of `take`.
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()>;
+    fn contour(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()>;
 
     /// Failures so far that were made good.
     fn warnings(&self) -> Vec<String>;
@@ -82,7 +90,7 @@ pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 /// Regions whose surfaces are handed on together, at the most.
 pub const REGIONS_TOGETHER: usize = 1024;
 
-/// An amount of work.
+/// An amount of a frame's work: bins and regions that were done.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
     /// Bins that got their pages.

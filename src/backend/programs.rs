@@ -21,7 +21,7 @@ use crate::surface::stitch::vulkan::{
 };
 use crate::vulkan::Program;
 
-/// All of them, in the order in which a frame needs them.
+/// All programs, in the order in which a frame needs them.
 pub const PROGRAMS: [&Program; 28] = [
     &PLACE,
     &ENTER,

@@ -30,7 +30,7 @@ use zhu_bridson::ZhuBridson;
 /// A kernel method.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
-    /// Mueller, Charypar and Gross 2003 (eq. 2).
+    /// Mueller, Charypar and Gross 2003 (their eq. 2).
     Mueller {
         /// Where the surface is: the field is about 1 deep in the fluid.
         iso: f64,

@@ -1,7 +1,7 @@
-//! Mueller, Charypar and Gross 2003, "Particle-based fluid simulation for interactive applications" (eq. 2).
+//! Mueller, Charypar and Gross 2003, "Particle-based fluid simulation for interactive applications" (their eq. 2).
 //!
 //! phi(x) = sum_i W(x - x_i, h) m_i / rho_i with rho_i = sum_j m_j W(x_i - x_j, h). Masses are equal, so they and the
-//! scale of W (eq. 3) cancel: a particle's share is w(x - x_i) / sum_j w(x_i - x_j).
+//! scale of W (their eq. 3) cancel: a particle's share is w(x - x_i) / sum_j w(x_i - x_j).
 
 use glam::DVec3;
 

@@ -24,13 +24,15 @@ impl Spacing {
     /// How far an isotropic kernel reaches, in spacings: four times the particles' radius.
     pub const SUPPORT: f64 = 2.0;
 
+    /// A spacing of so many cells.
+    ///
     /// # Errors
     /// [`TooManyCells`] above [`MAX`](Self::MAX).
     pub fn new(cells: f64) -> Result<Self, TooManyCells> {
         if cells <= Self::MAX { Ok(Self(cells)) } else { Err(TooManyCells(cells)) }
     }
 
-    /// In cells.
+    /// The spacing in cells.
     #[must_use]
     pub fn cells(self) -> f64 {
         self.0

@@ -5,10 +5,10 @@
 //! Over the particles j nearer than R = 2 h, weighted by w_ij = 1 - (|x_i - x_j| / R)^3, with their mean x_i^w:
 //!
 //! - xbar_i = (1 - lambda) x_i + lambda x_i^w (their eq. 6), lambda = 1/2;
-//! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (eq. 9), decomposed as A diag(s_1, s_2, s_3) A^T,
+//! - C_i = sum_j w_ij (x_j - x_i^w)(x_j - x_i^w)^T / sum_j w_ij (their eq. 9), decomposed as A diag(s_1, s_2, s_3) A^T,
 //!   s_1 the greatest;
-//! - s'_k = k_s max(s_k, s_1 / k_r) where there are more than N_e other particles, else s'_k = k_n (eq. 15);
-//! - G_i = A diag(1 / s'_k) A^T / h (eq. 16).
+//! - s'_k = k_s max(s_k, s_1 / k_r) where there are more than N_e other particles, else s'_k = k_n (their eq. 15);
+//! - G_i = A diag(1 / s'_k) A^T / h (their eq. 16).
 //!
 //! k_r = 4, k_n = 0.5 and N_e = 25 are theirs; so is lambda = 0.9, but with h two spacings that moves the particles of a
 //! flat surface inwards by more than a spacing, and 1/2 is what the implementation takes that the paper compared with

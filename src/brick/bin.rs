@@ -107,13 +107,13 @@ pub enum BinError {
 /// How many particles went where.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Census {
-    /// In a bin.
+    /// Particles that are in a bin, and so in the field.
     pub binned: usize,
-    /// Not finite; dropped.
+    /// Particles that are dropped, for a coordinate is not finite.
     pub not_finite: usize,
-    /// Beyond the addressable grid; dropped.
+    /// Particles that are dropped, for they are beyond the addressable grid.
     pub too_far: usize,
-    /// Outside of the domain's walls; not counted by the method.
+    /// Particles that are not counted, for they are outside of the domain's walls.
     pub outside: usize,
 }
 

@@ -23,7 +23,7 @@ impl Factor {
         Self((factor * f64::from(1 << FACTOR_BITS)) as u32)
     }
 
-    /// In steps of 2^-16.
+    /// The factor in steps of 2^-16.
     #[must_use]
     pub fn steps(self) -> u32 {
         self.0

@@ -98,7 +98,7 @@ impl Sieve {
 }
 
 impl Placer<'_> {
-    /// In steps, as [`Grid::place`]; `None` outside of the domain.
+    /// The place in steps, as by [`Grid::place`]; `None` outside of the domain.
     pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, Unplaced> {
         match (self.grid.place(position), self.domain) {
             (Ok(steps), None) => Ok(Some(steps)),

@@ -77,7 +77,7 @@ impl PageSamples {
         Self::Sparse(sparse.into())
     }
 
-    /// All of them, brick after brick.
+    /// All samples, brick after brick.
     #[must_use]
     pub fn dense(&self, shape: PageShape) -> Cow<'_, [u16]> {
         match self {

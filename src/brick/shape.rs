@@ -17,7 +17,7 @@ pub enum BrickSide {
 }
 
 impl BrickSide {
-    /// In cells.
+    /// The edge in cells.
     #[must_use]
     pub const fn cells(self) -> i32 {
         match self {

@@ -15,7 +15,7 @@ pub use crate::field::indicator::IndicatorKind;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::DomainError;
-pub use crate::grid::units::{UnitError, shown};
+pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
@@ -29,7 +29,7 @@ pub use simulation::{FPS, SequenceError};
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// An option or a combination of options.
+    /// A request that makes no sense, in words.
     #[error("{0}")]
     Request(String),
     /// A setting that has no meaning for what it is asked of.
@@ -52,16 +52,16 @@ pub enum Error {
     /// A box that cannot be a domain.
     #[error(transparent)]
     Domain(#[from] DomainError),
-    /// An input file.
+    /// An input file that cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The Vulkan device that was asked for.
+    /// A Vulkan device that was asked for and cannot be used.
     #[error(transparent)]
     Vulkan(#[from] VulkanError),
-    /// An output file.
+    /// An output file that cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The particles of a file.
+    /// A frame of particles that cannot be reconstructed.
     #[error("{}{fault}", file(path.as_deref()))]
     Frame {
         /// The file, if the particles are of one.
@@ -70,7 +70,7 @@ pub enum Error {
         #[source]
         fault: FrameError,
     },
-    /// The frames of a simulation, or what is kept of them.
+    /// A simulation that cannot be begun or gone on with.
     #[error(transparent)]
     Sequence(#[from] SequenceError),
     /// A mesh that is made in parts.

@@ -44,7 +44,7 @@ impl fmt::Display for Setting {
             Self::MeanCount => "a mean number of particles (mu0)",
             Self::SkipInvalid => "skipping invalid particles",
             Self::Baseline => "a kernel method",
-            Self::Smooth => "how calm the water is",
+            Self::Smooth => "a width of smoothing",
             Self::Sigma => "the width of a Gaussian (sigma)",
             Self::Iso => "an isovalue",
             Self::Details => "recovering details",
@@ -58,7 +58,7 @@ impl fmt::Display for Setting {
     }
 }
 
-/// The other side of a conflict between settings.
+/// A setting, file or format that a setting conflicts with.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
@@ -68,6 +68,8 @@ pub enum Conflict {
     Baseline(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
+    /// A frame that was sampled already, otherwise than is asked for now.
+    Sampled,
     /// The format of the mesh.
     Format {
         /// The mesh's file.
@@ -83,7 +85,7 @@ pub enum Conflict {
 pub struct Unfit {
     /// The setting.
     pub setting: Setting,
-    /// The other side of the conflict.
+    /// The setting, file or format that it conflicts with.
     pub with: Conflict,
 }
 
@@ -97,6 +99,9 @@ impl fmt::Display for Unfit {
             Conflict::Baseline(_) => write!(f, "{setting} has no meaning for this kernel method"),
             Conflict::Packed(path) => {
                 write!(f, "{}: {setting} needs the particles themselves", path.display())
+            }
+            Conflict::Sampled => {
+                write!(f, "{setting} needs the particles themselves, and the frame is sampled already")
             }
             Conflict::Format { path, format } => {
                 write!(f, "{}: {format} cannot hold {setting}", path.display())

@@ -12,7 +12,7 @@ use crate::brick::{BinError, Census};
 use crate::field::calibration::{NoMeanCount, TooFine};
 use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
-use crate::grid::units::Isovalue;
+use crate::grid::units::{Isovalue, significant};
 use crate::particles::Unread;
 use crate::surface::simplify::Dropped;
 use crate::vulkan::VulkanError;
@@ -40,8 +40,8 @@ pub enum FrameError {
     TooFine(#[from] TooFine),
     /// The field exceeds the isovalue nowhere.
     #[error(
-        "the surface is empty: the field is nowhere above the isovalue {:.4}",
-        iso.value()
+        "the surface is empty: the field is nowhere above the isovalue {}",
+        significant(iso.value(), 4)
     )]
     NoSurface {
         /// The isovalue that was asked for, or measured.

@@ -8,7 +8,7 @@ use glam::IVec3;
 use thiserror::Error;
 
 use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
-use crate::grid::units::MemoryBudget;
+use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::surface::attribute;
 use crate::surface::dual_mc::{bin_vertices, block_vertices};
@@ -87,9 +87,8 @@ pub struct Shares {
 /// A frame that cannot be brought under its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "with a cell size of {cell_size} the tables of bins alone need more than the {} of memory that may be \
-     used; a cell size of {fitting_cell_size} fits",
-    ByteSize(*budget)
+    "with a cell size of {} the tables of bins alone need more than the {} of memory that may be used; a cell size of {} fits",
+    shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
 pub struct OverBudget {
     /// The cell size that was asked for.

@@ -55,10 +55,15 @@ impl SampledKernels {
             attribute_smoothing: self.attribute_smoothing.clone(),
             nothing: FrameError::NoKernelSurface,
             // One pass over the blocks: sums of kernels and of attributes leave each other what they do not use of a core.
-            contour: Box::new(move |regions, finish, push| {
+            contour: Box::new(move |regions, meter, finish, push| {
                 let block = |&region: &CellBox| {
+                    if !meter.goes_on() {
+                        return Ok(None);
+                    }
                     let mut block = self.field.mesh(region, normals, walls)?;
-                    block.as_mut().map_or(Ok(()), finish).map(|()| block)
+                    block.as_mut().map_or(Ok(()), finish)?;
+                    meter.add(1);
+                    Ok(block)
                 };
                 regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
                     let blocks: Vec<_> = regions.par_iter().map(block).collect::<io::Result<_>>()?;

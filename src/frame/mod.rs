@@ -137,6 +137,7 @@ impl Frame {
             }
         };
         drop(in_scratch);
+        resources.control.ends(Stage::Sampling);
         Ok(Self {
             field,
             occupied,
@@ -265,6 +266,7 @@ impl Frame {
             facts: self.facts(),
             carried: self.carried.as_ref(),
             resources: &self.resources,
+            control: &self.resources.control,
             surface_share: self.surface_share,
             measured,
             normals,
@@ -362,8 +364,6 @@ pub fn simplified(
     resources: &Resources,
     timings: &mut Timings,
 ) -> Result<Simplified, FrameError> {
-    resources.go_on()?;
-    resources.control.begins(Stage::Simplifying);
     let particle_cells = facts.spacing_cells_or_one().powi(3);
     let simplified = simplify(surface, reduction, particle_cells, share, &resources.scratch)
         .map_err(resources.scratch_error())?;

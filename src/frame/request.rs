@@ -166,7 +166,7 @@ pub struct Surfacing {
 impl Surfacing {
     /// A surface as smooth as the frame's spacing says, and nothing else.
     pub const PLAIN: Self = Self {
-        smooth: Smooth::USUAL,
+        smooth: Smooth::DEFAULT,
         sigma: None,
         iso: None,
         detail: Detail::Smoothed,

@@ -28,11 +28,11 @@ const ROW: u64 = 12;
 /// How a frame is sampled, and how a surface is drawn through it.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Cells.
+    /// The grid of cells.
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The DIF.
+    /// The indicator that makes the field, and its mu0 where that is known.
     pub indicator: IndicatorRequest,
     /// Treatment of particles that are not finite or too far away.
     pub invalid: InvalidParticles,
@@ -47,9 +47,9 @@ pub struct Settings {
 /// Semaphores that a call waits for and signals, and buffers that the surface goes to. By default none.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
-    /// When the positions are there. Passed whatever the call returns: one that is made again has nothing to wait for.
+    /// Moments from which on the positions are there. Passed whatever the call returns: one that is made again has nothing to wait for.
     pub wait: &'a [Moment],
-    /// Signalled when the surface is there: the call does not wait for that. Not signalled after an error.
+    /// Moments that are signalled when the surface is there: the call does not wait for that. Not signalled after an error.
     pub signal: &'a [Moment],
     /// Buffers for positions and indices, of the device that the pipeline is of.
     pub into: Option<[&'a View; 2]>,
@@ -59,15 +59,15 @@ pub struct Exchange<'a> {
 /// dropped waits until they are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
-    /// Three f32 a vertex.
+    /// The vertices' positions, three f32 each.
     pub positions: View,
-    /// How many vertices there are.
+    /// The number of vertices.
     pub vertices: u32,
-    /// Three u32 a triangle, counter-clockwise seen from outside of the fluid.
+    /// The triangles' vertices, three u32 each, counter-clockwise seen from outside of the fluid.
     pub indices: View,
-    /// How many triangles there are.
+    /// The number of triangles.
     pub triangles: u32,
-    /// Where the surface is in the field: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
+    /// The isovalue, at which the surface is drawn: given, measured, or [`Isovalue::NO_DISTANCE`] for clouds.
     pub iso: Isovalue,
     /// The calibration that it was drawn by, for the other frames of a simulation.
     pub calibration: Calibration,
@@ -99,7 +99,7 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// For a device, opened here or adopted.
+    /// Compiles all kernels for a device, opened here or adopted.
     ///
     /// # Errors
     /// [`VulkanError`] where the driver refuses a kernel.

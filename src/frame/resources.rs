@@ -50,7 +50,7 @@ impl Resources {
     }
 
     /// Ends the work where the caller has asked for it.
-    pub(super) fn go_on(&self) -> Result<(), FrameError> {
+    pub(crate) fn go_on(&self) -> Result<(), FrameError> {
         if self.control.cancel.is_cancelled() { Err(FrameError::Cancelled) } else { Ok(()) }
     }
 

@@ -21,20 +21,17 @@ use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::mesh::spool::{Spool, block_bytes};
 use crate::surface::stitch::Stitched;
-use crate::system::control::Stage;
+use crate::system::control::{Control, Meter, Stage};
 use crate::system::timings::Timings;
 
 use super::{FrameError, Resources};
-
-/// Blocks that are meshed at once at the most, so that a caller is heard within a second or so.
-const MOST_BLOCKS_A_THREAD: usize = 2048;
 
 /// Adds to a mesh what does not come from its field.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
 /// Takes finished meshes, in order.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 /// Meshes some regions of a field where it has a surface, finishes every mesh, and hands them on.
-type Contour<'a> = dyn Fn(&[CellBox], &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
+type Contour<'a> = dyn Fn(&[CellBox], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
 /// A field of which a surface is known, whatever makes it.
 pub(super) struct Drawn<'a> {
@@ -62,9 +59,9 @@ impl<'a> Drawn<'a> {
             crossings: recipe.iso.into(),
             nothing: FrameError::no_surface(&recipe),
             attribute_smoothing,
-            contour: Box::new(move |regions, finish, push| {
+            contour: Box::new(move |regions, meter, finish, push| {
                 let surfaces = Surfaces { sampled, recipe: &recipe, normals };
-                stages.contour(&surfaces, regions, &mut |blocks| {
+                stages.contour(&surfaces, regions, meter, &mut |blocks| {
                     let mut blocks: Vec<_> = blocks.into_iter().flatten().collect();
                     blocks.par_iter_mut().try_for_each(finish)?;
                     push(blocks)
@@ -84,6 +81,7 @@ pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
     pub(super) carried: Option<&'a (Arc<Bins>, Vec<AttributeInfo>)>,
     pub(super) resources: &'a Resources,
+    pub(super) control: &'a Control,
     /// Bytes of the surface that may be in memory.
     pub(super) surface_share: u64,
     pub(super) measured: Option<Calibrated>,
@@ -91,17 +89,24 @@ pub struct CalibratedFrame<'a> {
     pub(super) drawn: Drawn<'a>,
 }
 
-impl CalibratedFrame<'_> {
+impl<'a> CalibratedFrame<'a> {
     /// The measurements on the frame: none where they were known, or where kernels make the field.
     #[must_use]
     pub fn measured(&self) -> Option<Calibrated> {
         self.measured
     }
 
+    /// Has another caller told of progress than the one that had the frame sampled, and heard.
+    #[must_use]
+    pub fn heard_by(self, control: &'a Control) -> Self {
+        Self { control, ..self }
+    }
+
     /// The frame's surface.
     ///
     /// # Errors
-    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], [`FrameError::NoDistanceSurface`], and [`FrameError::Scratch`] where scratch files fail.
+    /// [`FrameError::NoSurface`], [`FrameError::NoKernelSurface`], [`FrameError::NoDistanceSurface`],
+    /// [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
     pub fn surface(self, timings: &mut Timings) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
@@ -145,21 +150,21 @@ impl CalibratedFrame<'_> {
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
-        let most = MOST_BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of them may be full of spray.
         let block = block_bytes(block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
-        let all = regions.len();
+        let meter = self.control.meter(Stage::Meshing, regions.len());
+        let go_on = || meter.goes_on().then_some(()).ok_or(FrameError::Cancelled);
+        go_on()?;
         while !regions.is_empty() {
-            self.resources.go_on()?;
-            self.resources.control.tell(Stage::Meshing, (all - regions.len()) as f64 / all as f64);
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
-            let (batch, later) = regions.split_at(fitting.clamp(least, most).min(regions.len()));
-            (self.drawn.contour)(batch, &|block| self.carry(block), &mut |blocks| {
+            let (batch, later) = regions.split_at(fitting.max(least).min(regions.len()));
+            (self.drawn.contour)(batch, &meter, &|block| self.carry(block), &mut |blocks| {
                 blocks.into_iter().try_for_each(|block| spool.push(block))
             })
             .map_err(&in_scratch)?;
+            go_on()?;
             if spool.bytes_in_memory() > share {
                 spool.move_to_file(&self.resources.scratch).map_err(&in_scratch)?;
             }

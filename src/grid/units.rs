@@ -37,7 +37,7 @@ pub enum UnitError {
         value: f64,
     },
     /// A length that must be positive.
-    #[error("{what} must be a positive length; {value} is not")]
+    #[error("{what} must be positive and finite; {value} is not")]
     Length {
         /// The name of the length, for the message.
         what: &'static str,
@@ -54,12 +54,28 @@ pub fn positive_length(what: &'static str, value: f64) -> Result<f64, UnitError>
     (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { what, value })
 }
 
-/// A length as people read it: in decimals where these are few, else by its power of ten.
+/// A number as people read it, such as a length: in six significant digits.
 #[must_use]
-pub fn shown(length: f64) -> String {
-    match length.abs() {
-        size if size == 0.0 || (0.01..1e9).contains(&size) => format!("{length:.6}"),
-        _ => format!("{length:.6e}"),
+pub fn shown(number: f64) -> String {
+    significant(number, 6)
+}
+
+/// A number in so many significant digits without zeros at the end: in decimals where these are few, else by its power of ten. What
+/// stands before the point is whole.
+#[must_use]
+pub fn significant(number: f64, digits: usize) -> String {
+    let rounded = format!("{number:.*e}", digits.saturating_sub(1));
+    let Some((mantissa, power)) = rounded.split_once('e') else { return rounded };
+    let trimmed = |decimals: &str| match decimals.contains('.') {
+        true => decimals.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => decimals.to_owned(),
+    };
+    match power.parse::<i32>() {
+        Ok(power @ -4..9) => {
+            let decimals = usize::try_from(digits as i32 - 1 - power).unwrap_or(0);
+            trimmed(&format!("{number:.decimals$}"))
+        }
+        _ => format!("{}e{power}", trimmed(mantissa)),
     }
 }
 
@@ -117,6 +133,8 @@ impl Sigma {
     /// Wider filters erase everything that a particle fluid holds.
     pub const MAX: f64 = 10.0;
 
+    /// The standard deviation of so many cells.
+    ///
     /// # Errors
     /// [`UnitError::Sigma`] unless 0 < `cells` <= [`Self::MAX`].
     pub fn new(cells: f64) -> Result<Self, UnitError> {
@@ -131,7 +149,7 @@ impl Sigma {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))
     }
 
-    /// In cells.
+    /// The standard deviation in cells.
     #[must_use]
     pub fn cells(self) -> f64 {
         self.0
@@ -154,9 +172,11 @@ impl Smooth {
     /// The greatest width: of more, nothing is left but bulk.
     pub const MOST: f64 = 4.0;
 
-    /// The width that suits most fluids.
-    pub const USUAL: Self = Self(1.6);
+    /// The default, a width that suits most fluids.
+    pub const DEFAULT: Self = Self(1.6);
 
+    /// The width of so many spacings.
+    ///
     /// # Errors
     /// [`UnitError::Smooth`] unless [`Self::LEAST`] <= `spacings` <= [`Self::MOST`].
     pub fn new(spacings: f64) -> Result<Self, UnitError> {
@@ -164,7 +184,7 @@ impl Smooth {
         if fits { Ok(Self(spacings)) } else { Err(UnitError::Smooth(spacings)) }
     }
 
-    /// In spacings.
+    /// The width in spacings.
     #[must_use]
     pub fn spacings(self) -> f64 {
         self.0
@@ -179,20 +199,23 @@ impl Tolerance {
     /// Chunks are simplified one by one, and must be much wider.
     pub const MAX: f64 = 4.0;
 
+    /// The tolerance of so many cells.
+    ///
     /// # Errors
     /// [`UnitError::Tolerance`] unless 0 < `cells` <= [`Self::MAX`].
     pub fn new(cells: f64) -> Result<Self, UnitError> {
         if cells > 0.0 && cells <= Self::MAX { Ok(Self(cells)) } else { Err(UnitError::Tolerance(cells)) }
     }
 
-    /// In cells.
+    /// The tolerance in cells.
     #[must_use]
     pub fn cells(self) -> f64 {
         self.0
     }
 }
 
-/// `mu0`: the mean number of particles in the full cells of frame 0 (eq. 4). Not an integer.
+/// `mu0`: the mean number of particles in the full cells of the frame that it is measured on (eq. 4; in the paper frame 0). Not an
+/// integer.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct MeanCount(f64);
 
@@ -200,6 +223,8 @@ impl MeanCount {
     /// Counts are held in 16 bits.
     pub const MAX: f64 = u16::MAX as f64;
 
+    /// The mean of so many particles a cell.
+    ///
     /// # Errors
     /// [`UnitError::MeanCount`] unless 0 < `mean` <= [`Self::MAX`].
     pub fn new(mean: f64) -> Result<Self, UnitError> {
@@ -214,7 +239,7 @@ impl MeanCount {
         Self::new(particles as f64 / full_cells as f64)
     }
 
-    /// In particles per cell.
+    /// The mean in particles per cell.
     #[must_use]
     pub fn particles(self) -> f64 {
         self.0

@@ -84,7 +84,7 @@ pub enum Rows {
 }
 
 impl Rows {
-    /// How many there are.
+    /// The number of rows.
     #[must_use]
     pub fn count(&self) -> usize {
         match self {

@@ -66,6 +66,12 @@ pub enum ReadFault {
     /// The file was written to while it was read.
     #[error("it has changed while it was read")]
     Changed,
+    /// A mesh where particles are asked for, whose vertices nobody means by that.
+    #[error("holds a mesh ({faces} faces), not particles")]
+    Mesh {
+        /// The number of cells that have an area or a volume.
+        faces: u64,
+    },
     /// Valid perhaps, but not something that we read; says what to do instead.
     #[error("{0}")]
     Unsupported(String),

@@ -5,8 +5,22 @@ use std::path::Path;
 use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
+macro_rules! known {
+    ($hdf5:literal) => {
+        concat!(
+            ".bgeo, .bhclassic, .bi4, .csv, ",
+            $hdf5,
+            ".npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them"
+        )
+    };
+}
+
 /// The extensions that [`open_particles`] knows, in the words of a message.
-pub const KNOWN: &str = ".bgeo, .bhclassic, .bi4, .csv, .h5, .h5part, .hdf5, .npy, .npz, .ply, .txt, .vtk, .vtp, .vtu, .xyz, and .gz after any of them";
+#[cfg(feature = "hdf5")]
+pub const KNOWN: &str = known!(".h5, .h5part, .hdf5, ");
+/// The extensions that [`open_particles`] knows, in the words of a message.
+#[cfg(not(feature = "hdf5"))]
+pub const KNOWN: &str = known!("");
 
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
@@ -64,7 +78,7 @@ pub fn is_known(path: &Path) -> bool {
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let has_faces = match extension(path).as_deref() {
-        Some("obj" | "stl" | "usd" | "usdc") => return Ok(true),
+        Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
         Some("vtp") => vtp::has_faces,
@@ -110,4 +124,32 @@ fn reader_for(path: &Path) -> Option<Reader> {
         "xyz" => xyz::read_particles,
         _ => return None,
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Extensions that are recognised to say what to do instead.
+    const ADVISED: [&str; 4] = ["sc", "h5", "h5part", "hdf5"];
+
+    #[test]
+    fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
+        let known: BTreeSet<&str> =
+            KNOWN.split(&[',', ' '][..]).filter_map(|word| word.strip_prefix('.')).collect();
+        let (_, arms) = include_str!("input.rs").split_once("fn reader_for").unwrap();
+        let (arms, _) = arms.split_once("_ => return None").unwrap();
+        let arms = arms.lines().filter_map(|line| line.split_once("=>")).flat_map(|(arm, _)| arm.split('"'));
+        let is_extension = |word: &&str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric());
+        let read: BTreeSet<&str> = arms.filter(is_extension).collect();
+        for extension in &read {
+            assert!(is_known(Path::new(&format!("a.{extension}.gz"))), "{extension}");
+            assert!(known.contains(extension) || ADVISED.contains(extension), "{extension} is read");
+        }
+        let read = read.into_iter().chain(["gz"]).collect();
+        assert!(known.is_subset(&read) && known.len() > 12, "{known:?} and {read:?}");
+        assert_eq!(known.contains("h5"), cfg!(feature = "hdf5"));
+    }
 }

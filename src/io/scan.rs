@@ -42,7 +42,7 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// In bytes from the start of the file.
+    /// The place in bytes from the start of the file.
     #[must_use]
     pub fn at(&self) -> usize {
         self.at

@@ -35,7 +35,7 @@ const WHOLE: f64 = 1e-6;
 pub struct SeriesFrame {
     /// The frame's number.
     pub frame: u64,
-    /// In seconds, where the input says it.
+    /// The time in seconds, where the input says it.
     pub time: Option<f64>,
     /// Name of the mesh's file, in the folder of the listings.
     pub file: String,

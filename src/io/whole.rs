@@ -240,7 +240,15 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     loop {
-        let file = builder.tempfile_in(folder.unwrap_or(Path::new(".")))?;
+        let folder = folder.unwrap_or(Path::new("."));
+        // The system would name the temporary file, of which nobody has heard.
+        let refused = |fault: io::Error| match fault.kind() {
+            kind @ io::ErrorKind::NotFound => {
+                io::Error::new(kind, format!("there is no folder {}", folder.display()))
+            }
+            kind => io::Error::new(kind, format!("{kind} in the folder {}", folder.display())),
+        };
+        let file = builder.tempfile_in(folder).map_err(refused)?;
         // A file system without locks has nobody who sweeps by them.
         let _ = file.as_file().lock_shared();
         if file.path().try_exists()? {

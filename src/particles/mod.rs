@@ -31,7 +31,7 @@ impl AttributeInfo {
 /// Particles that could not be read again as they were.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum Unread {
-    /// Their file was written to meanwhile.
+    /// The file of the particles was written to meanwhile.
     #[error("it has changed while it was read")]
     Changed,
     /// The system's refusal to read their file.
@@ -42,7 +42,43 @@ pub enum Unread {
 /// Particles, held in memory or in a file.
 ///
 /// The order is the file's, and an index names a particle in error messages. Values are handed out as
-/// stored: they may be NaN or infinite.
+/// stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]` are particles without attributes;
+/// velocities in memory need a type of the caller's:
+///
+/// ```
+/// use meniscus::files::AttributeInfo;
+/// use meniscus::{Particles, Reconstruction};
+///
+/// struct Water {
+///     positions: Vec<[f64; 3]>,
+///     velocities: Vec<[f32; 3]>,
+///     attributes: Vec<AttributeInfo>,
+/// }
+///
+/// impl Particles for Water {
+///     fn len(&self) -> usize {
+///         self.positions.len()
+///     }
+///     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+///         self.positions.positions(first, out);
+///     }
+///     fn attributes(&self) -> &[AttributeInfo] {
+///         &self.attributes
+///     }
+///     fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
+///         out.copy_from_slice(&self.velocities.as_flattened()[3 * first..][..out.len()]);
+///     }
+/// }
+///
+/// let steps = || (-3..=3).map(f64::from);
+/// let positions: Vec<_> =
+///     steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
+/// let velocities = vec![[0.0, -1.0, 0.0]; positions.len()];
+/// let attributes = vec![AttributeInfo { name: "velocity".into(), components: 3 }];
+/// let surface = Reconstruction::new().spacing(1.0).run(&Water { positions, velocities, attributes })?;
+/// assert_eq!(surface.to_mesh()?.attributes[0].name, "velocity");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;
@@ -113,6 +149,32 @@ impl Particles for [[f32; 3]] {
     }
 }
 
+impl<T: Sync> Particles for Vec<T>
+where
+    [T]: Particles,
+{
+    fn len(&self) -> usize {
+        self.as_slice().len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.as_slice().positions(first, out);
+    }
+}
+
+impl<T: Sync, const N: usize> Particles for [T; N]
+where
+    [T]: Particles,
+{
+    fn len(&self) -> usize {
+        N
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.as_slice().positions(first, out);
+    }
+}
+
 /// Positions among other numbers, such as the fields of a caller's own structures: x, y and z side by side, particle after particle
 /// at equal distances.
 #[derive(Debug, Clone, Copy)]
@@ -122,7 +184,17 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on. `None` where the stride is less than 3.
+    /// Takes x, y and z from every `stride` numbers of f32 or f64, from number `first` on: both count numbers, not bytes. `None` where
+    /// the stride is less than 3.
+    ///
+    /// ```
+    /// use meniscus::{Particles, StridedPositions};
+    ///
+    /// // Mass, x, y, z and density of two particles.
+    /// let numbers = [1.0_f32, 0.1, 0.2, 0.3, 1000.0, 1.0, 0.4, 0.5, 0.6, 1000.0];
+    /// let positions = StridedPositions::new(&numbers, 1, 5).expect("a stride of 3 or more");
+    /// assert_eq!(positions.len(), 2);
+    /// ```
     #[must_use]
     pub fn new(numbers: &'a [T], first: usize, stride: usize) -> Option<Self> {
         (stride >= 3).then(|| Self { numbers: numbers.get(first..).unwrap_or_default(), stride })

@@ -16,7 +16,7 @@ use crate::vulkan::Device;
 use super::Attributes;
 use super::asked::{Asked, Settings};
 
-/// A request for the surface of particles: what is not said is measured, or as usual.
+/// A request for the surface of particles: what is not said is measured, or the default.
 ///
 /// Numbers are checked when it runs. Every run has threads of its own, and sets nothing for the rest of the program.
 ///
@@ -52,7 +52,7 @@ impl Default for Reconstruction {
 }
 
 impl Reconstruction {
-    /// Asks for the usual surface.
+    /// Asks for the default surface.
     pub fn new() -> Self {
         Self {
             asked: Asked::default(),
@@ -77,7 +77,7 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the edge of a cell in spacings: 0.5 is usual.
+    /// Sets the edge of a cell in spacings: 0.5 by default, two thirds for the paper's indicators.
     pub fn cell(mut self, spacings: f64) -> Self {
         (self.asked.cell_size, self.asked.cell) = (None, Some(spacings));
         self
@@ -95,7 +95,7 @@ impl Reconstruction {
         self
     }
 
-    /// Makes the field by an indicator: clouds are usual, the others are the paper's.
+    /// Makes the field by an indicator: clouds by default, the others are the paper's.
     pub fn indicator(mut self, kind: IndicatorKind) -> Self {
         self.asked.indicator = Some(kind);
         self
@@ -113,13 +113,13 @@ impl Reconstruction {
         self
     }
 
-    /// Sets how calm the water is, for clouds: the width in spacings under which particles make one surface.
+    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer water.
     pub fn smooth(mut self, spacings: f64) -> Self {
         self.asked.smooth = Some(spacings);
         self
     }
 
-    /// Sets the width of the Gaussian in cells, for the paper's indicators.
+    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the paper's indicators.
     pub fn sigma(mut self, cells: f64) -> Self {
         self.asked.sigma = Some(cells);
         self

@@ -34,7 +34,7 @@ impl CellSize {
 
 /// Where particles come from, as far as it says something of their spacing.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Origin<'a> {
+pub struct Source<'a> {
     /// The file, beside which there may be a scene.
     pub path: Option<&'a Path>,
     /// The spacing that the file says.

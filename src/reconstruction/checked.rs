@@ -145,7 +145,7 @@ fn field(asked: &Asked) -> Result<FieldRequest, Error> {
 
 fn surfacing(asked: &Asked) -> Result<Surfacing, Error> {
     Ok(Surfacing {
-        smooth: asked.smooth.map_or(Ok(Smooth::USUAL), Smooth::new)?,
+        smooth: asked.smooth.map_or(Ok(Smooth::DEFAULT), Smooth::new)?,
         sigma: asked.sigma.map(Sigma::new).transpose()?,
         iso: asked.iso.map(Isovalue::new).transpose()?,
         detail: if asked.details { Detail::Recovered } else { Detail::Smoothed },
@@ -181,22 +181,34 @@ impl Asked {
         meaningless.map_or(Ok(()), |setting| unfit(setting, Conflict::Indicator(kind)))
     }
 
-    /// Refuses what a frame that was sampled before cannot give.
+    /// Refuses what a frame that was packed cannot give.
     pub(crate) fn refuse_of_packed(&self, path: &Path) -> Result<(), Error> {
-        let names = |attributes: &Attributes| *attributes != Attributes::Named(Vec::new());
-        let meaningless = given([
-            (Setting::Spacing, self.spacing.is_some()),
-            (Setting::CellSize, self.cell_size.is_some()),
-            (Setting::Cell, self.cell.is_some()),
-            (Setting::Origin, self.origin.is_some()),
-            (Setting::Walls, self.walls.is_some()),
-            (Setting::Indicator, self.indicator.is_some()),
-            (Setting::MeanCount, self.mean.is_some()),
-            (Setting::SkipInvalid, self.skip_invalid),
-            (Setting::Baseline, self.baseline.is_some()),
-            (Setting::Attributes, self.attributes.as_ref().is_some_and(names)),
-        ]);
-        meaningless.map_or(Ok(()), |setting| unfit(setting, Conflict::Packed(path.to_owned())))
+        let names = |attributes: &&Attributes| **attributes != Attributes::Named(Vec::new());
+        let carried = self.attributes.as_ref().filter(names);
+        let setting = self.other_sampling(&Self::default()).or(carried.map(|_| Setting::Attributes));
+        setting.map_or(Ok(()), |setting| unfit(setting, Conflict::Packed(path.to_owned())))
+    }
+
+    /// Refuses what a frame that was sampled as `sampled` says cannot give.
+    pub(crate) fn refuse_of_sampled(&self, sampled: &Self) -> Result<(), Error> {
+        let carried = self.attributes.as_ref().filter(|_| self.attributes != sampled.attributes);
+        let setting = self.other_sampling(sampled).or(carried.map(|_| Setting::Attributes));
+        setting.map_or(Ok(()), |setting| unfit(setting, Conflict::Sampled))
+    }
+
+    /// The first setting that was given and needs the particles, unless they were sampled so.
+    fn other_sampling(&self, sampled: &Self) -> Option<Setting> {
+        given([
+            (Setting::Spacing, self.spacing.is_some() && self.spacing != sampled.spacing),
+            (Setting::CellSize, self.cell_size.is_some() && self.cell_size != sampled.cell_size),
+            (Setting::Cell, self.cell.is_some() && self.cell != sampled.cell),
+            (Setting::Origin, self.origin.is_some() && self.origin != sampled.origin),
+            (Setting::Walls, self.walls.is_some() && self.walls != sampled.walls),
+            (Setting::Indicator, self.indicator.is_some() && self.indicator != sampled.indicator),
+            (Setting::MeanCount, self.mean.is_some() && self.mean != sampled.mean),
+            (Setting::SkipInvalid, self.skip_invalid && !sampled.skip_invalid),
+            (Setting::Baseline, self.baseline.is_some() && self.baseline != sampled.baseline),
+        ])
     }
 
     /// Refuses what is asked for and a format cannot hold.

@@ -59,7 +59,7 @@ impl Checked {
         timings: &mut Timings,
     ) -> Result<(Stitched, Report), FrameError> {
         self.resources.control.begins(Stage::Meshing);
-        let calibrated = engine.calibrate(&self.surfacing, known, timings)?;
+        let calibrated = engine.calibrate(&self.surfacing, known, timings)?.heard_by(&self.resources.control);
         let measured = calibrated.measured();
         let surface = calibrated.surface(timings)?;
         let mut report = Report::of(engine, &self.surfacing);
@@ -69,6 +69,7 @@ impl Checked {
         report.on_device = engine.on_device();
         report.lost = engine.lost(&surface)?;
         self.judge(&mut report, &surface, engine.shortfall(&surface)?);
+        self.resources.control.ends(Stage::Meshing);
         Ok((surface, report))
     }
 
@@ -95,7 +96,10 @@ impl Checked {
         if self.reduction.is_none() {
             return Ok(Kept::Whole(surface));
         }
+        self.resources.go_on()?;
+        self.resources.control.begins(Stage::Simplifying);
         let simplified = engine.simplify(surface, &self.reduction, timings)?;
+        self.resources.control.ends(Stage::Simplifying);
         report.dropped = Some(simplified.dropped());
         Ok(Kept::Reduced(simplified))
     }

@@ -11,12 +11,13 @@ use crate::particles::Particles;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
+use super::asked::Asked;
 use super::builder::Reconstruction;
 use super::checked::{Checked, Ready};
 use super::output::PackedOutput;
 use super::surface::Surface;
 use super::warning::{Warning, of_frame};
-use super::{Cells, ChosenSampling, Origin, Packed};
+use super::{Cells, ChosenSampling, Packed, Source};
 
 /// A frame that was sampled: its discrete indicator function, and whatever its surface has to know of the particles.
 #[derive(Debug)]
@@ -43,10 +44,11 @@ impl Ready {
         checked.go_on()?;
         checked.refuse_of_indicator()?;
         let sampled = self.threads.install(|| {
-            let chosen = checked.choose(particles, Origin::default())?;
+            let chosen = checked.choose(particles, Source::default())?;
             timings.done("spacing");
             checked.sampled(particles, chosen, &mut timings)
         })?;
+        checked.go_on()?;
         Ok(Frame { path: None, up: UpAxis::Y, ready: self, sampled, timings })
     }
 }
@@ -62,6 +64,7 @@ impl Checked {
         let ChosenSampling { sampling, cells, moved } = chosen;
         self.resources.control.begins(Stage::Counting);
         let counted = Counted::for_surface(particles, &sampling, &self.surfacing)?;
+        self.resources.control.ends(Stage::Counting);
         timings.done("count");
         let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
         Ok(Sampled { engine, cells: Some(cells), moved })
@@ -83,17 +86,18 @@ impl Frame {
         self.draw(&self.ready.checked, self.timings.clone())
     }
 
-    /// Draws a surface by other settings, of which those that say how particles are sampled do not count any more.
+    /// Draws a surface by other settings: whatever does not need the particles again, from the width of smoothing to simplifying.
     ///
-    /// Memory, threads, backend, attributes and normals' smoothing stay those of the frame.
+    /// Memory, threads and backend stay those of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`] and [`Error::Unfit`], and those of [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::Unfit`], also for settings that say how particles are sampled, unless these were sampled so, and those of
+    /// [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
-        if let Some(sampled) = self.sampled.engine.dif() {
-            checked.asked.refuse_of_others(sampled.indicator.kind())?;
-        }
+        let kind = self.sampled.engine.dif().map(|sampled| sampled.indicator.kind());
+        checked.asked.refuse_of_sampled(&Asked { indicator: kind, ..self.ready.checked.asked.clone() })?;
+        kind.map_or(Ok(()), |kind| checked.asked.refuse_of_others(kind))?;
         checked.resources = self.ready.checked.resources.clone();
         checked.resources.control = request.control.clone();
         self.draw(&Arc::new(checked), Timings::default())
@@ -114,14 +118,16 @@ impl Frame {
         (report.cells, report.moved, report.timings) =
             (self.sampled.cells.clone(), self.sampled.moved, timings);
         report.threads = threads.current_num_threads();
+        checked.go_on()?;
         let (threads, asked) = (Arc::clone(threads), checked.asked.clone());
-        Ok(Surface { drawn, threads, asked, particles_up: self.up })
+        let control = checked.resources.control.clone();
+        Ok(Surface { drawn, threads, asked, control, particles_up: self.up })
     }
 
     /// Writes the frame's samples to a file, to be drawn later.
     ///
     /// # Errors
-    /// [`Error::Unfit`] for kernels, which have none, and [`Error::Write`].
+    /// [`Error::Unfit`] for kernels, which have none, [`Error::Write`] and [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<Packed, Error> {
         let Ready { checked, threads } = &self.ready;
         let Some(sampled) = self.sampled.engine.dif() else {
@@ -132,6 +138,7 @@ impl Frame {
         let mut timings = self.timings.clone();
         timings.skip();
         let bytes = threads.install(|| output.write(|out| write_frame(out, sampled).map(drop)))?;
+        checked.resources.control.ends(Stage::Writing);
         timings.done("write");
         let dif = &sampled.dif;
         let census = sampled.facts.census;

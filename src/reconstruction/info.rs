@@ -1,6 +1,7 @@
 //! Contents of a particle file, a packed frame or a mesh, for people and programs that look before they convert.
 
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use glam::IVec3;
 use serde::Serialize;
@@ -12,15 +13,16 @@ use crate::field::spacing;
 use crate::frame::{Counted, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
-use crate::io::input::{holds_mesh, open_particles};
+use crate::io::input::{KNOWN, file_and_step, holds_mesh, is_known, open_particles};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
 use crate::io::scene::spacing_beside;
+use crate::io::{ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::measure::measure;
 use crate::system::memory::default_memory;
 
-use super::{Origin, SamplingRequest};
+use super::{Attributes, SamplingRequest, Source};
 
 /// Contents of a file.
 #[derive(Debug, Clone, Serialize)]
@@ -105,6 +107,11 @@ pub struct MeshInfo {
     pub attributes: Vec<AttributeInfo>,
 }
 
+/// The extensions of all files that are looked into, in the words of a message.
+static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
+    format!("of particles {KNOWN}; of packed frames .mnf; of meshes .ply, .obj, .vtk, .vtp and .stl")
+});
+
 /// Looks into a particle file, a packed frame or a mesh.
 ///
 /// # Errors
@@ -115,8 +122,10 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
         frame(path).map(Info::Frame)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
-    } else {
+    } else if is_known(file_and_step(path).0) {
         particles(path).map(Info::Particles)
+    } else {
+        Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())
     }
 }
 
@@ -189,10 +198,11 @@ fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
         invalid: InvalidParticles::Skip,
         ..SamplingRequest::default()
     };
-    let cells = request.cells(particles, Origin::default()).ok()?;
+    let cells = request.cells(particles, Source::default()).ok()?;
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
     let grid = request.grid(cells.size).ok()?;
-    let sampling = request.sampling_on(grid, request.field, None, Vec::new(), resources).ok()?;
+    let carried = Attributes::Velocity.among(particles.attributes()).ok()?;
+    let sampling = request.sampling_on(grid, request.field, cells.spacing(), carried, resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())
 }

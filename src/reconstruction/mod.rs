@@ -27,7 +27,7 @@ pub use asked::Settings;
 pub(crate) use asked::differing;
 pub use attributes::Attributes;
 pub use builder::Reconstruction;
-pub use cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
+pub use cells::{CellSize, Cells, Doubt, Source, SpacingSource};
 pub(crate) use checked::{Checked, Ready};
 pub(crate) use draw::Kept;
 pub use frame::Frame;

@@ -19,7 +19,7 @@ use crate::system::timings::Timings;
 use super::checked::{Checked, Ready};
 use super::frame::{Frame, Sampled};
 use super::orientation::usual_up;
-use super::{Cells, ChosenSampling, Origin};
+use super::{Cells, ChosenSampling, Source};
 
 /// An input that was opened, and is not sampled yet.
 #[derive(Debug)]
@@ -77,11 +77,13 @@ impl Ready {
             checked.refuse_of_indicator()?;
             let file = open_particles(path, checked.unpacking())?;
             timings.done("open");
-            let origin = Origin { path: Some(path), spacing: file.spacing };
-            let chosen = checked.choose(&file.particles, origin).map_err(|error| error.of_file(path))?;
+            let source = Source { path: Some(path), spacing: file.spacing };
+            let chosen = checked.choose(&file.particles, source).map_err(|error| error.of_file(path))?;
             timings.done("spacing");
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         })?;
+        checked.resources.control.ends(Stage::Reading);
+        checked.go_on()?;
         Ok(Opened { path: path.to_owned(), ready: self, input, timings })
     }
 }
@@ -96,10 +98,10 @@ impl Checked {
     pub(super) fn choose(
         &self,
         particles: &(impl Particles + ?Sized),
-        origin: Origin<'_>,
+        source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.asked.carried(particles.attributes(), None)?;
-        self.sampling.sampling(particles, origin, carried, self.resources.clone())
+        self.sampling.sampling(particles, source, carried, self.resources.clone())
     }
 }
 
@@ -199,6 +201,7 @@ impl Opened {
             Input::Particles { file, chosen } => checked.sampled(&file.particles, *chosen, &mut timings),
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;
+        checked.go_on()?;
         Ok(Frame { path: Some(path), up, ready, sampled, timings })
     }
 }

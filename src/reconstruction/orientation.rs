@@ -15,7 +15,7 @@ use super::asked::Asked;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Orientation {
     particles: UpAxis,
-    /// In the file's coordinates.
+    /// The axis in the file's coordinates.
     pub(crate) file: UpAxis,
     /// The axis that is up on a screen, after whatever the file says of turning.
     pub(crate) shown: UpAxis,

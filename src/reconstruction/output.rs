@@ -118,10 +118,9 @@ impl Output {
     }
 
     /// Writes a mesh, and gives the file its name.
-    pub(crate) fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, WriteError> {
-        let bytes = self.file.write(mesh, width)?;
-        drop(self.unfinished);
-        Ok(bytes)
+    pub(crate) fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, Error> {
+        let (file, unfinished) = self.fill(mesh, width)?;
+        keep(file, unfinished)
     }
 }
 
@@ -144,8 +143,16 @@ impl PackedOutput {
         self,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send,
     ) -> Result<u64, Error> {
-        let bytes = self.file.write(content)?;
-        drop(self.unfinished);
-        Ok(bytes)
+        keep(self.file.fill(content)?, self.unfinished)
     }
+}
+
+/// Gives a file its name, unless the caller has asked for an early end.
+fn keep(file: FilledFile, unfinished: Unfinished) -> Result<u64, Error> {
+    if unfinished.is_cancelled() {
+        return Err(Error::Cancelled);
+    }
+    let bytes = file.keep()?;
+    drop(unfinished);
+    Ok(bytes)
 }

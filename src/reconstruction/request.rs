@@ -14,7 +14,7 @@ use crate::grid::{Domain, DomainError, Grid};
 use crate::io::scene::spacing_beside;
 use crate::particles::Particles;
 
-use super::cells::{CellSize, Cells, Doubt, Origin, SpacingSource};
+use super::cells::{CellSize, Cells, Doubt, Source, SpacingSource};
 use super::lattice::on_sound_grid;
 
 /// How particles are to be sampled, whatever they are.
@@ -92,14 +92,14 @@ impl SamplingRequest {
     ///
     /// # Errors
     /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
-    pub fn cells(&self, particles: &(impl Particles + ?Sized), origin: Origin<'_>) -> Result<Cells, Error> {
-        let path = || origin.path.map(Path::to_owned);
+    pub fn cells(&self, particles: &(impl Particles + ?Sized), from: Source<'_>) -> Result<Cells, Error> {
+        let path = || from.path.map(Path::to_owned);
         let mut doubt = None;
         let (spacing, source) = if let Some(spacing) = self.spacing {
             (spacing, SpacingSource::Given)
-        } else if let Some(spacing) = origin.spacing {
+        } else if let Some(spacing) = from.spacing {
             (spacing, SpacingSource::File)
-        } else if let Some((spacing, scene)) = origin.path.and_then(spacing_beside) {
+        } else if let Some((spacing, scene)) = from.path.and_then(spacing_beside) {
             doubt = spacings(particles).and_then(|found| Doubt::of(spacing, Some(&scene), found));
             (spacing, SpacingSource::Scene(scene))
         } else if particles.is_empty() {
@@ -139,11 +139,11 @@ impl SamplingRequest {
     pub fn sampling(
         &self,
         particles: &(impl Particles + ?Sized),
-        origin: Origin<'_>,
+        from: Source<'_>,
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let cells = self.cells(particles, origin)?;
+        let cells = self.cells(particles, from)?;
         let grid = self.grid(cells.size)?;
         let sampling = self.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {

@@ -15,6 +15,7 @@ use crate::surface::mesh::source::{MeshSource, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::surface::stitch::WholeMeshError;
 use crate::system::cancel::Cancel;
+use crate::system::control::{Control, Stage};
 
 use super::SinglePrecision;
 use super::asked::Asked;
@@ -29,6 +30,8 @@ pub struct Surface {
     /// The threads that it was made by, and is written by.
     pub(crate) threads: Arc<ThreadPool>,
     pub(crate) asked: Asked,
+    /// Whoever had it drawn.
+    pub(crate) control: Control,
     pub(crate) particles_up: UpAxis,
 }
 
@@ -68,7 +71,9 @@ impl Surface {
     }
 
     /// Writes the mesh to a file that is not there yet, whose extension says the format: whole or not at all. Coordinates are f64 where f32
-    /// would move vertices by more than 1 / 256 of a cell and the format can hold them.
+    /// would move vertices by more than 1 / 256 of a cell and the format can hold them. Returns the file's size in bytes.
+    ///
+    /// To replace a file call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
@@ -87,14 +92,17 @@ impl Surface {
     /// Writes the mesh to a file that was made ready before the work, and returns its size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`].
+    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the file ready.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.asked.orientation(self.particles_up, format);
         let width = coordinate_width(self.drawn.precision, format, output.path())?;
         let output = output.with_layout(self.asked.layout(orientation));
         let turned = orientation.turned(self.mesh());
-        Ok(self.threads.install(|| output.write(&turned, width))?)
+        self.control.begins(Stage::Writing);
+        let bytes = self.threads.install(|| output.write(&turned, width))?;
+        self.control.ends(Stage::Writing);
+        Ok(bytes)
     }
 }
 

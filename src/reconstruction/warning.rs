@@ -6,7 +6,7 @@ use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Frame as Engine, Shortfall};
-use crate::grid::units::{FULL, Isovalue, shown};
+use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
 use crate::surface::simplify::Dropped;
 
@@ -128,11 +128,14 @@ impl fmt::Display for Warning {
             Self::MadeGood(what) => f.write_str(what),
             Self::OnCorners { mean, .. } => write!(
                 f,
-                "the particles lie on the corners of cells (mean indicator {mean:.4}), which harms the surface"
+                "the particles lie on the corners of cells (mean indicator {}), which harms the surface",
+                significant(*mean, 3)
             ),
             Self::Bubbles { iso, lowest } => write!(
                 f,
-                "isovalue {iso:.4} is above the field's lowest interior value, {lowest:.4}: expect bubbles inside"
+                "isovalue {} is above the field's lowest interior value, {}: expect bubbles inside",
+                significant(*iso, 4),
+                significant(*lowest, 4)
             ),
             Self::Lost { lost, of, .. } => write!(f, "at least {lost} of {of} particles are in no surface"),
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),

@@ -79,7 +79,7 @@ impl Simulation {
         }
     }
 
-    /// Reconstructs each frame so.
+    /// Sets the request by which each frame is reconstructed.
     pub fn reconstruction(mut self, request: Reconstruction) -> Self {
         self.request = request;
         self

@@ -8,7 +8,7 @@ use bytesize::ByteSize;
 use crate::brick::Census;
 use crate::error::Error;
 use crate::field::calibration::{Calibration, Plateau};
-use crate::grid::units::shown;
+use crate::grid::units::{shown, significant};
 use crate::io::series::SeriesFrame;
 use crate::reconstruction::{Doubt, Report, Warning, lost_warning};
 use crate::system::control::Stage;
@@ -87,7 +87,7 @@ pub enum Event<'a> {
     Ended(&'a Summary),
 }
 
-/// A frame whose mesh has its name.
+/// A frame that is done: its mesh is whole, and under its name.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct FrameDone {
@@ -291,13 +291,15 @@ impl fmt::Display for Frozen {
             write!(f, ", origin {}", origin.map(shown).join(","))?;
         }
         if let Some(mean) = calibration.and_then(|known| known.mean()) {
-            write!(f, ", mu0 {:.4}", mean.particles())?;
+            write!(f, ", mu0 {}", significant(mean.particles(), 4))?;
         }
         match calibration {
-            Some(Calibration::Indicator { iso, .. }) => write!(f, ", isovalue {:.4}", iso.value()),
+            Some(Calibration::Indicator { iso, .. }) => {
+                write!(f, ", isovalue {}", significant(iso.value(), 4))
+            }
             Some(Calibration::Clouds { plateau }) => {
                 let nominal = Plateau::nominal(spacing.map_or(1.0, |spacing| spacing / cell_size));
-                write!(f, ", {:.4} particles in a cubed spacing", f64::from(*plateau) / nominal)
+                write!(f, ", density {:.3} particles per cubed spacing", f64::from(*plateau) / nominal)
             }
             None => Ok(()),
         }

@@ -130,8 +130,8 @@ impl Setup<'_> {
             Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch },
         )?;
         let request = &self.checked.sampling;
-        let origin = reconstruction::Origin { path: Some(path), spacing: file.spacing };
-        let cells = request.cells(&file.particles, origin)?;
+        let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
+        let cells = request.cells(&file.particles, source)?;
         cells.doubt.iter().for_each(|doubt| self.tell(Event::Doubted(doubt)));
         let (grid, field) = match lattice {
             Some(frozen) => (frozen.grid()?, frozen.field(request.field)),

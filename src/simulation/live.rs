@@ -8,7 +8,7 @@ use crate::frame::{Counted, FieldRequest, Frame};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::Particles;
-use crate::reconstruction::{self, Ready, Reconstruction, Surface};
+use crate::reconstruction::{self, Checked, Ready, Reconstruction, Surface};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -16,8 +16,9 @@ use super::frozen::{Measured, Origin, Trust, known_field, measure};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
-/// Cells, grid and calibration are measured on the first frame that can tell, as of files, and frozen: the frames from then on are
-/// alike. Frames before that, such as a lattice that has not begun to move or single drops, are drawn by what they say themselves.
+/// Cells, grid and calibration are measured on the first frame with fluid deeper than the filters reach, for the counting indicator
+/// also in disorder, and frozen: the frames from then on are alike. Until then [`is_settled`](Self::is_settled) is false, and each frame is measured anew
+/// and drawn by what it says itself, such as single drops.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};
@@ -62,7 +63,7 @@ impl LiveSimulation {
         Ok(Self { ready: checked.on_threads()?, known: None, settled: false })
     }
 
-    /// Whether all that frames have in common is frozen.
+    /// Whether all that frames have in common is frozen: cells, grid and calibration.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         self.settled
@@ -93,13 +94,17 @@ impl LiveSimulation {
             let sampling = checked.sampling.sampling_on(grid, field, spacing, carried, resources)?;
             checked.resources.control.begins(Stage::Counting);
             let counted = Counted::for_surface(particles, &sampling, &checked.surfacing)?;
+            checked.resources.control.ends(Stage::Counting);
             timings.done("count");
             let engine = Frame::sample_counted(counted, checked.resources.budget, &mut timings)?;
             let mut drawn = checked.draw(&engine, calibration.as_ref(), &mut timings)?;
             drawn.report.timings = timings;
+            checked.go_on()?;
             Ok(drawn)
         })?;
-        Ok(Surface { drawn, threads, asked: ready.checked.asked.clone(), particles_up: UpAxis::Y })
+        let Checked { asked, resources, .. } = &*ready.checked;
+        let (asked, control) = (asked.clone(), resources.control.clone());
+        Ok(Surface { drawn, threads, asked, control, particles_up: UpAxis::Y })
     }
 }
 
@@ -112,7 +117,7 @@ fn measured(
     let checked = &ready.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
-    let cells = request.cells(particles, reconstruction::Origin::default())?;
+    let cells = request.cells(particles, reconstruction::Source::default())?;
     let (grid, field, spacing) = match lattice {
         Some(known) => (known.grid, known.field, known.spacing),
         None => (request.grid(cells.size)?, request.field, cells.spacing()),

@@ -96,7 +96,7 @@ pub struct Log {
 }
 
 impl Log {
-    /// In a folder that may not be there yet.
+    /// Records in a folder that may not be there yet.
     #[must_use]
     pub fn new(folder: PathBuf) -> Self {
         Self { folder, file: Mutex::new(None) }

@@ -34,7 +34,8 @@ impl Cancel {
         Self::default()
     }
 
-    /// Asks all work with this handle to end soon, by an error whose cause is that. Between frames and batches of blocks it looks.
+    /// Asks all work with this handle to end soon, by an error whose cause is that. It is looked
+    /// for between frames, and between the blocks of each.
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::Relaxed);
     }
@@ -89,6 +90,13 @@ impl Cancel {
 pub(crate) struct Unfinished {
     of: Cancel,
     path: Option<PathBuf>,
+}
+
+impl Unfinished {
+    /// Whether its maker was asked to end.
+    pub(crate) fn is_cancelled(&self) -> bool {
+        self.of.is_cancelled()
+    }
 }
 
 impl Drop for Unfinished {

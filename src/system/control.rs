@@ -1,7 +1,8 @@
 //! The caller's hold on long work: how far it has come, and an early end.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use super::cancel::Cancel;
 
@@ -75,10 +76,55 @@ impl Control {
         self.tell(stage, 0.0);
     }
 
+    /// Tells that a stage is over.
+    pub(crate) fn ends(&self, stage: Stage) {
+        self.tell(stage, 1.0);
+    }
+
+    /// Takes the parts of a stage that are done from now on, of so many.
+    #[must_use]
+    pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
+        Meter { control: self, stage, parts, done: AtomicUsize::new(0), told: Mutex::new(0) }
+    }
+
     /// Tells how much of a stage is done.
-    pub(crate) fn tell(&self, stage: Stage, done: f64) {
+    fn tell(&self, stage: Stage, done: f64) {
         if let Some(progress) = &self.progress {
             progress(Progress { stage, done });
+        }
+    }
+}
+
+/// Steps that a stage is told of at the most.
+const STEPS: usize = 128;
+
+/// A count of the parts of a stage that are done, by whatever thread, of which the caller is told step by step.
+#[derive(Debug)]
+pub struct Meter<'a> {
+    control: &'a Control,
+    stage: Stage,
+    parts: usize,
+    done: AtomicUsize,
+    /// Parts that the caller knows of. Whoever finds it locked leaves the telling to the others.
+    told: Mutex<usize>,
+}
+
+impl Meter<'_> {
+    /// Whether the caller has not asked for an early end.
+    #[must_use]
+    pub fn goes_on(&self) -> bool {
+        !self.control.cancel.is_cancelled()
+    }
+
+    /// Notes that so many parts more are done.
+    pub fn add(&self, parts: usize) {
+        self.done.fetch_add(parts, Ordering::Relaxed);
+        let Ok(mut told) = self.told.try_lock() else { return };
+        let done = self.done.load(Ordering::Relaxed);
+        // What follows the last part is of the stage, too.
+        if done < self.parts && done >= *told + self.parts.div_ceil(STEPS) && self.goes_on() {
+            *told = done;
+            self.control.tell(self.stage, done as f64 / self.parts as f64);
         }
     }
 }

@@ -37,7 +37,7 @@ impl Program {
 pub struct Field {
     /// The name of the field, as in the shader.
     pub name: &'static str,
-    /// In bytes, from the block's begin.
+    /// The offset in bytes from the block's begin.
     pub offset: u32,
     /// The size of the field in bytes.
     pub bytes: u32,

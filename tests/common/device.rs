@@ -11,6 +11,7 @@ use meniscus::internals::field::indicator::PageRule;
 use meniscus::internals::grid::CellBox;
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::surface::mesh::BlockMesh;
+use meniscus::internals::system::control::{Control, Meter, Stage};
 use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
 };
@@ -67,8 +68,14 @@ impl Stages for WatchedStages {
         Ok(field)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
-        self.stages.contour(surfaces, regions, take)?;
+    fn contour(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()> {
+        self.stages.contour(surfaces, regions, meter, take)?;
         self.assert_done(Work { pages: 0, regions: regions.len() });
         Ok(())
     }
@@ -90,7 +97,7 @@ pub fn contoured(
 ) -> Vec<Option<BlockMesh>> {
     let mut all = Vec::new();
     stages
-        .contour(surfaces, regions, &mut |meshes| {
+        .contour(surfaces, regions, &Control::default().meter(Stage::Meshing, regions.len()), &mut |meshes| {
             all.extend(meshes);
             Ok(())
         })

@@ -22,6 +22,7 @@ use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::spool::Spool;
 use meniscus::internals::surface::mesh::{BlockMesh, Mesh};
 use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 
 use crate::Place;
@@ -99,7 +100,9 @@ fn surface_of(place: &Place, blocks: CellBox, iso: Isovalue, sample: impl Fn(IVe
     let mut spool = Spool::in_memory(false, Vec::new());
     let mut push =
         |meshes: Vec<Option<BlockMesh>>| meshes.into_iter().flatten().try_for_each(|mesh| spool.push(mesh));
-    stages.contour(&surfaces, &surfaces.regions(), &mut push).unwrap();
+    let control = Control::default();
+    let meter = control.meter(Stage::Meshing, 1);
+    stages.contour(&surfaces, &surfaces.regions(), &meter, &mut push).unwrap();
     assert_eq!(stages.warnings(), [""; 0]);
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     Stitched::new(spool, grid, None, iso, Vec::new()).to_mesh().unwrap()

@@ -43,14 +43,14 @@ struct Format {
 }
 
 const PLY: Format = Format {
-    read_particles: |bytes| ply::read_particles(bytes, Unpacking::in_memory()),
+    read_particles: |bytes| ply::read_points(bytes, Unpacking::in_memory()),
     read_mesh: ply::read_mesh,
     has_faces: ply::has_faces,
     write_mesh: ply::write_mesh,
 };
 
 const VTK: Format = Format {
-    read_particles: |bytes| vtk::read_particles(bytes, Unpacking::in_memory()),
+    read_particles: |bytes| vtk::read_points(bytes, Unpacking::in_memory()),
     read_mesh: vtk::read_mesh,
     has_faces: vtk::has_faces,
     write_mesh: vtk::write_mesh,

@@ -7,13 +7,12 @@
 use std::error::Error;
 
 use ash::vk;
-use meniscus::internals::brick::InvalidParticles;
-use meniscus::internals::brick::vulkan::{Coordinate, DevicePositions};
-use meniscus::internals::field::indicator::IndicatorKind;
-use meniscus::internals::frame::resident::{Exchange, Pipeline, Settings};
-use meniscus::internals::frame::{FrameError, Surfacing};
-use meniscus::internals::grid::Grid;
-use meniscus::internals::vulkan::{Device, DeviceOptions, Foreign, Moment};
+use meniscus::devices::{
+    Coordinate, Device, DeviceOptions, DevicePositions, Exchange, Foreign, InvalidParticles, Moment,
+    Pipeline, Settings, Surfacing,
+};
+use meniscus::error::FrameError;
+use meniscus::{Grid, IndicatorKind};
 
 /// The vertices and the triangles of a surface.
 pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);

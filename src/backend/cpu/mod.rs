@@ -15,11 +15,12 @@ use crate::grid::CellBox;
 use crate::grid::units::MemoryBudget;
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
+use crate::system::control::Meter;
 
 use super::{Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
 
-/// All threads of the pool that a call is made in.
+/// The processor: all threads of the pool that a call is made in.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cpu;
 
@@ -57,12 +58,18 @@ impl Stages for Frame {
         Cpu.indicate(bins, range, rule)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+    fn contour(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()> {
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
             // Neighbours follow one another along the Morton curve.
             let near = |a: &CellBox, b: &CellBox| parent(a) == parent(b);
             let groups: Vec<_> = regions.chunk_by(near).collect();
-            let of_group = |group| meshes(surfaces, group, self.together);
+            let of_group = |group| meshes(surfaces, group, meter, self.together);
             take(groups.into_par_iter().flat_map_iter(of_group).collect())
         })
     }
@@ -81,9 +88,15 @@ impl Stages for Cpu {
         indicate(bins, range, rule)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+    fn contour(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()> {
         regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
-            let of_one = |region| meshes(surfaces, std::slice::from_ref(region), 0);
+            let of_one = |region| meshes(surfaces, std::slice::from_ref(region), meter, 0);
             take(regions.par_iter().flat_map_iter(of_one).collect())
         })
     }
@@ -98,11 +111,24 @@ impl Stages for Cpu {
 }
 
 /// The surfaces through some regions, which share what they can where that takes so many bytes at the most.
-fn meshes(surfaces: &Surfaces<'_>, regions: &[CellBox], together: u64) -> Vec<Option<BlockMesh>> {
+fn meshes(
+    surfaces: &Surfaces<'_>,
+    regions: &[CellBox],
+    meter: &Meter<'_>,
+    together: u64,
+) -> Vec<Option<BlockMesh>> {
+    if !meter.goes_on() {
+        return regions.iter().map(|_| None).collect();
+    }
     let &Surfaces { sampled, recipe, normals } = surfaces;
     let walls = surfaces.walls();
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let boxes: Vec<_> = regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
-    let fields = regions.iter().zip(cut_fields(recipe, sampled, &boxes, together));
-    fields.map(|(&region, field)| block_mesh(&field?, region, recipe.iso, normals, walls)).collect()
+    let mut fields = cut_fields(recipe, sampled, &boxes, together);
+    let mesh = |&region: &CellBox| {
+        let field = fields.next().filter(|_| meter.goes_on()).flatten();
+        meter.add(1);
+        block_mesh(&field?, region, recipe.iso, normals, walls)
+    };
+    regions.iter().map(mesh).collect()
 }

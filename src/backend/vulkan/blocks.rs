@@ -11,6 +11,7 @@ use crate::grid::{BLOCK, BLOCK_TILES, CellBox};
 use crate::surface::dual_mc::vulkan::{Falls, Outputs, SIGN_TILES, Slot, Tally, contour};
 use crate::surface::dual_mc::{Crossings, normal};
 use crate::surface::mesh::{BlockMesh, Tile};
+use crate::system::control::Meter;
 use crate::vulkan::{Batch, Buffer, Device, Place, Ticket, View, VulkanError};
 
 use super::bins::Fault;
@@ -22,15 +23,17 @@ use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly};
 
 impl DeviceFrame {
-    /// Hands the surfaces through some regions to `take`, as far as nothing fails.
+    /// Hands the surfaces through some regions to `take`, as far as nothing fails and `meter` goes on.
     pub(super) fn contour_batches(
         &self,
         state: &mut State,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
+        meter: &Meter<'_>,
         take: &mut Take<'_>,
     ) -> Result<(), Fault> {
-        self.each_batch(state, surfaces, regions, &mut |work, lane, batch, begins| {
+        let goes_on = || meter.goes_on();
+        self.each_batch(state, surfaces, regions, &goes_on, &mut |work, lane, batch, begins| {
             let meshes = work.read(lane, batch, begins)?;
             take(meshes).map_err(Fault::Host)
         })
@@ -45,7 +48,7 @@ impl DeviceFrame {
     ) -> Result<DeviceSurfaces, VulkanError> {
         let (mut tiles, mut ends) = (Growing::default(), Growing::default());
         let (mut blocks, mut written) = (Vec::new(), None);
-        self.each_batch(state, surfaces, regions, &mut |_, lane, batch, begins| {
+        self.each_batch(state, surfaces, regions, &|| true, &mut |_, lane, batch, begins| {
             let totals = begins[batch.drawn.len()];
             if totals.tiles == 0 {
                 return Ok(());
@@ -71,12 +74,13 @@ impl DeviceFrame {
         })
     }
 
-    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order.
+    /// Has the surfaces through some regions computed, and `take` take them batch by batch, in order, as long as it goes on.
     fn each_batch<E: From<VulkanError>>(
         &self,
         state: &mut State,
         surfaces: &Surfaces<'_>,
         regions: &[CellBox],
+        goes_on: &dyn Fn() -> bool,
         take: &mut TakeBatch<'_, E>,
     ) -> Result<(), E> {
         self.make_lanes(state)?;
@@ -87,7 +91,7 @@ impl DeviceFrame {
         let mut next = 0;
         fly(
             lanes,
-            |lane| Ok(work.start_next(lane, regions, &mut next)?),
+            |lane| if goes_on() { Ok(work.start_next(lane, regions, &mut next)?) } else { Ok(None) },
             |lane, batch| Ok(work.go_on(lane, batch)?),
             |lane, batch| work.finish(lane, batch, take),
         )

@@ -28,6 +28,7 @@ use crate::field::indicator::PageRule;
 use crate::grid::CellBox;
 use crate::grid::units::MemoryBudget;
 use crate::surface::mesh::BlockMesh;
+use crate::system::control::Meter;
 use crate::vulkan::{Device, VulkanError};
 
 use super::{Backend, Cpu, Stages, Surfaces, Take, Work};
@@ -250,17 +251,24 @@ impl Stages for Arc<DeviceFrame> {
         Ok(pages)
     }
 
-    fn contour(&self, surfaces: &Surfaces<'_>, regions: &[CellBox], take: &mut Take<'_>) -> io::Result<()> {
+    fn contour(
+        &self,
+        surfaces: &Surfaces<'_>,
+        regions: &[CellBox],
+        meter: &Meter<'_>,
+        take: &mut Take<'_>,
+    ) -> io::Result<()> {
         surfaces.prepare();
         let mut state = self.state();
         let mut taken = 0;
-        while !state.on_cpu && taken < regions.len() {
+        while !state.on_cpu && taken < regions.len() && meter.goes_on() {
             let begin = taken;
             let mut counted = |meshes: Vec<Option<BlockMesh>>| {
                 taken += meshes.len();
+                meter.add(meshes.len());
                 take(meshes)
             };
-            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], &mut counted);
+            let outcome = self.contour_batches(&mut state, surfaces, &regions[begin..], meter, &mut counted);
             state.done.regions += taken - begin;
             match outcome {
                 Ok(()) => {}
@@ -268,7 +276,7 @@ impl Stages for Arc<DeviceFrame> {
                 Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
-        Cpu.contour(surfaces, &regions[taken..], take)
+        Cpu.contour(surfaces, &regions[taken..], meter, take)
     }
 
     fn warnings(&self) -> Vec<String> {

@@ -32,7 +32,7 @@ fn in_options(error: &Error) -> Option<String> {
                 "the cell size in spacings" => "--cell",
                 other => other,
             };
-            format!("{option} must be a positive length; {value} is not")
+            format!("{option} must be positive and finite; {value} is not")
         }
         Error::LittleMemory { least, simplifying: None } => {
             format!("--memory must be at least {}", ByteSize(*least))
@@ -89,9 +89,10 @@ fn unfit_options(unfit: &Unfit) -> String {
         (Conflict::Indicator(kind), Setting::MeanCount) => {
             format!("{given} has no meaning for --indicator {}", kind.name())
         }
-        (Conflict::Indicator(IndicatorKind::Cloud), _) => format!(
-            "{given} is for --indicator counting and symmetry: the surface lies where distances told by clouds are 0, and \
-             --smooth says how calm it is"
+        (Conflict::Indicator(IndicatorKind::Cloud), setting) => format!(
+            "{given} is for --indicator counting and symmetry{}: the surface lies where distances told by clouds are 0, and \
+             --smooth says how calm it is",
+            if setting == Setting::Iso { ", and for --method mueller and yu-turk" } else { "" }
         ),
         (Conflict::Indicator(_), _) => {
             format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
@@ -147,8 +148,8 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a larger cell size, move --origin, or drop such particles with --skip-invalid"
         }
         FrameError::OverBudget(_) => "; or allow more with --memory",
-        FrameError::TooFine(TooFine::Finest { .. }) => "; is their --spacing right?",
-        FrameError::TooFine(TooFine::Symmetry { .. }) => ", or another --indicator",
+        FrameError::TooFine(TooFine::Finest { .. }) => " (--cell 0.1 or more); is their --spacing right?",
+        FrameError::TooFine(TooFine::Symmetry { .. }) => " (--cell of more than 0.5), or another --indicator",
         FrameError::NoSurface { .. } => {
             "; --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
              --sigma; is the --spacing right?"

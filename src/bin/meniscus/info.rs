@@ -8,11 +8,11 @@ use meniscus::Error;
 use meniscus::error::shown;
 use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info};
 
-use crate::outcome::{Verdict, print, print_json};
+use crate::outcome::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {
-    /// Particle files or meshes.
+    /// Particle files, packed frames (.mnf) or meshes.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// Print JSON, for programs: a list with an entry for each file.
@@ -36,7 +36,6 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 fn describe(info: &Info) -> String {
     let mut lines = Vec::new();
     let mut line = |name: &str, text: String| lines.push(format!("  {name:<12} {text}"));
-    let corners = |[lo, hi]: &[[f64; 3]; 2]| format!("{lo:?} to {hi:?}");
     let names = |attributes: &[AttributeInfo]| {
         let names: Vec<_> = attributes.iter().map(|a| format!("{} ({})", a.name, a.components)).collect();
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }
@@ -84,11 +83,11 @@ fn describe(info: &Info) -> String {
             line("cells", cells.to_string());
             line("bricks", bricks.to_string());
             bounds.iter().for_each(|bounds| line("box", corners(bounds)));
-            line("cell size", cell_size.to_string());
-            line("origin", format!("{origin:?}"));
+            line("cell size", shown(*cell_size));
+            line("origin", point(origin));
             line("domain", domain.as_ref().map_or("unbounded".into(), corners));
             line("indicator", indicator.to_string());
-            mu0.iter().for_each(|mu0| line("mu0", mu0.to_string()));
+            mu0.iter().for_each(|mu0| line("mu0", shown(*mu0)));
             format!("{}: packed frame", file.display())
         }
         Info::Mesh(MeshInfo {

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use meniscus::Error;
+use meniscus::error::shown;
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
-use crate::outcome::{Verdict, print, print_json};
+use crate::outcome::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {
@@ -68,18 +69,18 @@ fn describe(measures: &Measures) -> String {
         measures;
     let known = |value: Option<String>| value.unwrap_or_else(|| "unknown".to_owned());
     let lines = [
-        ("box", known(bounds.map(|[lo, hi]| format!("{lo:?} to {hi:?}")))),
-        ("area", area.to_string()),
-        ("volume", known(volume.map(|v| v.to_string()))),
+        ("box", known(bounds.as_ref().map(corners))),
+        ("area", shown(*area)),
+        ("volume", known(volume.map(shown))),
         ("components", components.to_string()),
-        ("without volume", flat_components.to_string()),
+        ("components without volume", flat_components.to_string()),
         ("genus", known(genus.map(|g| format!("{g} (Euler characteristic {euler_characteristic})")))),
         ("least angle", known(quality.worst_angle.map(|a| format!("{a:.2} degrees")))),
-        ("mean of least", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
+        ("mean least angle", known(quality.mean_angle.map(|a| format!("{a:.2} degrees")))),
         ("worst aspect", known(quality.worst_aspect.map(|a| format!("{a:.1}")))),
         ("flat triangles", quality.flat.to_string()),
     ];
-    lines.map(|(name, value)| format!("  {name:<16} {value}")).join("\n")
+    lines.map(|(name, value)| format!("  {name:<25} {value}")).join("\n")
 }
 
 /// Measures the distances between two meshes.
@@ -99,12 +100,18 @@ pub fn compare(options: &CompareOptions) -> Result<Verdict, Error> {
         let Comparison { hausdorff, bias, from_mesh, from_reference } = &comparison;
         let way = |name: &str, d: &Distances| {
             format!(
-                "{name:<15} mean {:.6}, RMS {:.6}, greatest {:.6} at {:?}",
-                d.mean, d.rms, d.max, d.farthest
+                "{name:<15} mean {}, RMS {}, greatest {} at {}",
+                shown(d.mean),
+                shown(d.rms),
+                shown(d.max),
+                point(&d.farthest)
             )
         };
         print(&format!(
-            "Hausdorff       {hausdorff:.6}\nbias            {bias:+.6}\n{}\n{}",
+            "Hausdorff       {}\nbias            {}{}\n{}\n{}",
+            shown(*hausdorff),
+            if *bias > 0.0 { "+" } else { "" },
+            shown(*bias),
             way("from mesh", from_mesh),
             way("from reference", from_reference),
         ))?;

@@ -21,9 +21,9 @@ pub struct Options {
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
     pub sampling: SamplingOptions,
-    /// How calm the water is [default: 1.6].
+    /// Smoothing width in spacings; more is calmer [default: 1.6].
     ///
-    /// The width, in spacings, under which particles make one surface: more for the noise of FLIP, less to see every ripple.
+    /// Particles that close make one surface: 2 for the noise of FLIP, less to see every ripple. For --indicator cloud.
     #[arg(long, value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     pub smooth: Option<f64>,
     /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with.
@@ -38,8 +38,10 @@ pub struct Options {
         hide_short_help = true
     )]
     pub sigma: Option<f64>,
-    /// Where the surface is, between 0 and 1, for --indicator counting and symmetry and for kernel methods; auto: 0.47 of the
-    /// field deep in the fluid, or of what the spacing tells it to be where no fluid is deep.
+    /// Isovalue between 0 and 1, for --indicator counting and symmetry and --method mueller and yu-turk.
+    ///
+    /// auto is 0.47 of the field deep in the fluid. Where no fluid is deep, the spacing tells what the field would be there. For kernel
+    /// methods auto is 0.5.
     #[arg(long, value_name = "VALUE|auto", value_parser = isovalue, default_value = "auto", allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     pub iso: IsoOption,
     /// Recover details that smoothing loses, such as drops, for --indicator counting and symmetry.

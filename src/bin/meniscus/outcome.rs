@@ -1,6 +1,7 @@
 //! The outcome of a command, and how it is printed.
 
 use meniscus::Error;
+use meniscus::error::shown;
 
 /// The verdict of a command that ran to its end.
 pub enum Verdict {
@@ -19,6 +20,16 @@ pub fn print(text: &str) -> Result<(), Error> {
         }
         _ => Ok(()),
     }
+}
+
+/// A point in words.
+pub fn point(point: &[f64; 3]) -> String {
+    format!("[{}]", point.map(shown).join(", "))
+}
+
+/// A box by its lowest and its highest corner, in words.
+pub fn corners([lowest, highest]: &[[f64; 3]; 2]) -> String {
+    format!("{} to {}", point(lowest), point(highest))
 }
 
 /// Prints a result as JSON, for programs.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use bytesize::ByteSize;
+use meniscus::error::shown;
 use meniscus::files::MeshFormat;
 use meniscus::{Error, Needs, Opened, Simulation};
 
@@ -48,12 +49,16 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
         return Ok(format!("would reconstruct {} particles into {output}", opened.particles()));
     };
     let Needs { census, cell_size, budget, memory, in_core, scratch, .. } = needs;
-    let [budget, memory, in_core, scratch] = [budget, memory, in_core, scratch].map(ByteSize);
+    let [budget, memory, in_core] = [budget, memory, in_core].map(ByteSize);
+    let scratch = match scratch {
+        0 => "none".to_owned(),
+        bytes => format!("at most about {} in {}", ByteSize(bytes), needs.scratch_folder.display()),
+    };
     let mut text = format!(
-        "would reconstruct {} particles with cells of {cell_size} into {output}\n\
-         memory: about {memory} of {budget}; all in memory would take {in_core}\nscratch: at most about {scratch} in {}",
+        "would reconstruct {} particles with cells of {} into {output}\n\
+         memory: about {memory} of {budget}; all in memory would take {in_core}\nscratch: {scratch}",
         census.binned,
-        needs.scratch_folder.display(),
+        shown(cell_size),
     );
     if let Some([threads, triangles]) = needs.simplifying.map(|bytes| bytes.map(ByteSize)) {
         text += &format!("\nsimplifying takes up to {threads} more, and {triangles} of memory or scratch");

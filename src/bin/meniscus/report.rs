@@ -4,7 +4,7 @@ use std::path::Path;
 
 use bytesize::ByteSize;
 use meniscus::devices::{Counters, Device, Timing};
-use meniscus::error::shown;
+use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
 use meniscus::{
     Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, Timings, Warning,
@@ -61,33 +61,33 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
 fn report_calibration(report: &Report, measured: &Calibrated, options: &Options, notes: &Notes) {
     let &Calibrated { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
-    notes.detail(format!("a step of the field moves the surface by {step_cells:.4} cells"));
+    notes.detail(format!("a step of the field moves the surface by {} cells", significant(step_cells, 3)));
     let Some(iso) = calibration.iso().map(Isovalue::value) else {
         let density = measured.density(facts.spacing_cells_or_one());
         notes.say(match plateau {
             Plateau::Interior { .. } => {
-                format!("{density:.4} particles in a cubed spacing deep in the fluid")
+                format!("measured density: {density:.3} particles per cubed spacing")
             }
             Plateau::Shallow { .. } => {
                 let spacing = match facts.spacing {
                     Some(_) => "spacing",
-                    None => "spacing of one cell, for none is known",
+                    None => "spacing of one cell, for none is known,",
                 };
-                format!("a particle in each cubed {spacing}, as no fluid is deep enough to tell")
+                format!("density: one particle per cubed {spacing} assumed, as no fluid is deep enough to measure it")
             }
         });
         return;
     };
     let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
+    let [iso, fluid] = [iso, plateau.fraction()].map(|value| significant(value, 4));
     match plateau {
         _ if options.iso_given() => {}
         Plateau::Interior { .. } => {
-            notes.say(format!("isovalue {iso:.4}, {share} of the interior plateau {:.4}", plateau.fraction()));
+            notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
         }
         Plateau::Shallow { .. } => notes.say(format!(
-            "isovalue {iso:.4}, {share} of the plateau {:.4} that {} tells: next to no fluid so dense is deeper than the \
+            "isovalue {iso}, {share} of the plateau {fluid} that {} tells: next to no fluid so dense is deeper than the \
              filters reach",
-            plateau.fraction(),
             if facts.spacing.is_some() { "the spacing" } else { "a spacing of one cell, for none is known," }
         )),
     }

@@ -38,7 +38,7 @@ pub struct SamplingOptions {
     cell_size: Option<f64>,
     /// Edge of a cell, in spacings [default: 0.5].
     ///
-    /// For --indicator counting and symmetry 0.6667 is usual.
+    /// The default for --indicator counting and symmetry is 0.6667.
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
     /// A corner of the grid's cells [default: 0,0,0].

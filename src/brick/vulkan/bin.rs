@@ -136,7 +136,7 @@ pub enum Coordinate {
 }
 
 impl Coordinate {
-    /// In bytes.
+    /// The size of a coordinate in bytes.
     #[must_use]
     pub fn bytes(self) -> u64 {
         match self {

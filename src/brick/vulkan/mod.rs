@@ -46,7 +46,7 @@ pub struct DeviceBlock {
     pub lo: [i32; 3],
     /// The block's first word in the field.
     pub field: u32,
-    /// In cells; x is even.
+    /// The edges of the block in cells; x is even.
     pub size: [u32; 3],
     /// The block's first entry in the table of pages.
     pub table: u32,
@@ -54,7 +54,7 @@ pub struct DeviceBlock {
     pub tiles_lo: [i32; 3],
     /// The block's first word among the bits of bricks of all blocks, where there are any.
     pub marks: u32,
-    /// In cells.
+    /// The edges of the part that is cut into tiles, in cells.
     pub tiles_size: [u32; 3],
     spare: u32,
 }
@@ -109,7 +109,7 @@ impl DeviceBlock {
 pub struct DeviceBlocks {
     /// A [`DeviceBlock`] each.
     pub blocks: View,
-    /// How many there are.
+    /// The number of blocks.
     pub count: u32,
     /// Words of the largest.
     pub largest: u32,

@@ -22,8 +22,8 @@ pub trait Filter {
 /// Fields of a block that are there at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FieldCount {
-    /// In the memory of a thread.
+    /// Fields in the memory of a thread.
     pub host: u64,
-    /// In buffers of a device, which are used again as soon as nobody refers to them.
+    /// Fields in buffers of a device, which are used again as soon as nobody refers to them.
     pub device: u64,
 }

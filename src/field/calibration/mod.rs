@@ -29,7 +29,7 @@ pub enum Calibration {
     Indicator {
         /// `mu0`, where the indicator counts.
         mean: Option<MeanCount>,
-        /// Where the surface is.
+        /// The isovalue: the field's value where the surface is.
         iso: Isovalue,
     },
     /// The calibration of clouds.
@@ -62,7 +62,7 @@ impl Calibration {
 /// A calibration that was measured on a frame, and what it was told by.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Calibrated {
-    /// Measured, or given.
+    /// The calibration, as far as it was not given.
     pub calibration: Calibration,
     /// The field's interior, measured whether or not the isovalue was given.
     pub plateau: Plateau,

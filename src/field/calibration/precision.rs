@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use crate::field::blur::Smoothing;
 use crate::field::indicator::{Indicator, IndicatorKind, IndicatorRequest, SampledDif};
-use crate::grid::units::{MeanCount, Sigma};
+use crate::grid::units::{MeanCount, Sigma, shown};
 
 use super::Plateau;
 use super::expected::expected;
@@ -41,7 +41,7 @@ pub enum TooFine {
     #[error(
         "cells of {} are too fine for a field of 16 bits: deep in the fluid it is {plateau:.1} of 65535, a step of which moves the \
          surface by {step_cells:.3} cells, where {COARSEST_STEP} are allowed; {remedy}",
-        digits(*cell_size)
+        shown(*cell_size)
     )]
     Steps {
         /// Edge of a cell.
@@ -56,7 +56,7 @@ pub enum TooFine {
     /// Cells so fine that even drops need none finer.
     #[error(
         "cells of {} are less than {FINEST} spacings, which no surface of particles needs: use cells of {} or more",
-        digits(*cell_size), roundly_above(FINEST * spacing)
+        shown(*cell_size), shown(roundly_above(FINEST * spacing))
     )]
     Finest {
         /// Edge of a cell.
@@ -68,7 +68,7 @@ pub enum TooFine {
     #[error(
         "cells of {} are too fine for symmetry, which sees particles in one of eight of them at the most: use cells of {} or \
          more",
-        digits(*cell_size), roundly_above(FINEST_OF_SYMMETRY * spacing)
+        shown(*cell_size), shown(roundly_above(FINEST_OF_SYMMETRY * spacing))
     )]
     Symmetry {
         /// Edge of a cell.
@@ -90,7 +90,7 @@ pub enum Remedy {
 impl fmt::Display for Remedy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Cells(size) => write!(f, "use cells of {size} or more"),
+            Self::Cells(size) => write!(f, "use cells of {} or more", shown(*size)),
             Self::Origin([x, y, z]) => write!(
                 f,
                 "its particles lie on corners of cells, where symmetry sees next to nothing: move the grid's origin to \
@@ -205,14 +205,5 @@ fn fitting(from: f64, step_cells: impl Fn(f64) -> f64) -> f64 {
 
 /// A length of three digits that is a little more.
 fn roundly_above(length: f64) -> f64 {
-    rounded(format!("{:.2e}", 1.01 * length))
-}
-
-/// A length with as many digits as tell something.
-fn digits(length: f64) -> f64 {
-    rounded(format!("{length:.4e}"))
-}
-
-fn rounded(text: String) -> f64 {
-    text.parse().expect("a number")
+    format!("{:.2e}", 1.01 * length).parse().expect("a number")
 }

@@ -73,7 +73,7 @@ pub fn spline(level: u32, place: u32) -> [u32; 3] {
 /// A width under which clouds are smoothed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Width {
-    /// In wide cells.
+    /// The filter, in wide cells.
     pub kernel: Kernel,
     /// The standard deviation of what it makes of a particle, in 4096ths of a spacing.
     pub spacings: i32,
@@ -146,7 +146,7 @@ pub struct Drops {
     pub spread: Kernel,
     /// Fraction bits of a share, before it is spread.
     pub bits: u32,
-    /// In units.
+    /// The radius of a particle alone, in units.
     pub radius: i32,
     /// The standard deviation, in units.
     pub width: i32,

@@ -80,7 +80,7 @@ pub enum Content {
 pub struct PageRule {
     /// The samples that are stored.
     pub content: Content,
-    /// How it is stored.
+    /// The bricks that pages are stored in.
     pub side: BrickSide,
     /// Walls, if the fluid is in a tank.
     pub walls: Option<CellBox>,

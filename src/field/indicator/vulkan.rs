@@ -20,7 +20,7 @@ pub const CLOUD_SAMPLES: u32 = 1728;
 pub struct BinEntry {
     /// The number of the bin's first particle.
     pub first: u32,
-    /// How many there are.
+    /// The number of the bin's particles.
     pub count: u32,
     /// Where it is, in bins.
     pub coord: [i32; 3],

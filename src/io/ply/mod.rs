@@ -7,7 +7,7 @@ mod header;
 mod read;
 mod write;
 
-pub use read::{has_faces, read_mesh, read_particles};
+pub use read::{has_faces, read_mesh, read_particles, read_points};
 pub use write::write_mesh;
 
 /// Properties that together are one attribute of three components.

@@ -14,7 +14,21 @@ use crate::surface::mesh::Mesh;
 use super::header::{Element, Encoding, Header, Property};
 use super::{GROUPS, NORMAL};
 
-/// Reads the rows of `vertex` as particles: binary ones stay where they are, text becomes columns of f64.
+/// Reads a file of particles, by [`read_points`].
+///
+/// # Errors
+/// [`ReadFault::Mesh`] where there are faces, and those of [`read_points`].
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let header = Header::parse(&bytes)?;
+    let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
+    let counts = header.elements.iter().filter(is_of_mesh).map(|element| element.count as u64);
+    match counts.fold(0, u64::saturating_add) {
+        0 => points(bytes, &header, unpacking),
+        faces => Err(ReadFault::Mesh { faces }),
+    }
+}
+
+/// Reads the rows of `vertex` as particles, whatever faces there are: binary ones stay where they are, text becomes columns of f64.
 ///
 /// x, y and z may stand anywhere among the properties. vx, vy and vz (`velocity_x`, `vel_x`, ...) are the
 /// attribute `velocity`, nx, ny and nz `normal`; properties `a_0`, `a_1`, ... that follow each other are one
@@ -25,14 +39,18 @@ use super::{GROUPS, NORMAL};
 /// rows than the header counts, [`ReadFault::Malformed`] where there are no vertices with x, y and z, and
 /// [`ReadFault::Unsupported`] for lists on vertices; [`ReadFault::Scratch`] where text is decoded into a scratch
 /// file that fails.
-pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = Header::parse(&bytes)?;
+    points(bytes, &header, unpacking)
+}
+
+fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = match header.encoding {
         Encoding::Ascii => "PLY, ASCII",
         Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
-    Ok(vertices(&bytes, &header, unpacking)?.into_particles(bytes, format))
+    Ok(vertices(&bytes, header, unpacking)?.into_particles(bytes, format))
 }
 
 /// Whether there are faces, so that the file is a mesh rather than particles. Reads the header only.
@@ -46,7 +64,7 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 /// Reads vertices and faces; polygons of more than three corners are fanned from their first.
 ///
 /// # Errors
-/// As [`read_particles`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not there,
+/// As [`read_points`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not there,
 /// and [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let header = Header::parse(bytes)?;

@@ -8,5 +8,5 @@ mod layout;
 mod read;
 mod write;
 
-pub use read::{has_faces, read_mesh, read_particles};
+pub use read::{has_faces, read_mesh, read_particles, read_points};
 pub use write::write_mesh;

@@ -11,7 +11,21 @@ use crate::surface::mesh::Mesh;
 
 use super::layout::{Array, CellKind, Cells, Corners, Layout};
 
-/// Reads the points as particles: binary arrays stay where they are, text becomes columns of f64.
+/// Reads a file of particles, by [`read_points`].
+///
+/// # Errors
+/// [`ReadFault::Mesh`] where a cell has an area or a volume, and those of [`read_points`].
+pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let layout = Layout::parse(&bytes)?;
+    let sum = |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
+    let faces = faces(&bytes, &layout).try_fold(0, sum)?;
+    if faces > 0 {
+        return Err(ReadFault::Mesh { faces });
+    }
+    points(bytes, &layout, unpacking)
+}
+
+/// Reads the points as particles, whatever cells are made of them: binary arrays stay where they are, text becomes columns of f64.
 ///
 /// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program knows. Strings,
 /// bits, colours, and what cells carry are passed over. The file's own `TIME` or `TimeValue` is the time.
@@ -21,36 +35,44 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout};
 /// file [`ReadFault::Line`]) for what is no section, or sections that disagree, and [`ReadFault::Unsupported`]
 /// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`; [`ReadFault::Scratch`] where text is decoded into a
 /// scratch file that fails.
-pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
+    points(bytes, &layout, unpacking)
+}
+
+fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
     let time = layout.time.as_ref().and_then(|array| number(&bytes, layout.ascii, array));
-    let vertices = vertices(&bytes, &layout, unpacking)?;
+    let vertices = vertices(&bytes, layout, unpacking)?;
     Ok(ParticleFile { time: time.filter(|time| time.is_finite()), ..vertices.into_particles(bytes, format) })
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
 ///
 /// # Errors
-/// As [`read_particles`].
+/// As [`read_points`].
 pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
-    let layout = Layout::parse(&bytes)?;
-    if layout.cells.iter().any(|cells| cells.kind != CellKind::Typed && cells.corners.cells() > 0) {
-        return Ok(true);
-    }
-    for kind in layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types)) {
-        if !is_thin(kind?) {
+    for found in faces(bytes, &Layout::parse(&bytes)?) {
+        if found? > 0 {
             return Ok(true);
         }
     }
     Ok(false)
 }
 
+/// The numbers of cells that have an area or a volume, of which the sum is theirs.
+fn faces<'a>(bytes: &'a [u8], layout: &'a Layout) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
+    let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
+    let types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
+    let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
+    untyped.chain(types.map(|kind| Ok(u64::from(!is_thin(kind?)))))
+}
+
 /// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of more than
 /// three corners are fanned from their first. Vertices and lines are ignored.
 ///
 /// # Errors
-/// As [`read_particles`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
+/// As [`read_points`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
 /// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let layout = Layout::parse(&bytes)?;

@@ -11,18 +11,22 @@ use super::NORMALS;
 use super::data::Decoder;
 use super::layout::{DataSet, Layout, Section, TIME};
 
-/// Reads the points as particles, whatever cells are made of them: arrays that are appended raw stay where they
+/// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
 ///
 /// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time.
 ///
 /// # Errors
-/// [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do
+/// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do
 /// not unpack, or unpack beyond all reason; [`ReadFault::Unsupported`] for other compressors than zlib, several
 /// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they are decoded
 /// into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
+    let faces = layout.polygons.saturating_add(layout.strips) as u64;
+    if faces > 0 {
+        return Err(ReadFault::Mesh { faces });
+    }
     let format = match layout.data_set {
         DataSet::PolyData => "VTK XML .vtp",
         DataSet::UnstructuredGrid => "VTK XML .vtu",

@@ -137,7 +137,10 @@ fn drawn(
     if checked.reduction.is_none() {
         return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
     }
+    checked.go_on()?;
+    resources.control.begins(Stage::Simplifying);
     let simplified = simplified(surface, &checked.reduction, &report.facts, share, resources, timings)?;
+    resources.control.ends(Stage::Simplifying);
     report.dropped = Some(simplified.dropped());
     Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
 }

@@ -91,7 +91,7 @@ impl BlockMesh {
 pub struct BlockMesh {
     /// The block's coordinates, counted in blocks.
     pub block: IVec3,
-    /// In Morton order.
+    /// The tiles that vertices are in, in Morton order.
     pub tiles: Vec<Tile>,
     /// For every vertex what it keeps of its edge: the field at the lower and the upper end, or a fraction.
     pub ends: Vec<[u16; 2]>,

@@ -19,9 +19,9 @@ const CHUNK: usize = 1 << 14;
 /// How often a defect occurs, and where first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Found<T> {
-    /// How often.
+    /// The number of times that the defect occurs.
     pub count: usize,
-    /// The first in the order of the vertices or triangles.
+    /// The place of the first, in the order of the vertices or triangles.
     pub first: Option<T>,
 }
 
@@ -90,19 +90,19 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// No edge is on a boundary.
+    /// Whether no edge is on a boundary.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.boundary_edges.is_none()
     }
 
-    /// No edge is run along twice the same way. (Of three triangles at an edge two must.)
+    /// Whether no edge is run along twice the same way. (Of three triangles at an edge two must.)
     #[must_use]
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()
     }
 
-    /// All triangles are sound, no edge has more than two, and those at a vertex form one fan.
+    /// Whether all triangles are sound, no edge has more than two, and those at a vertex form one fan.
     #[must_use]
     pub fn is_manifold(&self) -> bool {
         self.out_of_range.is_none()
@@ -111,7 +111,7 @@ impl Topology {
             && self.pinched_vertices.is_none()
     }
 
-    /// All of these: every directed edge occurs once, and so does its reverse.
+    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge occurs once, and so does its reverse.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
         self.is_closed() && self.is_oriented() && self.is_manifold()
@@ -132,9 +132,9 @@ impl Topology {
 /// The findings of [`check`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// All of them, referenced or not.
+    /// The number of vertices, referenced or not.
     pub vertices: usize,
-    /// All of them, sound or not.
+    /// The number of triangles, sound or not.
     pub triangles: usize,
     /// How the triangles hang together.
     #[serde(flatten)]

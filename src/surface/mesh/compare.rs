@@ -47,26 +47,26 @@ pub struct Comparison {
 /// Distances from samples of one surface to the other surface.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Distances {
-    /// The greatest, vertices included.
+    /// The greatest distance, vertices included.
     pub max: f64,
-    /// The sample that has it.
+    /// The sample that has the greatest distance.
     pub farthest: [f64; 3],
-    /// Mean by area.
+    /// Mean distance by area.
     pub mean: f64,
-    /// Root of the mean square by area.
+    /// Root mean square of the distances by area.
     pub rms: f64,
-    /// Samples spread by area.
+    /// The number of samples spread by area.
     pub samples: usize,
-    /// Vertices, which are samples for the greatest distance only.
+    /// The number of vertices, which are samples for the greatest distance only.
     pub vertices: usize,
 }
 
 /// One of the two meshes that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// The one compared to.
+    /// The mesh that is compared to.
     Reference,
-    /// The other.
+    /// The mesh that is compared.
     Mesh,
 }
 

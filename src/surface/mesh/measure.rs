@@ -29,15 +29,15 @@ pub const ANGLE_CLASSES: usize = 12;
 pub struct Measures {
     /// Least and greatest corner, of the vertices that triangles use; none for an empty mesh.
     pub bounds: Option<[[f64; 3]; 2]>,
-    /// Square of the unit of length.
+    /// The area of all triangles, in the square of the unit of length.
     pub area: f64,
-    /// Cube of the unit of length, negative where triangles face inwards. None unless closed and oriented.
+    /// The enclosed volume, in the cube of the unit of length, negative where triangles face inwards. None unless closed and oriented.
     pub volume: Option<f64>,
     /// Pieces that share no vertex.
     pub components: usize,
     /// Components that enclose next to nothing, as two triangles back to back.
     pub flat_components: usize,
-    /// Vertices - edges + triangles, of those vertices that triangles use.
+    /// The Euler characteristic: vertices - edges + triangles, of those vertices that triangles use.
     pub euler_characteristic: i64,
     /// Handles, of all components together. None unless closed, oriented and 2-manifold.
     pub genus: Option<i64>,
@@ -52,11 +52,11 @@ pub struct Quality {
     pub least_angles: [usize; ANGLE_CLASSES],
     /// The least angle of all, in degrees; none for an empty mesh.
     pub worst_angle: Option<f64>,
-    /// The triangle that has it, by its number.
+    /// The number of the triangle that has the least angle.
     pub worst_triangle: Option<usize>,
     /// Mean of the least angles, in degrees; none for an empty mesh.
     pub mean_angle: Option<f64>,
-    /// Longest edge over shortest height, 1 for an equilateral triangle; the greatest of the triangles
+    /// The worst aspect ratio, longest edge over shortest height, 1 for an equilateral triangle; the greatest of the triangles
     /// with an area, none if there are no such.
     pub worst_aspect: Option<f64>,
     /// Triangles without area.

@@ -28,7 +28,7 @@ pub struct VertexAttribute {
 /// Positions are f64, so a surface far from the origin keeps its shape; writers choose the width.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// In the particles' unit of length.
+    /// The vertices' positions, in the particles' unit of length.
     pub positions: Vec<[f64; 3]>,
     /// Indices into `positions`.
     pub triangles: Vec<[u32; 3]>,

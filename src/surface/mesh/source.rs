@@ -13,7 +13,7 @@ const PIECE: usize = 1 << 14;
 /// The vertices of a piece.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Vertices<'a> {
-    /// In the particles' unit of length.
+    /// The vertices' positions, in the particles' unit of length.
     pub positions: Cow<'a, [[f64; 3]]>,
     /// One a vertex, or none at all.
     pub normals: Cow<'a, [[f32; 3]]>,

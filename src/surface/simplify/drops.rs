@@ -28,7 +28,7 @@ pub struct Dropped {
 }
 
 impl Dropped {
-    /// All of them.
+    /// All components that are left out.
     #[must_use]
     pub fn total(self) -> u64 {
         self.components + self.drops

@@ -9,7 +9,7 @@ use super::topology::{Outside, Topology};
 /// A part of a surface. Its border, where other parts go on, stays as it is.
 #[derive(Clone, Copy)]
 pub struct Patch<'a> {
-    /// In cells; no two alike.
+    /// The places of the vertices in cells; no two alike.
     pub positions: &'a [Vec3A],
     /// The surface that the result must not leave.
     pub reference: &'a [[u32; 3]],

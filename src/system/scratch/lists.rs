@@ -69,7 +69,7 @@ impl<T: Pod> Lists<T> {
         Ok(())
     }
 
-    /// How many lists there are.
+    /// The number of lists.
     #[must_use]
     pub fn len(&self) -> usize {
         self.index.len()
