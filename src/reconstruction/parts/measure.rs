@@ -16,7 +16,7 @@ use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::checked::{Checked, Ready};
 use crate::reconstruction::warning::mean_symmetry;
-use crate::reconstruction::{ChosenSampling, Origin};
+use crate::reconstruction::{ChosenSampling, Source};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
@@ -106,8 +106,8 @@ impl Parts {
         let measured = threads.install(|| {
             let file = open_particles(input, checked.unpacking())?;
             timings.done("open");
-            let origin = Origin { path: Some(input), spacing: file.spacing };
-            let chosen = checked.choose(&file.particles, origin)?;
+            let source = Source { path: Some(input), spacing: file.spacing };
+            let chosen = checked.choose(&file.particles, source)?;
             timings.done("spacing");
             self.sampled(checked, asked, file, chosen, before, timings)
         });

@@ -61,7 +61,9 @@ impl Parts {
         let mut drawn = drawn?;
         drawn.report.timings = timings;
         let asked = checked.asked.clone();
-        Ok(Surface { drawn, threads: Arc::clone(&threads), asked, particles_up: usual_up(&self.input) })
+        let control = checked.resources.control.clone();
+        let (threads, particles_up) = (Arc::clone(&threads), usual_up(&self.input));
+        Ok(Surface { drawn, threads, asked, particles_up, control })
     }
 }
 
