@@ -15,7 +15,8 @@
 //! ```
 //!
 //! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; [`Reconstruction::sample`] gives a
-//! [`Frame`], which is sampled once and drawn as often as one likes. The frames of a simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
+//! [`Frame`], which is sampled once and drawn as often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a
+//! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
 //! fails is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
 //!
 //! ```text
@@ -62,6 +63,8 @@ pub mod guide {
     pub mod gpus {}
     #[doc = include_str!("reconstruction/limits.md")]
     pub mod limits {}
+    #[doc = include_str!("reconstruction/parts/parts.md")]
+    pub mod machines {}
     #[doc = include_str!("io/mnf/packed.md")]
     pub mod packed {}
     #[doc = include_str!("reconstruction/periodic.md")]
@@ -181,7 +184,8 @@ pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
 pub use particles::{Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, Frame, Needs, Opened, Reconstruction, Report, SpacingSource, Surface, Warning,
+    Cells, Doubt, Emptiness, Frame, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
+    Reconstruction, Report, SpacingSource, Surface, Warning,
 };
 pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation, Missing, Simulation, Summary,

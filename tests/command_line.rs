@@ -879,8 +879,17 @@ fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
     assert!(summary.lines().count() <= 50, "{} lines", summary.lines().count());
     let headings = help.lines().filter(|line| line.ends_with(':') && !line.starts_with(' '));
     let headings: Vec<&str> = headings.collect();
-    let expected =
-        ["Arguments:", "Options:", "Input:", "Surface:", "Output:", "Sequences:", "Messages:", "Machine:"];
+    let expected = [
+        "Arguments:",
+        "Options:",
+        "Input:",
+        "Surface:",
+        "Output:",
+        "Sequences:",
+        "Clusters:",
+        "Messages:",
+        "Machine:",
+    ];
     let mut sorted = headings.clone();
     sorted.sort_unstable();
     assert_eq!(sorted, {

@@ -12,8 +12,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hashbrown::HashMap;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::grid::stretch::WantedBins;
 use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
@@ -116,7 +118,7 @@ pub enum BinError {
 }
 
 /// How many particles went where.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Census {
     /// Particles that are in a bin, and so in the field.
     pub binned: usize,
@@ -172,8 +174,36 @@ impl<'a> BinPlan<'a> {
         invalid: InvalidParticles,
         room: CountingRoom,
     ) -> Result<Self, BinError> {
-        let limit = room.bins;
-        let placer = Placer { grid, domain };
+        Self::of_placed(particles, Placer { grid, domain, wanted: None }, invalid, room)
+    }
+
+    /// Counts the particles of some bins alone, of which all that are invalid have been refused or skipped before: nothing is
+    /// known of the others, not even their number.
+    ///
+    /// # Errors
+    /// [`BinError::TooManyBins`].
+    pub fn count_wanted(
+        particles: &(impl Particles + ?Sized),
+        grid: &'a Grid,
+        domain: Option<&'a Domain>,
+        wanted: WantedBins,
+        room: CountingRoom,
+    ) -> Result<Self, BinError> {
+        Self::of_placed(
+            particles,
+            Placer { grid, domain, wanted: Some(wanted) },
+            InvalidParticles::Skip,
+            room,
+        )
+    }
+
+    fn of_placed(
+        particles: &(impl Particles + ?Sized),
+        placer: Placer<'a>,
+        invalid: InvalidParticles,
+        room: CountingRoom,
+    ) -> Result<Self, BinError> {
+        let (limit, grid) = (room.bins, placer.grid);
         let ranges = ranges(particles.len());
         let counter = Counter { placer, room, stop: AtomicBool::new(false) };
         let counts: Vec<RangeCount> =
@@ -476,7 +506,7 @@ impl Counter<'_> {
                 if kept {
                     places.push(pack_place((rank, record)));
                 }
-                if rank != NOWHERE {
+                if rank != NOWHERE || self.placer.wanted.is_some() {
                     continue;
                 }
                 if let Err(fault) = self.placer.place(positions[i]) {

@@ -54,7 +54,13 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
 pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
     let wide = walls.map_or(wide, |walls| wide.intersection(&halved_box(walls)));
-    if wide.is_empty() { CellBox::EMPTY } else { CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 } }
+    if wide.is_empty() { CellBox::EMPTY } else { halved_from_box(wide) }
+}
+
+/// The finer cells of which a box of wide cells is made, away from walls.
+#[must_use]
+pub fn halved_from_box(wide: CellBox) -> CellBox {
+    CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 }
 }
 
 /// Makes the pages of wide cells.

@@ -46,6 +46,11 @@ struct Counts {
 }
 
 impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
+    /// Takes particles as they are.
+    pub fn none(particles: &'a P) -> Self {
+        Self { particles, images: None }
+    }
+
     /// Counts the images of particles, if their box is periodic: reads all of them once.
     ///
     /// # Errors
@@ -57,7 +62,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         periodic: Option<&'a Periodic>,
         invalid: InvalidParticles,
     ) -> Result<Self, BinError> {
-        let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
+        let Some(periodic) = periodic else { return Ok(Self::none(particles)) };
         let images = Images { grid, domain, periodic, before: Vec::new(), astray: 0 };
         let mut before = Vec::new();
         let (counts, groups) = (Counts::default(), particles.len().div_ceil(GROUP));
@@ -115,7 +120,7 @@ impl Images<'_> {
     /// Where a particle is between the faces, and its steps; `None` outside of the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, Misplaced> {
         let inside = self.periodic.inside(position).map_err(Misplaced::Astray)?;
-        let placer = Placer { grid: self.grid, domain: self.domain };
+        let placer = Placer { grid: self.grid, domain: self.domain, wanted: None };
         let steps = placer.place(inside).map_err(Misplaced::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }

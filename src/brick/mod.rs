@@ -24,7 +24,7 @@ pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use binned::BinnedParticles;
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, unpack};
 pub use block::Block;
-pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from};
+pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from, halved_from_box};
 pub use elsewhere::{Elsewhere, Factor};
 pub use facts::FrameFacts;
 pub use field::DifField;

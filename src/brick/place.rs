@@ -5,6 +5,7 @@ use std::ops::Range;
 use glam::IVec3;
 use multiversion::multiversion;
 
+use crate::grid::stretch::WantedBins;
 use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
 use crate::particles::Particles;
 
@@ -58,6 +59,42 @@ pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
 pub(super) struct Placer<'a> {
     pub grid: &'a Grid,
     pub domain: Option<&'a Domain>,
+    /// Particles in other bins are nowhere; `None` for those in all.
+    pub wanted: Option<WantedBins>,
+}
+
+/// Leaves particles out that are in no bin that is wanted.
+struct Sieve {
+    wanted: WantedBins,
+    /// A direct-mapped cache: of all bins that are so many apart along each axis, whether that is wanted which was last asked for.
+    known: Vec<(BinCode, bool)>,
+}
+
+impl Sieve {
+    /// Low bits of a bin's coordinate along each axis that index the cache.
+    const BITS: u32 = 4;
+
+    fn new(wanted: WantedBins) -> Self {
+        Self { wanted, known: vec![(BinCode::MAX, false); 1 << (3 * Self::BITS)] }
+    }
+
+    #[inline(always)]
+    fn holds(&mut self, bin: BinCode) -> bool {
+        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << Self::BITS) - 1);
+        let known = &mut self.known[axis(0) | axis(1) << Self::BITS | axis(2) << (2 * Self::BITS)];
+        if known.0 != bin {
+            *known = (bin, self.wanted.hold(bin_coord(bin)));
+        }
+        known.1
+    }
+
+    fn keep(&mut self, addresses: &mut [Address]) {
+        for address in addresses {
+            if address.is_somewhere() && !self.holds(address.bin) {
+                *address = Address::NOWHERE;
+            }
+        }
+    }
 }
 
 impl Placer<'_> {
@@ -87,6 +124,7 @@ impl Placer<'_> {
         let bounds = Bounds::of(self);
         let mut positions = vec![[0.0; 3]; CHUNK];
         let mut addresses = vec![Address::NOWHERE; CHUNK];
+        let mut sieve = self.wanted.map(Sieve::new);
         for first in range.clone().step_by(CHUNK) {
             let count = CHUNK.min(range.end - first);
             particles.positions(first, &mut positions[..count]);
@@ -97,6 +135,9 @@ impl Placer<'_> {
                 for (address, &position) in addresses.iter_mut().zip(&positions[..count]) {
                     *address = self.place(position).ok().flatten().map_or(Address::NOWHERE, Address::of);
                 }
+            }
+            if let Some(sieve) = &mut sieve {
+                sieve.keep(&mut addresses[..count]);
             }
             each(first, &positions[..count], &addresses[..count])?;
             let done = first + count;
@@ -195,7 +236,7 @@ mod tests {
         let mut positions: Vec<[f64; 3]> =
             (0..CHUNK as i64).map(|i| std::array::from_fn(|axis| world(i, axis))).collect();
         for domain in [None, Some(&walls)] {
-            let placer = Placer { grid: &grid, domain };
+            let placer = Placer { grid: &grid, domain, wanted: None };
             if domain.is_some() {
                 positions.iter_mut().for_each(|p| *p = p.map(|x| x.clamp(-3.1, 40.0)));
             }

@@ -1,5 +1,6 @@
 //! Every error of the library, with the file that it concerns, and whose fault it is.
 
+mod parts;
 mod setting;
 mod simulation;
 
@@ -20,6 +21,7 @@ pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
+pub use parts::PartsError;
 pub use setting::{Conflict, Setting, Unfit};
 pub use simulation::{FPS, SequenceError};
 
@@ -74,6 +76,9 @@ pub enum Error {
     /// A simulation that cannot be begun or gone on with.
     #[error(transparent)]
     Sequence(#[from] SequenceError),
+    /// A mesh that is made in parts.
+    #[error(transparent)]
+    Parts(#[from] PartsError),
     /// A mesh that cannot be compared.
     #[error("{}: {fault}", path.display())]
     Mesh {
@@ -212,6 +217,14 @@ impl Error {
             Self::Sequence(SequenceError::NoFrames(_)) => Cause::Input,
             Self::Sequence(SequenceError::Io { .. }) => Cause::Output,
             Self::Sequence(_) => Cause::Request,
+            Self::Parts(
+                PartsError::Changed { .. }
+                | PartsError::Missing { .. }
+                | PartsError::Damaged { .. }
+                | PartsError::Foreign(_),
+            ) => Cause::Input,
+            Self::Parts(PartsError::Io { .. }) => Cause::Output,
+            Self::Parts(_) => Cause::Request,
             Self::Vulkan(_) | Self::Frame { fault: FrameError::Vulkan(_), .. } => Cause::Device,
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,

@@ -32,6 +32,7 @@ pub enum Setting {
     Compression,
     Up,
     Backend,
+    Parts,
 }
 
 impl fmt::Display for Setting {
@@ -56,6 +57,7 @@ impl fmt::Display for Setting {
             Self::Compression => "compression",
             Self::Up => "another axis that points up",
             Self::Backend => "a device",
+            Self::Parts => "a mesh in parts",
         })
     }
 }
@@ -70,6 +72,8 @@ pub enum Conflict {
     Baseline(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
+    /// Another setting.
+    Setting(Setting),
     /// A frame that was sampled already, otherwise than is asked for now.
     Sampled,
     /// The format of the mesh.
@@ -102,6 +106,7 @@ impl fmt::Display for Unfit {
             Conflict::Packed(path) => {
                 write!(f, "{}: {setting} needs the particles themselves", path.display())
             }
+            Conflict::Setting(other) => write!(f, "{setting} does not go with {other}"),
             Conflict::Sampled => {
                 write!(f, "{setting} needs the particles themselves, and the frame is sampled already")
             }

@@ -88,6 +88,15 @@ impl Filters {
         }
     }
 
+    /// The cells whose samples decide the field on some cells, and which of those count as inside.
+    #[must_use]
+    pub fn seen(&self, cells: CellBox) -> CellBox {
+        match self {
+            Self::Paper(paper) => cells.grown(paper.halo(), paper.halo()),
+            Self::Distances(distances) => distances.seen(cells),
+        }
+    }
+
     /// The weights of all stages.
     #[must_use]
     pub fn kernels(&self) -> Vec<&Kernel> {

@@ -1,11 +1,15 @@
 //! Particles that are counted: the last moment to say what a frame will take, and to refuse it.
 
+use glam::IVec3;
+
 use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, WithImages};
 use crate::frame::estimate::{Estimate, OverBudget};
-use crate::grid::Grid;
+use crate::grid::stretch::{Stretch, WantedBins};
+use crate::grid::{CellBox, Grid, MortonKey};
 use crate::particles::Particles;
+use crate::surface::mesh::spool::Spool;
 
-use super::{FieldRequest, FrameError, Sampling, Surfacing};
+use super::{FieldRequest, FrameError, Occupied, Sampling, Surfacing};
 
 /// Particles that are counted by bin: what they will take is known, and nothing is stored for them yet.
 pub struct Counted<'a, P: ?Sized> {
@@ -14,6 +18,8 @@ pub struct Counted<'a, P: ?Sized> {
     pub(super) plan: BinPlan<'a>,
     census: Census,
     surfacing: Surfacing,
+    /// The blocks that are going to be meshed.
+    stretch: Stretch,
 }
 
 impl<'a, P: Particles + ?Sized> Counted<'a, P> {
@@ -33,13 +39,7 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let plan = BinPlan::count(&particles, grid, domain, *invalid, room);
         given.check()?;
         let plan = match plan {
-            Err(BinError::TooManyBins { .. }) => {
-                return Err(FrameError::OverBudget(OverBudget {
-                    cell_size: grid.cell_size(),
-                    budget: resources.budget.0,
-                    fitting_cell_size: fitting_cell_size(given, sampling, room),
-                }));
-            }
+            Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
             plan => plan?,
         };
         resources.go_on()?;
@@ -47,7 +47,32 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         if census.binned == 0 {
             return Err(FrameError::NoParticles(census));
         }
-        Ok(Self { particles, sampling, plan, census, surfacing: Surfacing::PLAIN })
+        Ok(Self { particles, sampling, plan, census, surfacing: Surfacing::PLAIN, stretch: Stretch::ALL })
+    }
+
+    /// Counts the particles in some bins alone, of which there may be none; the others have been counted before, and refused or skipped
+    /// if they are invalid.
+    ///
+    /// # Errors
+    /// [`FrameError::OverBudget`].
+    pub fn of_wanted(
+        particles: &'a P,
+        sampling: &'a Sampling,
+        surfacing: &Surfacing,
+        wanted: WantedBins,
+    ) -> Result<Self, FrameError> {
+        let Sampling { grid, domain, resources, .. } = sampling;
+        debug_assert!(sampling.periodic.is_none(), "bins of parts are not wanted beyond the faces of a box");
+        let room = CountingRoom::within(resources.budget.0);
+        let plan = BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room);
+        particles.check()?;
+        let plan = match plan {
+            Err(BinError::TooManyBins { .. }) => return Err(over_budget(particles, sampling, room)),
+            plan => plan?,
+        };
+        resources.go_on()?;
+        let (census, particles) = (plan.census(), WithImages::none(particles));
+        Ok(Self { particles, sampling, plan, census, surfacing: *surfacing, stretch: wanted.stretch })
     }
 
     /// Refuses what such a surface cannot be drawn through, then counts the particles for it.
@@ -69,19 +94,18 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         self.census
     }
 
+    /// The bins that hold particles, in Morton order, and how many each holds.
+    pub fn bins(&self) -> impl Iterator<Item = (MortonKey, usize)> + Clone + '_ {
+        self.plan.keys().iter().copied().zip(self.plan.counts())
+    }
+
     /// Estimates the memory and disk space that the frame will take.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
-        let Sampling { grid, field, side, carried, spacing, resources, .. } = self.sampling;
-        let attributes = self.particles.attributes();
-        let components = carried.iter().map(|&index| attributes[index].components).collect();
-        let drawing = field.drawing(&self.surfacing, *spacing, grid, components);
-        let in_memory = self.particles.resident_bytes() + resources.host_bytes();
-        let shape = field.indicator().map(|asked| asked.kind.shape(*side));
-        let bins = self.plan.keys().iter().copied().zip(self.plan.counts());
-        let estimate = Estimate::of(bins, shape, &drawing, in_memory);
+        let bins = self.bins();
+        let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = Estimate { places: self.plan.places_bytes(), ..estimate };
-        match *field {
+        match self.sampling.field {
             FieldRequest::Indicator(_) => estimate,
             // Kernels are kept until the surface is done, and so are the particles at the most. Images have them as well.
             FieldRequest::Kernels(method) => {
@@ -90,6 +114,53 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
             }
         }
     }
+}
+
+impl Sampling {
+    /// Estimates the memory and disk space that a frame with such bins takes, of which the blocks in a stretch are meshed, but for kernels
+    /// and for places.
+    pub fn estimate(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        surfacing: &Surfacing,
+        bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
+        stretch: Stretch,
+    ) -> Estimate {
+        let Self { grid, field, side, carried, spacing, resources, .. } = self;
+        let attributes = particles.attributes();
+        let components = carried.iter().map(|&index| attributes[index].components).collect();
+        let drawing = field.drawing(surfacing, *spacing, grid, components);
+        let in_memory = particles.resident_bytes() + resources.host_bytes();
+        let shape = field.indicator().map(|asked| asked.kind.shape(*side));
+        let estimate = Estimate::of(bins.clone(), shape, &drawing, in_memory);
+        if stretch == Stretch::ALL {
+            return estimate;
+        }
+        // Of the others none but those next to the blocks that are meshed have a surface there.
+        let near =
+            |bin: IVec3| (CellBox { lo: bin - 1, hi: bin + 2 }).cubes(1).any(|bin| stretch.holds_bin(bin));
+        let meshed = bins.filter(|(bin, _)| near(bin.coord()));
+        Estimate { surface: Estimate::of(meshed, None, &drawing, in_memory).surface, ..estimate }
+    }
+
+    /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many bins that hold particles, are listed
+    /// and nothing else of the frame is there.
+    #[must_use]
+    pub fn merging_share(&self, surfacing: &Surfacing, components: &[usize], blocks: u64, bins: u64) -> u64 {
+        let drawing = self.field.drawing(surfacing, self.spacing, &self.grid, components.to_vec());
+        let estimate = Estimate::of(std::iter::empty(), None, &drawing, self.resources.host_bytes());
+        let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
+        Estimate { index, ..estimate }.surface_share(self.resources.budget)
+    }
+}
+
+/// The error for particles that touch more bins than there is room for.
+fn over_budget(particles: &(impl Particles + ?Sized), sampling: &Sampling, room: CountingRoom) -> FrameError {
+    FrameError::OverBudget(OverBudget {
+        cell_size: sampling.grid.cell_size(),
+        budget: sampling.resources.budget.0,
+        fitting_cell_size: fitting_cell_size(particles, sampling, room),
+    })
 }
 
 /// The smallest doubling of the cell size with which the tables of bins fit.

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::brick::{Bins, unpack};
 use crate::field::calibration::Fullness;
+use crate::grid::stretch::Stretch;
 use crate::grid::{BIN, BLOCK, CellBox, TILE, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
@@ -24,21 +25,51 @@ const FIRST: TileMask = 0x1111_1111_1111_1111;
 
 /// The tiles that hold particles, by bin, and how many particles are in each bin.
 #[derive(Debug, Default)]
-pub(super) struct Occupied {
+pub struct Occupied {
     bins: Vec<(IVec3, u32, TileMask)>,
     /// The cells whose particles count, where those of others are images.
     own: Option<CellBox>,
     full: Fullness,
 }
 
+/// A bin that holds particles, as it is kept in a file.
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct OccupiedBin {
+    bin: [i32; 3],
+    particles: u32,
+    tiles: TileMask,
+}
+
+impl FromIterator<OccupiedBin> for Occupied {
+    fn from_iter<T: IntoIterator<Item = OccupiedBin>>(bins: T) -> Self {
+        let bin = |OccupiedBin { bin, particles, tiles }| (bin.into(), particles, tiles);
+        Self { bins: bins.into_iter().map(bin).collect(), ..Self::default() }
+    }
+}
+
 impl Occupied {
+    /// Bytes of memory that a bin takes while it is found how many particles are lost.
+    pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
+
     /// Begins with none; particles outside of `own` cells, if those are given, are images that do not count.
-    pub fn among(own: Option<CellBox>) -> Self {
+    pub(super) fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
     }
 
+    /// The bins in a stretch of blocks.
+    pub fn within(&self, stretch: Stretch) -> impl Iterator<Item = OccupiedBin> + '_ {
+        let held = self.bins.iter().filter(move |(bin, ..)| stretch.holds_bin(*bin));
+        held.map(|&(bin, particles, tiles)| OccupiedBin { bin: bin.to_array(), particles, tiles })
+    }
+
+    /// Adds other bins.
+    pub fn join(&mut self, other: Self) {
+        self.bins.extend(other.bins);
+    }
+
     /// Adds what bins hold.
-    pub fn add(&mut self, bins: &Bins) -> io::Result<()> {
+    pub(super) fn add(&mut self, bins: &Bins) -> io::Result<()> {
         let of_bin = |bin: usize| {
             let contents = bins.contents(bin)?;
             let coord = bins.keys()[bin].coord();
@@ -72,12 +103,19 @@ impl Occupied {
     }
 
     /// How full cells are: all that hold particles, which are so many unless some are images.
-    pub fn fullness(&self, all_cells: u64) -> Fullness {
+    pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
         Fullness { cells: if self.own.is_some() { self.full.cells } else { all_cells }, ..self.full }
     }
 
+    /// How many times as many particles there are, at the least, as particles so many cells apart leave room for in the tiles that they
+    /// are in.
+    #[must_use]
+    pub fn crowding(&self, spacing_cells: f64) -> f64 {
+        self.mean() * (spacing_cells / f64::from(TILE)).powi(3)
+    }
+
     /// Particles of a tile that holds any, on average.
-    pub fn mean(&self) -> f64 {
+    fn mean(&self) -> f64 {
         let sum =
             |of: fn(&(IVec3, u32, TileMask)) -> u32| self.bins.iter().map(|bin| f64::from(of(bin))).sum();
         let (particles, tiles): (f64, f64) = (sum(|bin| bin.1), sum(|bin| bin.2.count_ones()));

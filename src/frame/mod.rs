@@ -20,6 +20,7 @@ mod surface;
 
 pub use counted::Counted;
 pub use error::FrameError;
+pub use lost::{Occupied, OccupiedBin};
 pub use request::{FieldRequest, Sampling, Surfacing};
 pub use resources::Resources;
 pub use shortfall::Shortfall;
@@ -36,7 +37,7 @@ use crate::brick::{Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
 use crate::field::indicator::SampledDif;
 use crate::frame::estimate::Estimate;
-use crate::grid::TILE;
+use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::surface::mesh::source::MeshSource;
@@ -47,7 +48,6 @@ use crate::system::timings::Timings;
 
 use binned::HostBins;
 use kernels::{SampledKernels, kernel_spacing};
-use lost::Occupied;
 use sink::FieldSink;
 use surface::Drawn;
 
@@ -312,8 +312,37 @@ impl Frame {
     /// where it is not known, and 0 of a frame that was sampled before.
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
-        let spacing_cells = self.facts().spacing_cells()?;
-        Some(self.occupied.mean() * (spacing_cells / f64::from(TILE)).powi(3))
+        Some(self.occupied.crowding(self.facts().spacing_cells()?))
+    }
+
+    /// The tiles that hold particles: none of a frame that was sampled before.
+    #[must_use]
+    pub fn occupied(&self) -> &Occupied {
+        &self.occupied
+    }
+
+    /// For each carried attribute, how many particles in a stretch of blocks have no finite value of it.
+    ///
+    /// # Errors
+    /// [`FrameError::Scratch`] where particles are in a scratch file that cannot be read.
+    pub fn lacking_within(&self, stretch: Stretch) -> Result<Vec<u64>, FrameError> {
+        let Some((bins, infos)) = &self.carried else { return Ok(Vec::new()) };
+        let mut lacking = vec![0; infos.len()];
+        // Next to always all have.
+        if bins.without().iter().all(|&without| without == 0) {
+            return Ok(lacking);
+        }
+        for (bin, key) in bins.keys().iter().enumerate() {
+            if !stretch.holds_bin(key.coord()) {
+                continue;
+            }
+            let contents = bins.contents(bin).map_err(self.resources.scratch_error())?;
+            for ((lacking, values), info) in lacking.iter_mut().zip(&contents.attributes).zip(infos) {
+                let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
+                *lacking += values.chunks(info.components).filter(is_lacking).count() as u64;
+            }
+        }
+        Ok(lacking)
     }
 
     /// How many particles at least are in no surface, so far from any that tiles tell. None of a frame that was sampled before.
@@ -334,14 +363,28 @@ impl Frame {
         reduction: &Reduction,
         timings: &mut Timings,
     ) -> Result<Simplified, FrameError> {
-        let particle_cells = self.facts().spacing_cells_or_one().powi(3);
-        let simplified =
-            simplify(surface, reduction, particle_cells, self.surface_share, &self.resources.scratch)
-                .map_err(self.resources.scratch_error())?;
-        timings.done("simplify");
-        if simplified.triangle_count() == 0 {
-            return Err(FrameError::NothingLeft(simplified.dropped()));
-        }
-        Ok(simplified)
+        simplified(surface, reduction, self.facts(), self.surface_share, &self.resources, timings)
     }
+}
+
+/// A surface with what a reduction leaves of it, of whose triangles so many bytes may be in memory.
+///
+/// # Errors
+/// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+pub fn simplified(
+    surface: Stitched,
+    reduction: &Reduction,
+    facts: &FrameFacts,
+    share: u64,
+    resources: &Resources,
+    timings: &mut Timings,
+) -> Result<Simplified, FrameError> {
+    let particle_cells = facts.spacing_cells_or_one().powi(3);
+    let simplified = simplify(surface, reduction, particle_cells, share, &resources.scratch)
+        .map_err(resources.scratch_error())?;
+    timings.done("simplify");
+    if simplified.triangle_count() == 0 {
+        return Err(FrameError::NothingLeft(simplified.dropped()));
+    }
+    Ok(simplified)
 }

@@ -1,5 +1,7 @@
 //! Requests: how a frame is sampled, and how a surface is drawn through it.
 
+use glam::IVec3;
+
 use crate::baselines::Method;
 use crate::brick::{BrickSide, InvalidParticles};
 use crate::field::blur::{Filter, Smoothing};
@@ -8,9 +10,10 @@ use crate::field::distance::{BULK_GAIN, Distances, Inside};
 use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif, WideCells};
 use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
+use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, Sigma, Smooth};
-use crate::grid::{BLOCK, Domain, Grid, Periodic, PeriodicMesh};
-use crate::surface::dual_mc::{Normals, vertices_alone};
+use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::surface::dual_mc::{Normals, dual_cells, vertices_alone};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Resources};
@@ -77,6 +80,20 @@ impl Sampling {
             }
             FieldRequest::Kernels(_) => kernel_spacing(self.spacing, &self.grid).map(drop),
         }
+    }
+
+    /// The cells whose particles decide a block's mesh, by an indicator. No kernel is asked for here.
+    #[must_use]
+    pub fn sight(&self, asked: IndicatorRequest, surfacing: &Surfacing) -> Sight {
+        let block = CellBox::cube(IVec3::ZERO, BLOCK);
+        let filters = surfacing.filters(asked.kind, self.spacing, &self.grid);
+        // A particle leaves something in the cells around its own.
+        let rim = asked.kind.shape(self.side).rim;
+        let of_field = filters.seen(surfacing.normals.cells(block)).grown(rim, rim);
+        let halo = surfacing.attribute_smoothing(asked.kind, self.spacing, &self.grid).halo();
+        let of_attributes =
+            if self.carried.is_empty() { CellBox::EMPTY } else { dual_cells(block).grown(halo, halo) };
+        Sight::new(of_field.union(&of_attributes))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::io;
 use std::sync::Arc;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::backend::{Stages, Surfaces};
@@ -12,7 +13,8 @@ use crate::field::calibration::Calibrated;
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::BLOCKS_A_THREAD;
-use crate::grid::{CellBox, Domain, PeriodicMesh};
+use crate::grid::stretch::Stretch;
+use crate::grid::{BLOCK, CellBox, Domain, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::vertex_values;
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -70,6 +72,11 @@ impl<'a> Drawn<'a> {
     }
 }
 
+/// The block that a region lies in.
+fn block_of(region: &CellBox) -> MortonKey {
+    MortonKey::of(region.lo.div_euclid(IVec3::splat(BLOCK)))
+}
+
 /// A frame of which all is known that its surface needs.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
@@ -106,14 +113,39 @@ impl<'a> CalibratedFrame<'a> {
     pub fn surface(self, timings: &mut Timings) -> Result<Stitched, FrameError> {
         let facts = self.facts;
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
-        let components = attributes.iter().map(|info| info.components).collect();
-        let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
-        self.mesh_blocks(&mut spool)?;
-        timings.done("mesh");
+        let spool = self.blocks(timings)?;
         if spool.is_empty() {
             return Err(self.drawn.nothing);
         }
         Ok(Stitched::new(spool, facts.grid, self.walls, self.drawn.crossings, attributes))
+    }
+
+    /// The meshes of the blocks that the surface passes through, not stitched yet; there may be none.
+    ///
+    /// # Errors
+    /// [`FrameError::Scratch`] where scratch files fail.
+    pub fn blocks(&self, timings: &mut Timings) -> Result<Spool, FrameError> {
+        let infos = self.carried.map_or(&[][..], |(_, infos)| infos);
+        let components = infos.iter().map(|info| info.components).collect();
+        let mut spool = Spool::in_memory(self.normals == Normals::Gradient, components);
+        self.mesh_blocks(&mut spool)?;
+        timings.done("mesh");
+        Ok(spool)
+    }
+
+    /// The blocks that the surface can pass through, in Morton order, and in how many cells of each.
+    pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
+        self.drawn.regions.iter().map(|cells| (block_of(cells), cells.volume()))
+    }
+
+    /// Leaves only the blocks in a stretch to be meshed.
+    #[must_use]
+    pub fn within(mut self, stretch: Stretch) -> Self {
+        self.drawn.regions.retain(|cells| {
+            let key = block_of(cells);
+            stretch.first <= key && key < stretch.end
+        });
+        self
     }
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file once it exceeds its share of memory. As many

@@ -6,6 +6,7 @@
 
 mod domain;
 mod periodic;
+pub mod stretch;
 pub mod units;
 
 pub use domain::{Domain, DomainError};

@@ -43,6 +43,7 @@ pub mod ply;
 pub mod scan;
 pub mod scene;
 pub mod series;
+pub mod stamp;
 pub mod stl;
 mod text;
 pub mod up;

@@ -13,6 +13,17 @@ use super::Attributes;
 /// Settings by their names, in the words of the program's options.
 pub type Settings = Map<String, Value>;
 
+/// Says what is different now from when a version was asked for some settings, for people; empty where nothing is.
+pub(crate) fn differing(version: &str, kept: &Settings, wanted: &Settings) -> String {
+    let mut names: Vec<&str> = Vec::new();
+    if version != env!("CARGO_PKG_VERSION") {
+        names.push("version");
+    }
+    let keys = kept.keys().chain(wanted.keys().filter(|key| !kept.contains_key(*key)));
+    names.extend(keys.filter(|key| kept.get(*key) != wanted.get(*key)).map(String::as_str));
+    names.join(", ")
+}
+
 /// All settings that show in the bytes of a mesh.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Asked {

@@ -3,6 +3,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize, Serializer};
+
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::Spacings;
 use crate::frame::FieldRequest;
@@ -39,15 +41,20 @@ pub struct Source<'a> {
     pub spacing: Option<f64>,
 }
 
+/// Writes a path down as it is shown: not every one is text.
+fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_str(&path.display())
+}
+
 /// Where a spacing comes from.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SpacingSource {
     /// The caller.
     Given,
     /// The particles' file.
     File,
     /// A scene beside it.
-    Scene(PathBuf),
+    Scene(#[serde(serialize_with = "as_text")] PathBuf),
     /// The particles themselves.
     Estimated,
 }
@@ -64,7 +71,7 @@ impl fmt::Display for SpacingSource {
 }
 
 /// Why a spacing may not be that of the particles.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Doubt {
     /// The particles are of two resolutions.
     TwoResolutions {
@@ -76,6 +83,7 @@ pub enum Doubt {
     /// The scene that lies beside them need not be theirs.
     OtherScene {
         /// The scene's file.
+        #[serde(serialize_with = "as_text")]
         path: PathBuf,
         /// The spacing that it says.
         said: f64,
@@ -120,7 +128,7 @@ impl fmt::Display for Doubt {
 }
 
 /// Edge of the cells of a frame, and the spacing that it was taken from.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cells {
     /// Edge of a cell.

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
-use crate::frame::{Frame as Engine, FrameError};
+use crate::frame::{Frame as Engine, FrameError, Shortfall};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::simplify::Simplified;
 use crate::surface::stitch::Stitched;
@@ -67,17 +67,22 @@ impl Checked {
         let by = known.copied().or(measured.map(|measured| measured.calibration));
         report.calibration = by.filter(|_| report.indicator.is_some());
         report.on_device = engine.on_device();
-        report.warnings.extend(measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso)));
         report.lost = engine.lost(&surface)?;
+        self.judge(&mut report, &surface, engine.shortfall(&surface)?);
+        self.resources.control.ends(Stage::Meshing);
+        Ok((surface, report))
+    }
+
+    /// Adds to a report what there is to doubt of a surface, of which it says already how many particles are in none.
+    pub(super) fn judge(&self, report: &mut Report, surface: &Stitched, shortfall: Option<Shortfall>) {
+        let doubt = report.measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
+        report.warnings.extend(doubt);
         let clouds = report.is_clouds();
         let smoothed = report.indicator.is_some() && !clouds;
         report.warnings.extend(lost_warning(report.lost, report.facts.census.binned, smoothed));
-        let shortfall = engine.shortfall(&surface)?;
         let warning = |shortfall| Warning::Shortfall { shortfall, clouds, measured_on: None };
         report.warnings.extend(shortfall.map(warning));
         report.whole_triangles = surface.triangle_count();
-        self.resources.control.ends(Stage::Meshing);
-        Ok((surface, report))
     }
 
     /// Simplifies a surface, and leaves out components, as far as that was asked for.

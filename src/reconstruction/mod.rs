@@ -2,6 +2,7 @@
 //!
 //! Limits are in `limits.md`, a page of the docs.
 
+pub mod as_numbers;
 mod asked;
 mod attributes;
 mod builder;
@@ -14,6 +15,7 @@ mod lattice;
 mod opened;
 mod orientation;
 mod output;
+mod parts;
 mod report;
 mod request;
 mod run;
@@ -22,6 +24,7 @@ mod warning;
 mod width;
 
 pub use asked::Settings;
+pub(crate) use asked::differing;
 pub use attributes::Attributes;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Doubt, Source, SpacingSource};
@@ -34,6 +37,7 @@ pub use opened::{Needs, Opened};
 pub(crate) use orientation::{Orientation, usual_up};
 pub use output::{Output, Packed, PackedOutput};
 pub(crate) use output::{coordinate_width, refuse_same_file};
+pub use parts::{PartMade, PartShare, PartTakes, Parts, Planned};
 pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest};
 pub use surface::Surface;

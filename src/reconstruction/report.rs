@@ -54,10 +54,23 @@ pub struct Report {
 impl Report {
     /// A report on a frame that is not drawn yet.
     pub(crate) fn of(engine: &Engine, surfacing: &Surfacing) -> Self {
-        let facts = *engine.facts();
         let indicator = engine.dif().map(|sampled| sampled.indicator);
-        let clouds = engine.dif().is_some_and(|sampled| sampled.is_clouds());
-        let of_paper = engine.dif().filter(|sampled| !sampled.is_clouds());
+        Self {
+            kernel_iso: engine.kernels().and_then(|method| method.iso()),
+            warnings: of_frame(engine),
+            ..Self::of_facts(*engine.facts(), indicator, surfacing, engine.backend())
+        }
+    }
+
+    /// A report on a frame of which nothing but this is known yet.
+    pub(crate) fn of_facts(
+        facts: FrameFacts,
+        indicator: Option<Indicator>,
+        surfacing: &Surfacing,
+        backend: String,
+    ) -> Self {
+        let clouds = matches!(indicator, Some(Indicator::Cloud(_)));
+        let of_paper = indicator.filter(|_| !clouds);
         Self {
             cells: None,
             moved: false,
@@ -65,13 +78,13 @@ impl Report {
             smooth: clouds.then(|| surfacing.smooth.spacings()),
             sigma: of_paper.map(|_| surfacing.width(facts.spacing, facts.grid.cell_size()).cells()),
             calibration: None,
-            kernel_iso: engine.kernels().and_then(|method| method.iso()),
+            kernel_iso: None,
             measured: None,
             lost: 0,
             dropped: None,
             whole_triangles: 0,
-            warnings: of_frame(engine),
-            backend: engine.backend(),
+            warnings: Vec::new(),
+            backend,
             on_device: Work::default(),
             threads: rayon::current_num_threads(),
             timings: Timings::default(),

@@ -2,8 +2,9 @@
 
 use std::fmt;
 
+use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
-use crate::field::indicator::IndicatorKind;
+use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Frame as Engine, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
@@ -161,18 +162,34 @@ impl fmt::Display for Warning {
 
 /// Doubts about a frame that was sampled.
 pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
-    let facts = engine.facts();
     let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+    let mean = engine.dif().and_then(mean_symmetry);
+    warnings.extend(of_particles(engine.facts(), engine.crowding(), engine.lacking_attributes(), mean));
+    warnings
+}
+
+/// The mean indicator of full cells, for symmetry.
+pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
+    (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
+}
+
+/// Doubts about particles: by how many times as many there are as have room, by how many lack a value of an attribute, and by
+/// the mean that symmetry makes of them.
+pub(crate) fn of_particles<'a>(
+    facts: &FrameFacts,
+    crowding: Option<f64>,
+    lacking: impl Iterator<Item = (&'a str, usize)>,
+    mean_symmetry: Option<f64>,
+) -> Vec<Warning> {
     let spacing = facts.spacing.unwrap_or_default();
-    let crowded = engine.crowding().filter(|&times| times > CROWDED);
-    warnings.extend(crowded.map(|times| Warning::Crowded { times, spacing }));
-    warnings.extend(engine.lacking_attributes().map(|(name, without)| Warning::Lacking {
+    let crowded = crowding.filter(|&times| times > CROWDED);
+    let mut warnings: Vec<_> = crowded.map(|times| Warning::Crowded { times, spacing }).into_iter().collect();
+    warnings.extend(lacking.map(|(name, without)| Warning::Lacking {
         attribute: name.to_owned(),
         without,
         of: facts.census.binned,
     }));
-    let symmetric = engine.dif().filter(|sampled| sampled.indicator.kind() == IndicatorKind::Symmetry);
-    let mean = symmetric.map(|sampled| sampled.dif.mean_of_full()).filter(|&mean| mean < ON_CORNERS);
+    let mean = mean_symmetry.filter(|&mean| mean < ON_CORNERS);
     warnings.extend(mean.map(|mean| Warning::OnCorners {
         mean,
         origin: (facts.grid.origin() + facts.grid.cell_size() / 2.0).to_array(),

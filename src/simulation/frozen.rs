@@ -1,9 +1,5 @@
 //! Grid and calibration, measured once and the same for every frame.
 
-use std::io;
-use std::path::Path;
-use std::time::UNIX_EPOCH;
-
 use serde::{Deserialize, Serialize};
 
 use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
@@ -11,36 +7,10 @@ use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
 use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
-use crate::io::frame_files::files_of;
+pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
-use crate::reconstruction::{moved, origin_for_lattice};
+use crate::reconstruction::{as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
-
-/// A file's size and time, which tell an input from an earlier one of its name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Stamp {
-    /// Bytes of the file.
-    pub bytes: u64,
-    /// When it was written, in nanoseconds.
-    pub modified: u64,
-}
-
-impl Stamp {
-    /// Takes the stamp of the file as it is now, with all frames that it may hold, and of all its pieces that are there.
-    ///
-    /// # Errors
-    /// Where the system has none.
-    pub fn of(path: &Path) -> io::Result<Self> {
-        let mut all = Self { bytes: 0, modified: 0 };
-        for file in files_of(path) {
-            let metadata = file.metadata()?;
-            let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-            all.bytes += metadata.len();
-            all.modified = all.modified.max(since.as_nanos() as u64);
-        }
-        Ok(all)
-    }
-}
 
 /// Measured on one frame, the same for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -60,47 +30,6 @@ pub struct Frozen {
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,
-}
-
-/// A calibration as the state file has it: mu0 where the indicator counts, and the isovalue as a fraction of 1; or the plateau
-/// of clouds.
-mod as_numbers {
-    use serde::de::Error;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    use crate::field::calibration::Calibration;
-    use crate::grid::units::{Isovalue, MeanCount, UnitError};
-
-    #[derive(Serialize, Deserialize)]
-    struct Numbers {
-        mu0: Option<f64>,
-        isovalue: Option<f64>,
-        plateau: Option<u16>,
-    }
-
-    pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
-        let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
-        let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
-        let plateau = match known {
-            Some(Calibration::Clouds { plateau }) => Some(*plateau),
-            _ => None,
-        };
-        Numbers { mu0, isovalue, plateau }.serialize(to)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
-        let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
-        let calibration = |iso| {
-            let mean = mu0.map(MeanCount::new).transpose()?;
-            Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })
-        };
-        match (plateau, isovalue) {
-            (Some(0), _) => Err(D::Error::custom("a plateau of 0")),
-            (Some(plateau), None) => Ok(Some(Calibration::Clouds { plateau })),
-            (Some(_), Some(_)) => Err(D::Error::custom("both a plateau and an isovalue")),
-            (None, isovalue) => isovalue.map(calibration).transpose().map_err(D::Error::custom),
-        }
-    }
 }
 
 /// Whether the grid may be moved to suit the particles.

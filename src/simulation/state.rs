@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::io::whole::replace_small;
+use crate::reconstruction::differing;
 
 use super::frozen::Frozen;
 use super::records::Log;
@@ -44,13 +45,7 @@ impl State {
     /// The names of the settings that differ from `wanted`, for people; empty where none does.
     #[must_use]
     pub fn differing(&self, wanted: &Settings) -> String {
-        let mut names: Vec<&str> = Vec::new();
-        if self.meniscus != env!("CARGO_PKG_VERSION") {
-            names.push("version");
-        }
-        let keys = self.settings.keys().chain(wanted.keys().filter(|key| !self.settings.contains_key(*key)));
-        names.extend(keys.filter(|key| self.settings.get(*key) != wanted.get(*key)).map(String::as_str));
-        names.join(", ")
+        differing(&self.meniscus, &self.settings, wanted)
     }
 }
 

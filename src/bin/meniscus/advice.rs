@@ -2,8 +2,8 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Conflict, Error, FrameError, IndicatorKind, ReadFault, Remedy, SequenceError, Setting, TooFine,
-    Unfit, UnitError, Unread, WriteFault,
+    BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, SequenceError,
+    Setting, TooFine, Unfit, UnitError, Unread, WriteFault,
 };
 use meniscus::{Doubt, Dropped, Emptiness, Warning};
 
@@ -80,6 +80,7 @@ fn option(setting: Setting) -> &'static str {
         Setting::Attributes => "--attributes",
         Setting::Compression => "--compress",
         Setting::Up => "--up",
+        Setting::Parts => "--parts",
         _ => "an option",
     }
 }
@@ -99,6 +100,7 @@ fn unfit_options(unfit: &Unfit) -> String {
             format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
         }
         (Conflict::Baseline(_), _) => format!("{given} has no meaning for this --method"),
+        (Conflict::Setting(other), _) => format!("{given} does not go with {}", option(*other)),
         (Conflict::Packed(path), _) => format!("{}: {given} needs the particles themselves", path.display()),
         (Conflict::Format { path, .. }, Setting::Compression) => {
             format!("{}: --compress goes with .glb", path.display())
@@ -129,6 +131,12 @@ fn advice(error: &Error) -> String {
         } => {
             return format!(": --origin {}", corner.map(|x| x.to_string()).join(","));
         }
+        Error::Parts(PartsError::NoPlan(_)) => "; --plan makes it",
+        Error::Parts(PartsError::Plan { .. } | PartsError::Settings { .. } | PartsError::Changed { .. }) => {
+            "; --plan with --resume or --overwrite makes another"
+        }
+        Error::Parts(PartsError::Missing { .. }) => "; --part makes them",
+        Error::Parts(PartsError::Damaged { .. } | PartsError::Foreign(_)) => "; --part makes it again",
         Error::Frame { fault, .. } => advice_on_frame(fault),
         _ => "",
     }

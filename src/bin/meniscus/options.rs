@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum, value_parser};
 use meniscus::{Error, Method, PeriodicMesh, Reconstruction, UpAxis};
 
 use crate::method::MethodName;
+use crate::parts_options::PartsOptions;
 use crate::run::RunOptions;
 use crate::sampling::SamplingOptions;
 use crate::sequence_options::SequenceOptions;
@@ -97,6 +98,8 @@ pub struct Options {
     pub stats: Option<PathBuf>,
     #[command(flatten)]
     pub sequence: SequenceOptions,
+    #[command(flatten)]
+    pub parts: PartsOptions,
     #[command(flatten)]
     pub run: RunOptions,
 }

@@ -6,7 +6,9 @@ use bytesize::ByteSize;
 use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
-use meniscus::{Calibrated, Census, Isovalue, Opened, Plateau, Report, Timings, Warning};
+use meniscus::{
+    Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, Timings, Warning,
+};
 
 use crate::advice::{doubted, warned};
 use crate::notes::Notes;
@@ -18,11 +20,22 @@ pub fn report_opened(input: &Path, opened: &Opened, notes: &Notes) {
     if opened.ghosts() > 0 {
         notes.say(format!("{} ghosts left out, copies of particles in other pieces", opened.ghosts()));
     }
-    let Some(cells) = opened.cells() else { return };
-    let by = opened.indicator().map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
+    if let Some(cells) = opened.cells() {
+        report_cells(cells, opened.indicator(), opened.moved_to(), notes);
+    }
+}
+
+/// Says which cells were chosen, for which indicator, and where the grid was moved to.
+pub fn report_cells(
+    cells: &Cells,
+    indicator: Option<IndicatorKind>,
+    moved_to: Option<[f64; 3]>,
+    notes: &Notes,
+) {
+    let by = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
     notes.say(format!("{cells}{by}"));
     cells.doubt.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
-    if let Some(corner) = opened.moved_to() {
+    if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
         notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
     }

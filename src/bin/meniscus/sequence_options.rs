@@ -32,7 +32,8 @@ pub struct SequenceOptions {
     /// Frames a second, for times where the files have none.
     #[arg(long, value_name = "RATE", help_heading = "Sequences", hide_short_help = true)]
     pub fps: Option<f64>,
-    /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop.
+    /// Measure what all frames have in common, write the state file, print the frames' numbers, one a line, and stop; with --parts plan
+    /// these.
     #[arg(long, conflicts_with_all = ["watch", "dry_run"], help_heading = "Sequences", hide_short_help = true)]
     pub plan: bool,
     /// Bars on a terminal, or a line for each frame.
@@ -45,23 +46,31 @@ fn range(text: &str) -> Result<(u64, u64), String> {
     numbers.filter(|(a, b)| a <= b).ok_or_else(|| "two numbers in order, as 100..199".to_owned())
 }
 
+/// Refuses an option that was given, and has no meaning but for sequences.
+fn refuse_of_sequences(options: &[(&str, bool)]) -> Result<(), Error> {
+    match options.iter().find(|(_, given)| *given) {
+        None => Ok(()),
+        Some((name, _)) => Err(Error::Request(format!("{name} needs a sequence: an output with {{}}"))),
+    }
+}
+
 impl SequenceOptions {
     /// Refuses what has no meaning for a single frame.
     pub fn refuse_for_one_frame(&self) -> Result<(), Error> {
-        let given = [
+        refuse_of_sequences(&[("--resume", self.resume), ("--plan", self.plan)])?;
+        self.refuse_for_parts()
+    }
+
+    /// Refuses what has no meaning for a single frame in parts.
+    pub fn refuse_for_parts(&self) -> Result<(), Error> {
+        refuse_of_sequences(&[
             ("--start", self.start.is_some()),
             ("--end", self.end.is_some()),
             ("--step", self.step.is_some()),
             ("--frames", self.frames.is_some()),
-            ("--resume", self.resume),
             ("--watch", self.watch.is_some()),
             ("--fps", self.fps.is_some()),
-            ("--plan", self.plan),
-        ];
-        match given.into_iter().find(|(_, given)| *given) {
-            None => Ok(()),
-            Some((name, _)) => Err(Error::Request(format!("{name} needs a sequence: an output with {{}}"))),
-        }
+        ])
     }
 
     /// Adds these options to the request for a simulation.

@@ -7,6 +7,8 @@
 //!
 //! Where there is no interior (spray, a sheet, a handful of particles), what a fluid of that spacing would have stands in.
 
+use serde::{Deserialize, Serialize};
+
 use crate::brick::equal_steps;
 use crate::field::blur::{Filter, Smoothing, blur};
 use crate::field::distance::{BULK_GAIN, Distances};
@@ -33,7 +35,7 @@ const LEAST: f64 = 256.0;
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Plateau {
     /// Interior cells were found.
     Interior {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::IVec3;
 
+use crate::brick::halved_from_box;
 use crate::field::blur::Kernel;
 use crate::field::indicator::{Amount, RIM, WideCells};
 use crate::grid::units::Smooth;
@@ -66,6 +67,8 @@ pub struct Distances {
     pub drops_level: u32,
     /// Drops.
     pub drops: Drops,
+    /// How far beyond a brick of wide cells others decide whether it is inside.
+    pub inside_reach: i32,
     /// The deep inside, where nothing is made.
     pub inside: Arc<Inside>,
 }
@@ -125,6 +128,7 @@ impl Distances {
             gate: gate(STANDS_OUT, ZERO),
             drops_level: wide.level.saturating_sub(1),
             drops: Drops::new(spacing, wide.level.saturating_sub(1)),
+            inside_reach: Inside::reach(wide.edge),
             inside: Arc::default(),
         }
     }
@@ -193,6 +197,16 @@ impl Distances {
         wide.max(in_wide(self.drops_level, self.drops_halo())) + RIM
     }
 
+    /// The cells whose samples decide the field on some cells, and which of those count as inside.
+    #[must_use]
+    pub fn seen(&self, cells: CellBox) -> CellBox {
+        let wide = self.wide_cells(cells);
+        let bulk = wide.grown(self.wide_halo(), self.wide_halo());
+        let inside = Inside::bricks_around(wide).grown(self.inside_reach, self.inside_reach);
+        let drops = wide_cells(self.drops_level, cells).grown(self.drops_halo(), self.drops_halo());
+        halved_from_all(self.level, bulk.union(&inside)).union(&halved_from_all(self.drops_level, drops))
+    }
+
     /// How far from a full cell there can be a surface, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
@@ -222,6 +236,11 @@ impl Distances {
         let wide = 2 * volume_bytes(self.wide_cells(cells(2 * BLOCK)));
         self.bulk_bytes(self.wide_cells(cells(2 * BLOCK))).max(drops + wide)
     }
+}
+
+/// The cells that some are made of that are 2^`level` times as wide.
+fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
+    (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
 
 /// Bytes of the samples of some cells.

@@ -117,12 +117,31 @@ fn home(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
     (bin + brick.div_euclid(edge), local_morton(brick.rem_euclid(edge)))
 }
 
+/// Edge of the cubes that have to be full, in parts, by that of a wide cell in spacings.
+fn cube_parts(edge: f64) -> i32 {
+    (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32
+}
+
 impl Inside {
+    /// How far beyond a brick wide cells of `edge` spacings decide whether it is inside, in such: its neighbours have to be full, each
+    /// by every cube that holds any of it.
+    #[must_use]
+    pub fn reach(edge: f64) -> i32 {
+        BRICK + PART * (cube_parts(edge) - 1)
+    }
+
+    /// The whole bricks that some wide cells touch, in wide cells.
+    #[must_use]
+    pub fn bricks_around(cells: CellBox) -> CellBox {
+        let brick = IVec3::splat(BRICK);
+        CellBox { lo: cells.lo.div_euclid(brick) * BRICK, hi: ((cells.hi - 1).div_euclid(brick) + 1) * BRICK }
+    }
+
     /// Finds the bricks that are inside a field of wide cells of `edge` spacings whose samples deep in the fluid are about `plateau`.
     #[must_use]
     pub fn of(field: &DifField, edge: f64, plateau: f64) -> Self {
         let keys: Vec<MortonKey> = field.keys().collect();
-        let width = (CUBE / (edge * f64::from(PART)) - 1e-9).ceil().max(1.0) as i32;
+        let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let rim = PART * (width - 1);
         // What is summed up are integers.
@@ -176,10 +195,8 @@ impl Inside {
     /// A bit for each brick that some wide cells touch, x fastest, in words: those that are inside.
     #[must_use]
     pub fn marks(&self, cells: CellBox) -> Vec<u32> {
-        let touched = CellBox {
-            lo: cells.lo.div_euclid(IVec3::splat(BRICK)),
-            hi: (cells.hi - 1).div_euclid(IVec3::splat(BRICK)) + 1,
-        };
+        let CellBox { lo, hi } = Self::bricks_around(cells);
+        let touched = CellBox { lo: lo / BRICK, hi: hi / BRICK };
         let mut marks = vec![0; touched.volume().div_ceil(u32::BITS as usize)];
         let size = touched.size();
         for brick in self.bricks(cells) {

@@ -1,7 +1,7 @@
 //! The surfaces of all blocks, in Morton order: in memory while they are few, in a scratch file when not.
 
 use std::borrow::Cow;
-use std::io;
+use std::io::{self, Write};
 use std::path::Path;
 
 use glam::IVec3;
@@ -40,6 +40,41 @@ pub struct Spool {
 enum Store {
     Memory(Vec<BlockMesh>),
     File(Scratch),
+    /// Each with the number of the first block that is in it.
+    Files(Vec<(usize, Scratch)>),
+}
+
+/// A block's surface as it is listed in a file that holds several.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct ListedBlock {
+    /// The block's coordinates, counted in blocks.
+    pub block: [i32; 3],
+    /// Number of tiles.
+    pub tiles: u32,
+    /// Number of vertices.
+    pub vertices: u32,
+    /// Number of triangles.
+    pub triangles: u32,
+}
+
+/// The surfaces of blocks that follow one another in a file.
+#[derive(Debug)]
+pub struct SpoolFile {
+    /// The file.
+    pub file: Scratch,
+    /// Where the first of them begins.
+    pub at: u64,
+    /// All of them, in Morton order.
+    pub blocks: Vec<ListedBlock>,
+}
+
+impl ListedBlock {
+    /// Bytes of its surface, whose vertices take so many without their tiles.
+    #[must_use]
+    pub fn bytes(&self, vertex_bytes: u64) -> u64 {
+        u64::from(self.tiles) * size_of::<Tile>() as u64 + u64::from(self.vertices) * vertex_bytes
+    }
 }
 
 /// Bytes of a vertex without its tile: the samples of its edge, its normal, and attributes of so many components.
@@ -66,6 +101,60 @@ impl Spool {
         Self { index: Vec::new(), store: Store::Memory(Vec::new()), components, normals, bytes: 0 }
     }
 
+    /// Bytes that a block takes in tables.
+    pub const BLOCK_BYTES: u64 = size_of::<Entry>() as u64;
+
+    /// For surfaces that are in files, whose blocks are in Morton order from one file to the next.
+    #[must_use]
+    pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
+        let mut spool = Self::in_memory(normals, components);
+        let vertex_bytes = spool.vertex_bytes();
+        let mut kept = Vec::new();
+        for SpoolFile { file, mut at, blocks } in files {
+            kept.push((spool.len(), file));
+            for block in blocks {
+                spool.list(block, at);
+                at += block.bytes(vertex_bytes);
+            }
+        }
+        spool.store = Store::Files(kept);
+        spool
+    }
+
+    /// Lists a block's surface that is kept from `at` on, if it is in a file.
+    fn list(&mut self, listed: ListedBlock, at: u64) {
+        let ListedBlock { block, tiles, vertices, triangles } = listed;
+        let (first_vertex, first_triangle) = (self.vertices(), self.triangles());
+        self.bytes += listed.bytes(self.vertex_bytes());
+        self.index.push(Entry {
+            block: block.into(),
+            first_vertex,
+            first_triangle,
+            tiles,
+            vertices,
+            triangles,
+            at,
+        });
+    }
+
+    /// All blocks as a file lists them.
+    pub fn listed(&self) -> impl ExactSizeIterator<Item = ListedBlock> + '_ {
+        self.index.iter().map(|&Entry { block, tiles, vertices, triangles, .. }| ListedBlock {
+            block: block.to_array(),
+            tiles,
+            vertices,
+            triangles,
+        })
+    }
+
+    /// Writes the surfaces of all blocks one after the other.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be read, and those of `out`.
+    pub fn write_all(&self, out: &mut dyn Write) -> io::Result<()> {
+        (0..self.len()).try_for_each(|i| out.write_all(&self.get(i)?.to_bytes()))
+    }
+
     /// Bytes of all surfaces, in memory or in the file.
     #[must_use]
     pub fn bytes(&self) -> u64 {
@@ -77,7 +166,7 @@ impl Spool {
     pub fn bytes_in_memory(&self) -> u64 {
         match self.store {
             Store::Memory(_) => self.bytes,
-            Store::File(_) => 0,
+            Store::File(_) | Store::Files(_) => 0,
         }
     }
 
@@ -107,24 +196,21 @@ impl Spool {
     /// # Errors
     /// Where the scratch file cannot be written.
     pub fn push(&mut self, block: BlockMesh) -> io::Result<()> {
-        let entry = Entry {
-            block: block.block,
-            first_vertex: self.vertices(),
-            first_triangle: self.triangles(),
+        let listed = ListedBlock {
+            block: block.block.to_array(),
             tiles: block.tiles.len() as u32,
             vertices: block.ends.len() as u32,
             triangles: block.triangle_count as u32,
-            at: 0,
         };
-        self.bytes += block.bytes();
         let at = match &mut self.store {
             Store::Memory(blocks) => {
                 blocks.push(block);
                 0
             }
             Store::File(scratch) => scratch.append(&block.to_bytes())?,
+            Store::Files(_) => unreachable!("nothing is added to what is whole"),
         };
-        self.index.push(Entry { at, ..entry });
+        self.list(listed, at);
         Ok(())
     }
 
@@ -201,12 +287,14 @@ impl Spool {
     pub fn tiles(&self, i: usize) -> io::Result<Cow<'_, [Tile]>> {
         match &self.store {
             Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i].tiles)),
-            Store::File(scratch) => {
-                let mut tiles = vec![bytemuck::Zeroable::zeroed(); self.index[i].tiles as usize];
-                scratch.read_at(self.index[i].at, bytemuck::cast_slice_mut(&mut tiles))?;
-                Ok(Cow::Owned(tiles))
-            }
+            Store::File(scratch) => self.read_tiles(scratch, i),
+            Store::Files(files) => self.read_tiles(file_of(files, i), i),
         }
+    }
+
+    fn read_tiles(&self, scratch: &Scratch, i: usize) -> io::Result<Cow<'_, [Tile]>> {
+        let mut at = self.index[i].at;
+        read_array(scratch, &mut at, self.index[i].tiles as usize).map(Cow::Owned)
     }
 
     /// The surface of block number `i`.
@@ -217,6 +305,7 @@ impl Spool {
         match &self.store {
             Store::Memory(blocks) => Ok(Cow::Borrowed(&blocks[i])),
             Store::File(scratch) => self.read(scratch, &self.index[i]).map(Cow::Owned),
+            Store::Files(files) => self.read(file_of(files, i), &self.index[i]).map(Cow::Owned),
         }
     }
 
@@ -236,6 +325,11 @@ impl Spool {
             triangle_count: entry.triangles as usize,
         })
     }
+}
+
+/// The file that holds block number `i`.
+fn file_of(files: &[(usize, Scratch)], i: usize) -> &Scratch {
+    &files[files.partition_point(|&(first, _)| first <= i) - 1].1
 }
 
 fn read_array<T: bytemuck::Pod>(scratch: &Scratch, at: &mut u64, len: usize) -> io::Result<Vec<T>> {

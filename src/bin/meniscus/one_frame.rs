@@ -1,0 +1,88 @@
+//! One frame's mesh: what is checked before the work, and what is said and written after it, however it is made.
+
+use std::path::Path;
+
+use bytesize::ByteSize;
+use meniscus::files::{Output, Replace, file_and_step, is_same_file};
+use meniscus::{Error, Reconstruction, Surface};
+
+use crate::interrupt;
+use crate::notes::Notes;
+use crate::options::Options;
+use crate::report::{report, report_device, report_stages, warn_all};
+use crate::run::bytes_of;
+use crate::stats::{Made, record};
+
+/// Refuses a file that is to be read or written and written again, which is a slip of the hand.
+pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
+    if is_same_file(one, other) {
+        return Err(Error::TwoPurposes { path: other.to_owned(), other: one.to_owned() });
+    }
+    Ok(())
+}
+
+/// A request of which all is checked that can be before the work, and the file that it is for.
+pub struct Ready {
+    pub request: Reconstruction,
+    pub output: Output,
+    pub notes: Notes,
+}
+
+/// Checks a request for one frame, and makes sure that its mesh can be written.
+pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
+    let notes = options.run.notes();
+    match options.parts.parts {
+        Some(_) => options.sequence.refuse_for_parts()?,
+        None => options.sequence.refuse_for_one_frame()?,
+    }
+    let request = options.request()?;
+    request.check(input)?;
+    let request = options.run.machine(request, &options.output, || bytes_of([input]))?;
+    request.check(input)?;
+    refuse_same_file(file_and_step(input).0, &options.output)?;
+    if let Some(stats) = &options.stats {
+        refuse_same_file(input, stats)?;
+        refuse_same_file(&options.output, stats)?;
+        options.prepare_stats()?;
+    }
+    let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
+    let request = request.cancel(interrupt::handle());
+    let output = request.output(&options.output, replace)?;
+
+    // What the file cannot hold need not be carried.
+    let carries = options.attributes.is_some() || output.format().holds_attributes();
+    let request = if carries { request } else { request.attributes([""; 0]) };
+    Ok(Ready { request, output, notes })
+}
+
+/// Says what there is to know of a surface, and writes it.
+pub fn write(
+    options: &Options,
+    input: &Path,
+    surface: &Surface,
+    request: &Reconstruction,
+    output: Output,
+    notes: &Notes,
+) -> Result<(), Error> {
+    let format = output.format();
+    let mut stages = surface.report().timings.clone();
+    report(options, surface.report(), surface.mesh(), notes);
+    warn_all(&surface.warnings_in(format)?, Some(options), notes);
+    stages.skip();
+    let bytes = surface.write_to(output)?;
+    stages.done("write");
+    let (mesh, report) = (surface.mesh(), surface.report());
+    notes.say(format!(
+        "{}: {} vertices, {} triangles, {} in {:.2} s",
+        options.output.display(),
+        mesh.vertex_count(),
+        mesh.triangle_count(),
+        ByteSize(bytes),
+        stages.total(),
+    ));
+    report_stages(&stages, notes);
+    report_device(request.device(), 1, notes);
+    let counts = [mesh.vertex_count(), mesh.triangle_count(), bytes];
+    let made = Made { input, output: &options.output, counts, stages: &stages, lost: report.lost };
+    options.append_stats(|| record(options, report, &made))
+}

@@ -1,0 +1,114 @@
+//! Stretches of the Morton curve of blocks, and the bins that decide what is made in them.
+
+use glam::IVec3;
+
+use super::{BIN, BLOCK, CellBox, MortonKey};
+
+/// Blocks that follow one another along the Morton curve: from a key to just before another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stretch {
+    /// The key of the first block.
+    pub first: MortonKey,
+    /// The key of the first block beyond.
+    pub end: MortonKey,
+}
+
+impl Stretch {
+    /// All blocks that there can be.
+    pub const ALL: Self = Self { first: MortonKey(0), end: MortonKey(u64::MAX) };
+
+    /// Whether it holds a block, given in blocks.
+    #[must_use]
+    pub fn holds(&self, block: IVec3) -> bool {
+        let key = MortonKey::of(block);
+        self.first <= key && key < self.end
+    }
+
+    /// Whether it holds the block that a bin lies in.
+    #[must_use]
+    pub fn holds_bin(&self, bin: IVec3) -> bool {
+        self.holds(bin.div_euclid(IVec3::splat(BLOCK / BIN)))
+    }
+}
+
+/// The cells that decide what is made in a block, counted from its lowest corner: they are the same for all blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sight(CellBox);
+
+impl Sight {
+    /// By the cells that decide what is made in block (0, 0, 0).
+    #[must_use]
+    pub fn new(of_first_block: CellBox) -> Self {
+        Self(of_first_block)
+    }
+
+    /// The cells that decide what is made in a block.
+    #[must_use]
+    pub fn cells(&self, block: IVec3) -> CellBox {
+        let corner = block * BLOCK;
+        CellBox { lo: self.0.lo + corner, hi: self.0.hi + corner }
+    }
+
+    /// The blocks that particles in a bin may tell in.
+    pub fn blocks(&self, bin: IVec3) -> impl Iterator<Item = IVec3> + use<> {
+        let (bin, edge) = (CellBox::cube(bin, BIN), IVec3::splat(BLOCK));
+        // From the first that ends above the bin's lowest cells to the last that begins below its highest.
+        let lo = (bin.lo - self.0.hi).div_euclid(edge) + 1;
+        let hi = (bin.hi - 1 - self.0.lo).div_euclid(edge) + 1;
+        CellBox { lo, hi }.cubes(1)
+    }
+}
+
+/// The bins whose particles decide what is made in a stretch of blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WantedBins {
+    /// Where something is made.
+    pub stretch: Stretch,
+    /// By what.
+    pub sight: Sight,
+}
+
+impl WantedBins {
+    /// Whether a bin is one of them.
+    #[must_use]
+    pub fn hold(&self, bin: IVec3) -> bool {
+        self.sight.blocks(bin).any(|block| self.stretch.holds(block))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bin_is_wanted_exactly_where_it_overlaps_the_cells_that_a_block_of_the_stretch_sees() {
+        for (below, above) in [(0, 0), (1, 1), (16, 17), (17, 16), (22, 54), (40, 3)] {
+            let cube = CellBox::cube(IVec3::ZERO, BLOCK);
+            let sight = Sight::new(cube.grown(below, above));
+            let [first, end] = [IVec3::new(-1, 0, 1), IVec3::new(1, 1, 0)].map(MortonKey::of);
+            let stretch = Stretch { first: first.min(end), end: first.max(end) };
+            let wanted = WantedBins { stretch, sight };
+            let all = CellBox { lo: IVec3::splat(-4), hi: IVec3::splat(5) };
+            let blocks: Vec<IVec3> = all.cubes(1).filter(|&block| stretch.holds(block)).collect();
+            assert!(blocks.len() > 3);
+            let mut seen = 0;
+            for bin in (CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(8) }).cubes(1) {
+                let cells = CellBox::cube(bin, BIN);
+                let touches = |&block: &IVec3| !sight.cells(block).intersection(&cells).is_empty();
+                assert_eq!(wanted.hold(bin), blocks.iter().any(touches), "{bin} by {below}, {above}");
+                seen += i32::from(wanted.hold(bin));
+                let by_bin: Vec<IVec3> = sight.blocks(bin).filter(|block| all.contains(*block)).collect();
+                let by_block: Vec<IVec3> = all.cubes(1).filter(touches).collect();
+                assert_eq!(by_bin, by_block);
+            }
+            assert!(seen > 20);
+        }
+    }
+
+    #[test]
+    fn bins_of_a_block_are_where_the_block_is() {
+        let stretch = Stretch { first: MortonKey::of(IVec3::ZERO), end: MortonKey(u64::MAX) };
+        assert!(stretch.holds_bin(IVec3::ZERO) && stretch.holds_bin(IVec3::ONE));
+        assert!(!stretch.holds_bin(IVec3::NEG_ONE) && Stretch::ALL.holds_bin(IVec3::NEG_ONE));
+    }
+}

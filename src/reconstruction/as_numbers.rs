@@ -1,0 +1,47 @@
+//! A calibration as files of JSON have it: mu0 where the indicator counts, and the isovalue as a fraction of 1; or the plateau of
+//! clouds.
+
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::field::calibration::Calibration;
+use crate::grid::units::{Isovalue, MeanCount, UnitError};
+
+#[derive(Serialize, Deserialize)]
+struct Numbers {
+    mu0: Option<f64>,
+    isovalue: Option<f64>,
+    plateau: Option<u16>,
+}
+
+/// Writes it down.
+///
+/// # Errors
+/// Those of `to`.
+pub fn serialize<S: Serializer>(known: &Option<Calibration>, to: S) -> Result<S::Ok, S::Error> {
+    let mu0 = known.and_then(|known| known.mean()).map(MeanCount::particles);
+    let isovalue = known.and_then(|known| known.iso()).map(Isovalue::value);
+    let plateau = match known {
+        Some(Calibration::Clouds { plateau }) => Some(*plateau),
+        _ => None,
+    };
+    Numbers { mu0, isovalue, plateau }.serialize(to)
+}
+
+/// Reads what was written, and refuses what cannot have been measured.
+///
+/// # Errors
+/// Those of `from`.
+pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibration>, D::Error> {
+    let Numbers { mu0, isovalue, plateau } = Numbers::deserialize(from)?;
+    let calibration = |iso| {
+        let mean = mu0.map(MeanCount::new).transpose()?;
+        Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })
+    };
+    match (plateau, isovalue) {
+        (Some(0), _) => Err(D::Error::custom("a plateau of 0")),
+        (Some(plateau), None) => Ok(Some(Calibration::Clouds { plateau })),
+        (Some(_), Some(_)) => Err(D::Error::custom("both a plateau and an isovalue")),
+        (None, isovalue) => isovalue.map(calibration).transpose().map_err(D::Error::custom),
+    }
+}

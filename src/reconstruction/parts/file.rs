@@ -1,0 +1,209 @@
+//! The file of a part: the meshes of its blocks as a spool keeps them, a list of these, and what a report adds up.
+//!
+//! ```text
+//! meshes of all blocks, in Morton order       as a spool keeps them
+//! blocks                                      24 bytes each: coordinates, tiles, vertices, triangles
+//! bins that hold particles                    24 bytes each: coordinates, particles, tiles
+//! for each attribute, particles without it    8 bytes each
+//! end                                         64 bytes: how many of each there are, whose part it is, and a CRC-32 of all before
+//! ```
+//!
+//! Numbers are as the machine has them: one of another order does not find its magic number.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use bytemuck::{Pod, Zeroable};
+use crc32fast::Hasher;
+
+use crate::error::PartsError;
+use crate::frame::{Occupied, OccupiedBin};
+use crate::grid::MortonKey;
+use crate::grid::stretch::Stretch;
+use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, vertex_bytes};
+use crate::system::scratch::Scratch;
+
+/// "meniscus part" and the version of the format, in the machine's order of bytes.
+const MAGIC: u64 = 0x3150_5f73_7563_6e6d;
+
+/// Bytes that are read at once where all of a file are.
+const PIECE: usize = 1 << 18;
+
+/// The part that a file holds, and its plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Mark {
+    /// The plan's fingerprint.
+    pub(super) plan: u32,
+    pub(super) part: u32,
+    pub(super) of: u32,
+    pub(super) stretch: Stretch,
+    pub(super) normals: bool,
+}
+
+/// The end of a part's file.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct End {
+    /// Bytes of the file up to this.
+    bytes: u64,
+    blocks: u64,
+    bins: u64,
+    attributes: u32,
+    part: u32,
+    of: u32,
+    plan: u32,
+    first: u64,
+    magic: u64,
+    /// 0, so that all bytes mean something.
+    nothing: u32,
+    /// CRC-32 of all bytes before.
+    crc: u32,
+}
+
+const END: u64 = size_of::<End>() as u64;
+
+/// Everything that a part has made.
+pub(super) struct Made<'a> {
+    pub(super) spool: Option<&'a Spool>,
+    pub(super) occupied: Vec<OccupiedBin>,
+    /// For each attribute the particles that have no value of it.
+    pub(super) lacking: Vec<u64>,
+}
+
+impl Made<'_> {
+    /// Writes it.
+    pub(super) fn write(&self, mark: Mark, out: &mut dyn Write) -> io::Result<()> {
+        let mut out = Summed { out, bytes: 0, crc: Hasher::new() };
+        let blocks: Vec<ListedBlock> = self.spool.map_or(Vec::new(), |spool| spool.listed().collect());
+        self.spool.map_or(Ok(()), |spool| spool.write_all(&mut out))?;
+        out.write_all(bytemuck::cast_slice(&blocks))?;
+        out.write_all(bytemuck::cast_slice(&self.occupied))?;
+        out.write_all(bytemuck::cast_slice(&self.lacking))?;
+        let mut end = End {
+            bytes: out.bytes,
+            blocks: blocks.len() as u64,
+            bins: self.occupied.len() as u64,
+            attributes: self.lacking.len() as u32,
+            part: mark.part,
+            of: mark.of,
+            plan: mark.plan,
+            first: mark.stretch.first.0,
+            magic: MAGIC,
+            nothing: 0,
+            crc: 0,
+        };
+        let Summed { out, mut crc, .. } = out;
+        crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
+        end.crc = crc.finalize();
+        out.write_all(bytemuck::bytes_of(&end))
+    }
+}
+
+/// Sums up what is written.
+struct Summed<'a> {
+    out: &'a mut dyn Write,
+    bytes: u64,
+    crc: Hasher,
+}
+
+impl Write for Summed<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        self.crc.update(&bytes[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+/// A part's file that is whole.
+#[derive(Debug)]
+pub(super) struct PartFile {
+    pub(super) meshes: SpoolFile,
+    pub(super) occupied: Occupied,
+    pub(super) bins: u64,
+    pub(super) lacking: Vec<u64>,
+    pub(super) bytes: u64,
+}
+
+impl PartFile {
+    /// Opens a part's file, whose vertices carry attributes of so many components, and reads all of it to see that it is whole; `None` where
+    /// there is none.
+    pub(super) fn open(path: &Path, mark: Mark, components: &[usize]) -> Result<Option<Self>, PartsError> {
+        let io = |fault: io::Error| PartsError::Io { path: path.to_owned(), fault };
+        let damaged = |what: &str| PartsError::Damaged { path: path.to_owned(), what: what.to_owned() };
+        let file = match File::open(path) {
+            Ok(file) => file,
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) => return Err(io(fault)),
+        };
+        let end = match read_whole(&file).map_err(io)? {
+            Ok(end) => end,
+            Err(what) => return Err(damaged(what)),
+        };
+        if [end.plan, end.part, end.of] != [mark.plan, mark.part, mark.of]
+            || end.first != mark.stretch.first.0
+        {
+            return Err(PartsError::Foreign(path.to_owned()));
+        }
+        let inconsistent = || damaged("its lists and meshes do not go together");
+        let lists = [
+            end.blocks.checked_mul(size_of::<ListedBlock>() as u64),
+            end.bins.checked_mul(size_of::<OccupiedBin>() as u64),
+            Some(8 * u64::from(end.attributes)),
+        ];
+        let lists = lists.into_iter().try_fold(0_u64, |sum, bytes| sum.checked_add(bytes?));
+        let meshes_end = lists.and_then(|lists| end.bytes.checked_sub(lists)).ok_or_else(inconsistent)?;
+        let file = Scratch::of_file(file).map_err(io)?;
+        let mut at = meshes_end;
+        let blocks: Vec<ListedBlock> = list(&file, &mut at, end.blocks).map_err(io)?;
+        let occupied: Vec<OccupiedBin> = list(&file, &mut at, end.bins).map_err(io)?;
+        let lacking: Vec<u64> = list(&file, &mut at, end.attributes.into()).map_err(io)?;
+        let vertex = vertex_bytes(mark.normals, components);
+        let meshes: u64 = blocks.iter().map(|block| block.bytes(vertex)).sum();
+        let key = |block: &ListedBlock| MortonKey::of(block.block.into());
+        let in_order = blocks.is_sorted_by(|a, b| key(a) < key(b));
+        let within = blocks.iter().all(|block| mark.stretch.holds(block.block.into()));
+        if meshes != meshes_end || lacking.len() != components.len() || !in_order || !within {
+            return Err(inconsistent());
+        }
+        let meshes = SpoolFile { file, at: 0, blocks };
+        let occupied = occupied.into_iter().collect();
+        Ok(Some(Self { meshes, occupied, bins: end.bins, lacking, bytes: end.bytes + END }))
+    }
+}
+
+/// Reads the next numbers of a list.
+fn list<T: Pod>(file: &Scratch, at: &mut u64, count: u64) -> io::Result<Vec<T>> {
+    let mut list = vec![T::zeroed(); count as usize];
+    file.read_at(*at, bytemuck::cast_slice_mut(&mut list))?;
+    *at += size_of_val(&list[..]) as u64;
+    Ok(list)
+}
+
+/// Reads all of a file, and returns its end, or says what is wrong with it.
+fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
+    let len = file.metadata()?.len();
+    let Some(before) = len.checked_sub(END) else { return Ok(Err("it is truncated")) };
+    let (mut crc, mut left, mut buffer) = (Hasher::new(), before, vec![0; PIECE]);
+    while left > 0 {
+        let piece = &mut buffer[..left.min(PIECE as u64) as usize];
+        file.read_exact(piece)?;
+        crc.update(piece);
+        left -= piece.len() as u64;
+    }
+    let mut end = End::zeroed();
+    file.read_exact(bytemuck::bytes_of_mut(&mut end))?;
+    crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
+    Ok(if end.magic != MAGIC {
+        Err("it is truncated, or no part of a mesh")
+    } else if crc.finalize() != end.crc || end.bytes != before || end.nothing != 0 {
+        Err("its CRC is wrong")
+    } else {
+        Ok(end)
+    })
+}

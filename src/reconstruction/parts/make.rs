@@ -1,0 +1,135 @@
+//! Making a part: the bins that decide its blocks are sampled, and those blocks meshed.
+
+use crate::error::{Error, PartsError};
+use crate::frame::{Counted, Frame as Engine, FrameError};
+use crate::grid::stretch::WantedBins;
+use crate::io::input::open_wanted;
+use crate::io::stamp::Stamp;
+use crate::io::whole::{Replace, WholeFile, sweep};
+use crate::io::{ReadError, ReadFault};
+use crate::particles::{Particles, carried_infos};
+use crate::reconstruction::checked::{Checked, Ready};
+use crate::reconstruction::warning::Warning;
+use crate::surface::dual_mc::Normals;
+use crate::surface::mesh::spool::Spool;
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+use super::file::{Made, Mark, PartFile};
+use super::plan::Plan;
+use super::{Begun, PartMade, Parts, part_in, plan};
+
+/// Blocks of a part, and what a report adds up of it.
+struct Meshed {
+    spool: Option<Spool>,
+    made: Made<'static>,
+    warnings: Vec<Warning>,
+}
+
+impl Parts {
+    /// Makes a part, numbered from 0, unless it is there already, whole, and made by the same plan. Whatever else has its name is replaced.
+    ///
+    /// # Errors
+    /// [`Error::Parts`] where there is no plan, or one for something else, [`Error::Read`], [`Error::Frame`], and [`Error::Write`].
+    pub fn part(&self, part: u32) -> Result<PartMade, Error> {
+        let begun = self.begin()?;
+        if part >= self.count {
+            return Err(PartsError::NoPart { part, of: self.count }.into());
+        }
+        let (plan, fingerprint) = self.planned(&begun)?;
+        let Begun { checked, folder, .. } = begun;
+        let path = part_in(&folder, part);
+        let mark = mark(&plan, fingerprint, part, &checked);
+        match PartFile::open(&path, mark, &components(&plan)) {
+            Ok(Some(there)) => return Ok(PartMade::of_file(path, &there)),
+            Err(fault @ PartsError::Io { .. }) => return Err(fault.into()),
+            Ok(None) | Err(_) => {}
+        }
+        sweep(&folder);
+        let ready = checked.on_threads()?;
+        let control = &ready.checked.resources.control;
+        let prepare = || WholeFile::prepare(&path, Replace::Allow);
+        let (file, unfinished) = control.cancel.guard(prepare, WholeFile::temporary)?;
+        let mut timings = Timings::default();
+        let meshed =
+            self.meshed(&ready, &plan, mark, &mut timings).map_err(|error| error.of_file(&self.input))?;
+        let stamp = Stamp::of(&self.input).map_err(|fault| ReadError::new(&self.input, fault.into()))?;
+        if stamp != plan.input {
+            return Err(ReadError::new(&self.input, ReadFault::Changed).into());
+        }
+        control.begins(Stage::Writing);
+        let Meshed { spool, made, warnings } = meshed;
+        let made = Made { spool: spool.as_ref(), ..made };
+        let bytes = ready.threads.install(|| file.write(|out| made.write(mark, out)))?;
+        drop(unfinished);
+        timings.done("write");
+        let (blocks, triangles) = spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
+        Ok(PartMade { path, bytes, blocks, triangles, was_there: false, warnings, timings })
+    }
+
+    fn meshed(&self, ready: &Ready, plan: &Plan, mark: Mark, timings: &mut Timings) -> Result<Meshed, Error> {
+        let Ready { checked, threads } = ready;
+        let control = &checked.resources.control;
+        checked.go_on()?;
+        control.begins(Stage::Reading);
+        threads.install(|| {
+            let file = open_wanted(&self.input, checked.asked.wanted(), checked.unpacking())?;
+            timings.done("open");
+            let attributes = file.particles.attributes();
+            let carried = checked.asked.carried(attributes, None)?;
+            if file.particles.len() != plan.particles
+                || carried_infos(attributes, &carried) != plan.attributes
+            {
+                let (input, plan) = (self.input.clone(), plan::path_in(&self.folder()));
+                return Err(PartsError::Changed { input, plan }.into());
+            }
+            let sampling = plan.sampling(checked, carried)?;
+            let asked = sampling.field.indicator().ok_or(FrameError::OtherIndicator)?;
+            let wanted =
+                WantedBins { stretch: mark.stretch, sight: sampling.sight(asked, &checked.surfacing) };
+            control.begins(Stage::Counting);
+            let counted = Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, wanted)?;
+            timings.done("count");
+            if counted.bins().next().is_none() {
+                let made =
+                    Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
+                return Ok(Meshed { spool: None, made, warnings: Vec::new() });
+            }
+            let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
+            control.begins(Stage::Meshing);
+            let known = plan.calibration.as_ref();
+            let calibrated = engine.calibrate(&checked.surfacing, known, timings)?.within(mark.stretch);
+            let spool = calibrated.blocks(timings)?;
+            let occupied = engine.occupied().within(mark.stretch).collect();
+            let made = Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
+            let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();
+            Ok(Meshed { spool: Some(spool), made, warnings })
+        })
+    }
+}
+
+/// The mark of a part's file.
+pub(super) fn mark(plan: &Plan, fingerprint: u32, part: u32, checked: &Checked) -> Mark {
+    let normals = checked.surfacing.normals == Normals::Gradient;
+    Mark { plan: fingerprint, part, of: plan.count(), stretch: plan.stretch(part), normals }
+}
+
+/// Components of the attributes that vertices carry.
+pub(super) fn components(plan: &Plan) -> Vec<usize> {
+    plan.attributes.iter().map(|info| info.components).collect()
+}
+
+impl PartMade {
+    fn of_file(path: std::path::PathBuf, file: &PartFile) -> Self {
+        let blocks = &file.meshes.blocks;
+        Self {
+            path,
+            bytes: file.bytes,
+            blocks: blocks.len(),
+            triangles: blocks.iter().map(|block| u64::from(block.triangles)).sum(),
+            was_there: true,
+            warnings: Vec::new(),
+            timings: Timings::default(),
+        }
+    }
+}

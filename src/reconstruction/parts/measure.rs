@@ -1,0 +1,288 @@
+//! Planning: the frame is sampled once to measure it, and its blocks are shared out.
+
+use rayon::prelude::*;
+
+use crate::error::{Error, PartsError};
+use crate::field::indicator::IndicatorRequest;
+use crate::frame::estimate::Estimate;
+use crate::frame::{Counted, Frame as Engine, Sampling};
+use crate::grid::stretch::{Sight, Stretch};
+use crate::grid::units::MemoryBudget;
+use crate::grid::{BIN, BLOCK, MortonKey};
+use crate::io::input::open_wanted;
+use crate::io::stamp::Stamp;
+use crate::io::whole::sweep;
+use crate::io::{ParticleFile, ReadError, ReadFault};
+use crate::particles::{Particles, carried_infos};
+use crate::reconstruction::checked::{Checked, Ready};
+use crate::reconstruction::warning::mean_symmetry;
+use crate::reconstruction::{ChosenSampling, Source};
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+use super::plan::{Plan, Share, path_in};
+use super::{Again, Begun, PartShare, PartTakes, Parts, Planned};
+
+/// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and to sample a particle.
+const CELLS_A_PARTICLE: u64 = 4;
+
+impl Parts {
+    /// Measures the frame and shares out its blocks, unless that was done for the same request before.
+    ///
+    /// # Errors
+    /// [`Error::Parts`] for a plan that was made for something else, [`Error::Unfit`] for kernels and packed frames, which are not made in
+    /// parts, [`Error::Read`], and [`Error::Frame`] for particles that cannot be sampled.
+    pub fn plan(&self) -> Result<Planned, Error> {
+        let begun = self.begin()?;
+        let found = Plan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
+            Some((plan, _)) => {
+                plan.refuse_other(&begun.folder, &begun.checked, &self.input, self.count).map(|()| Some(plan))
+            }
+            None => Ok(None),
+        });
+        match (found, self.again) {
+            (Ok(Some(plan)), Again::Refuse | Again::Differing) => {
+                return self.told(plan, None, &begun, Timings::default());
+            }
+            (Err(fault), Again::Refuse) => return Err(fault),
+            _ => {}
+        }
+        let Begun { checked, folder, asked } = begun;
+        let ready = checked.clone().on_threads()?;
+        let mut timings = Timings::default();
+        let (plan, takes) = self.measured(&ready, asked, &mut timings)?;
+        let save = || {
+            plan.save(&folder)?;
+            sweep(&folder);
+            Ok::<_, PartsError>(())
+        };
+        checked.resources.control.cancel.undisturbed(save)?;
+        self.told(plan, Some(takes), &Begun { checked, folder, asked }, timings)
+    }
+
+    fn told(
+        &self,
+        plan: Plan,
+        takes: Option<Vec<PartTakes>>,
+        begun: &Begun,
+        timings: Timings,
+    ) -> Result<Planned, Error> {
+        let path = path_in(&begun.folder);
+        let no_calibration = || PartsError::Plan { path: path.clone(), what: "no calibration".into() };
+        let calibration = plan.calibration.ok_or_else(no_calibration)?;
+        let share = |(part, share): (usize, &Share)| PartShare {
+            particles: share.particles,
+            kept: share.counted,
+            takes: takes.as_ref().map(|takes| takes[part]),
+        };
+        Ok(Planned {
+            parts: plan.parts.iter().enumerate().map(share).collect(),
+            particles: plan.particles,
+            moved_to: plan.moved.then_some(plan.origin),
+            format: plan.format,
+            cells: plan.cells,
+            indicator: begun.asked.kind,
+            census: plan.census,
+            calibration,
+            budget: begun.checked.resources.budget.0,
+            scratch_folder: begun.checked.resources.scratch.clone(),
+            timings,
+            path,
+        })
+    }
+
+    /// Measures the frame, and shares out its blocks; says what each part takes.
+    fn measured(
+        &self,
+        ready: &Ready,
+        asked: IndicatorRequest,
+        timings: &mut Timings,
+    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+        let (Ready { checked, threads }, input) = (ready, &self.input);
+        let stamp = || Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()));
+        let before = stamp()?;
+        checked.go_on()?;
+        checked.resources.control.begins(Stage::Reading);
+        let measured = threads.install(|| {
+            let file = open_wanted(input, checked.asked.wanted(), checked.unpacking())?;
+            timings.done("open");
+            let source = Source { path: Some(input), spacing: file.spacing };
+            let chosen = checked.choose(&file.particles, source)?;
+            timings.done("spacing");
+            self.sampled(checked, asked, file, chosen, before, timings)
+        });
+        let measured = measured.map_err(|error| error.of_file(input))?;
+        if stamp()? != before {
+            return Err(ReadError::new(input, ReadFault::Changed).into());
+        }
+        Ok(measured)
+    }
+
+    fn sampled(
+        &self,
+        checked: &Checked,
+        asked: IndicatorRequest,
+        file: ParticleFile,
+        chosen: ChosenSampling,
+        stamp: Stamp,
+        timings: &mut Timings,
+    ) -> Result<(Plan, Vec<PartTakes>), Error> {
+        let ChosenSampling { sampling, cells, moved } = chosen;
+        let (surfacing, particles) = (&checked.surfacing, &file.particles);
+        let control = &checked.resources.control;
+        control.begins(Stage::Counting);
+        // Nothing here asks for attributes.
+        let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
+        let counted = Counted::for_surface(particles, &bare, surfacing)?;
+        let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
+        timings.done("count");
+        let engine = Engine::sample_counted(counted, bare.resources.budget, timings)?;
+        let calibrated = engine.calibrate(surfacing, checked.calibration.as_ref(), timings)?;
+        let measured = calibrated.measured();
+        let calibration = checked.calibration.or(measured.map(|measured| measured.calibration));
+        let cuts = cuts(&work(&bins, calibrated.passed()), self.count);
+        drop(calibrated);
+        let sampled = engine.dif();
+        let (mean, mean_symmetry) =
+            (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
+        drop(engine);
+        let shared = shared(&bins, &cuts, sampling.sight(asked, surfacing));
+        let parts = shares(&bins, &cuts, &shared);
+        let plan = Plan {
+            meniscus: env!("CARGO_PKG_VERSION").into(),
+            settings: checked.asked.settings(),
+            calibrated: checked.calibration.is_some(),
+            input: stamp,
+            particles: particles.len(),
+            format: file.format.to_owned(),
+            cells,
+            origin: sampling.grid.origin().to_array(),
+            moved,
+            census,
+            mean: mean.map(|mean| mean.particles()),
+            calibration,
+            measured: measured.map(Into::into),
+            mean_symmetry,
+            attributes: carried_infos(particles.attributes(), &sampling.carried),
+            parts,
+        };
+        let takes = (0..).zip(&shared).map(|(part, known)| {
+            let bins = known.iter().map(|&bin| bins[bin as usize]);
+            let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
+            PartTakes::of(&estimate, sampling.resources.budget, particles.scratch_bytes())
+        });
+        let takes = takes.collect();
+        timings.done("share out");
+        Ok((plan, takes))
+    }
+}
+
+/// The block of a bin.
+fn block_of(bin: MortonKey) -> MortonKey {
+    MortonKey::of(bin.coord().div_euclid(glam::IVec3::splat(BLOCK / BIN)))
+}
+
+/// How long the blocks take that hold any of some particles by bin, or that a surface may pass through in so many cells: in particles
+/// that are binned, in Morton order.
+fn work(
+    bins: &[(MortonKey, usize)],
+    passed: impl Iterator<Item = (MortonKey, usize)>,
+) -> Vec<(MortonKey, u64)> {
+    let of_particles = bins.iter().map(|&(bin, count)| (block_of(bin), CELLS_A_PARTICLE * count as u64));
+    let mut work: Vec<_> = of_particles.chain(passed.map(|(block, cells)| (block, cells as u64))).collect();
+    work.sort_unstable_by_key(|&(block, _)| block);
+    work.dedup_by(|other, one| {
+        let same = other.0 == one.0;
+        if same {
+            one.1 += other.1;
+        }
+        same
+    });
+    work
+}
+
+/// The first block of each of so many parts, which take about as long as one another: the first has all before it, too.
+fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
+    let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
+    let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
+    for &(block, work) in work {
+        // A block goes to the part that its middle lies in.
+        let middle = 2 * before + u128::from(work);
+        while (cuts.len() as u128) < u128::from(parts)
+            && middle * u128::from(parts) >= 2 * all * cuts.len() as u128
+        {
+            cuts.push(block);
+        }
+        before += u128::from(work);
+    }
+    cuts.resize(parts as usize, Stretch::ALL.end);
+    cuts
+}
+
+/// The part of a block.
+fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
+    cuts.partition_point(|&first| first <= block) - 1
+}
+
+/// The numbers of the bins that each part has to know.
+fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: Sight) -> Vec<Vec<u32>> {
+    let seen_by = |&(bin, _): &(MortonKey, usize)| {
+        let mut parts: Vec<usize> =
+            sight.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
+        parts.sort_unstable();
+        parts.dedup();
+        parts
+    };
+    let seen_by: Vec<Vec<usize>> = bins.par_iter().map(seen_by).collect();
+    let mut shared = vec![Vec::new(); cuts.len()];
+    for (bin, parts) in (0..).zip(seen_by) {
+        parts.into_iter().for_each(|part| shared[part].push(bin));
+    }
+    shared
+}
+
+fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) -> Vec<Share> {
+    let mut own = vec![0; cuts.len()];
+    bins.iter().for_each(|&(bin, count)| own[part_of(cuts, block_of(bin))] += count as u64);
+    let counted = |bins_of: &Vec<u32>| bins_of.iter().map(|&bin| bins[bin as usize].1 as u64).sum();
+    let parts = cuts.iter().zip(own).zip(shared.iter().map(counted));
+    parts.map(|((first, particles), counted)| Share { first: first.0, particles, counted }).collect()
+}
+
+impl PartTakes {
+    fn of(estimate: &Estimate, budget: MemoryBudget, input_scratch: u64) -> Self {
+        let plan = estimate.plan(budget);
+        Self {
+            memory: estimate.peak(plan),
+            in_core: estimate.in_core(),
+            scratch: input_scratch + estimate.scratch(plan),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_cut_into_parts_of_about_equal_work_whatever_their_number() {
+        let keys = [3, 4, 9, 12, 13, 20_u64];
+        let work: Vec<_> = keys.into_iter().zip([1, 1, 1, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
+        let first = |parts: u32| cuts(&work, parts).iter().map(|key| key.0).collect::<Vec<_>>();
+        assert_eq!(first(1), [0]);
+        assert_eq!(first(2), [0, 12]);
+        assert_eq!(first(3), [0, 9, 13]);
+        assert_eq!(first(6), [0, 4, 9, 12, 13, 20]);
+        // Of more parts than blocks some are empty, and every block is in one.
+        let many = cuts(&work, 20);
+        assert_eq!(many.len(), 20);
+        assert!(many.is_sorted() && many[0].0 == 0);
+        let parts: Vec<usize> = work.iter().map(|&(block, _)| part_of(&many, block)).collect();
+        assert!(parts.is_sorted_by(|a, b| a < b), "{parts:?}");
+        // One that takes longer than all others together is a part alone.
+        let heavy: Vec<_> =
+            keys.into_iter().zip([1, 1, 100, 1, 1, 1]).map(|(k, w)| (MortonKey(k), w)).collect();
+        assert_eq!(cuts(&heavy, 3).iter().map(|key| key.0).collect::<Vec<_>>(), [0, 9, 12]);
+        assert_eq!(cuts(&[], 3), [Stretch::ALL.first, Stretch::ALL.end, Stretch::ALL.end]);
+    }
+}

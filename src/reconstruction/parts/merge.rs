@@ -1,0 +1,148 @@
+//! Merging: all parts' blocks are listed one after the other, and are from there on those of a single run.
+
+use std::sync::Arc;
+
+use crate::brick::FrameFacts;
+use crate::error::{Error, PartsError};
+use crate::frame::{FrameError, Occupied, Sampling, Shortfall, simplified};
+use crate::grid::units::Isovalue;
+use crate::reconstruction::SinglePrecision;
+use crate::reconstruction::checked::{Checked, Ready};
+use crate::reconstruction::draw::{Drawn, Kept};
+use crate::reconstruction::orientation::usual_up;
+use crate::reconstruction::report::Report;
+use crate::reconstruction::surface::Surface;
+use crate::reconstruction::warning::of_particles;
+use crate::surface::dual_mc::Normals;
+use crate::surface::mesh::spool::Spool;
+use crate::surface::stitch::Stitched;
+use crate::system::control::Stage;
+use crate::system::timings::Timings;
+
+use super::file::PartFile;
+use super::make::{components, mark};
+use super::plan::Plan;
+use super::{Begun, Parts, part_in};
+
+/// Contents of the files of all parts.
+struct Joined {
+    spool: Spool,
+    occupied: Occupied,
+    lacking: Vec<u64>,
+    bins: u64,
+}
+
+impl Parts {
+    /// Merges the parts to the surface that a single run would give, with the same report but for the times, and simplifies it if that was
+    /// asked for. Its meshes stay in the parts' files, which have to stay as well until it is written.
+    ///
+    /// # Errors
+    /// [`Error::Parts`] where there is no plan, or one for something else, and for parts that are missing, damaged or of another plan, and
+    /// [`Error::Frame`] where there is no surface, or scratch files fail.
+    pub fn merge(&self) -> Result<Surface, Error> {
+        let begun = self.begin()?;
+        let (plan, fingerprint) = self.planned(&begun)?;
+        let Begun { checked, folder, asked } = begun;
+        let Ready { checked, threads } = checked.on_threads()?;
+        let mut timings = Timings::default();
+        checked.go_on()?;
+        checked.resources.control.begins(Stage::Reading);
+        let drawn = threads.install(|| {
+            let joined = joined(&plan, fingerprint, &checked, &folder)?;
+            timings.done("verify");
+            let sampling = plan.sampling(&checked, Vec::new())?;
+            let facts = plan.facts(&sampling);
+            let indicator = Some(plan.indicator(&facts, asked.kind)?);
+            let backend = checked.resources.backend.name();
+            let report = Report::of_facts(facts, indicator, &checked.surfacing, backend);
+            drawn(&plan, &checked, &sampling, joined, report, &mut timings)
+                .map_err(|error| error.of_file(&self.input))
+        });
+        let mut drawn = drawn?;
+        drawn.report.timings = timings;
+        let asked = checked.asked.clone();
+        let control = checked.resources.control.clone();
+        let (threads, particles_up) = (Arc::clone(&threads), usual_up(&self.input));
+        Ok(Surface { drawn, threads, asked, particles_up, control })
+    }
+}
+
+/// Opens the files of all parts, and reads all of them to see that they are whole.
+fn joined(
+    plan: &Plan,
+    fingerprint: u32,
+    checked: &Checked,
+    folder: &std::path::Path,
+) -> Result<Joined, Error> {
+    let components = components(plan);
+    let (mut files, mut missing) = (Vec::new(), Vec::new());
+    for part in 0..plan.count() {
+        checked.go_on()?;
+        let mark = mark(plan, fingerprint, part, checked);
+        match PartFile::open(&part_in(folder, part), mark, &components)? {
+            Some(file) => files.push(file),
+            None => missing.push(part),
+        }
+    }
+    if !missing.is_empty() {
+        return Err(PartsError::Missing { folder: folder.to_owned(), missing, of: plan.count() }.into());
+    }
+    let (mut occupied, mut bins) = (Occupied::default(), 0);
+    let mut lacking = vec![0; components.len()];
+    let meshes = files.into_iter().map(|file| {
+        occupied.join(file.occupied);
+        bins += file.bins;
+        lacking.iter_mut().zip(file.lacking).for_each(|(all, more)| *all += more);
+        file.meshes
+    });
+    let meshes = meshes.collect();
+    let spool = Spool::in_files(checked.surfacing.normals == Normals::Gradient, components, meshes);
+    Ok(Joined { spool, occupied, lacking, bins })
+}
+
+/// Draws the surface as a single run would from where it has all meshes.
+fn drawn(
+    plan: &Plan,
+    checked: &Checked,
+    sampling: &Sampling,
+    joined: Joined,
+    mut report: Report,
+    timings: &mut Timings,
+) -> Result<Drawn, Error> {
+    let FrameFacts { grid, domain, census, spacing, .. } = report.facts;
+    let Joined { spool, occupied, lacking, bins } = joined;
+    let iso = plan.calibration.and_then(|known| known.iso());
+    if spool.is_empty() {
+        return Err(iso.map_or(FrameError::NoDistanceSurface, |iso| FrameError::NoSurface { iso }).into());
+    }
+    let share = sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
+    let crossings = iso.unwrap_or(Isovalue::NO_DISTANCE);
+    let surface = Stitched::new(spool, grid, domain, crossings, plan.attributes.clone());
+    let resources = &checked.resources;
+    let in_scratch = |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
+
+    report.cells = Some(plan.cells.clone());
+    report.moved = plan.moved;
+    report.calibration = plan.calibration;
+    report.measured = plan.calibrated();
+    let crowding = report.facts.spacing_cells().map(|spacing| occupied.crowding(spacing));
+    let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
+    let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
+    report.warnings = of_particles(&report.facts, crowding, lacking, plan.mean_symmetry);
+    report.lost = occupied.lost(&surface).map_err(in_scratch)?;
+    drop(occupied);
+    let shortfall = spacing.map(|spacing| Shortfall::of(&surface, None, census.binned, spacing)).transpose();
+    checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
+    timings.done("merge");
+
+    let precision = SinglePrecision::of(&surface);
+    if checked.reduction.is_none() {
+        return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
+    }
+    checked.go_on()?;
+    resources.control.begins(Stage::Simplifying);
+    let simplified = simplified(surface, &checked.reduction, &report.facts, share, resources, timings)?;
+    resources.control.ends(Stage::Simplifying);
+    report.dropped = Some(simplified.dropped());
+    Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
+}
