@@ -1,6 +1,6 @@
 //! with binned brick
 // The discrete indicator function of clouds, a part of a bin's samples a work group: atomic sums in shared memory of what
-// the clouds of the bin's particles leave in the bricks that hold them, and in those bricks' rims.
+// the clouds of the bin's particles leave in the bricks that hold them, and in those bricks' ghost layers.
 
 struct Push {
     // The lowest cell within the walls, and the highest.
@@ -51,7 +51,7 @@ fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id)
         atomicStore(&sums[i], 0u);
     }
     workgroupBarrier();
-    let edge = (1u << push.brick_bits) + 2u * RIM;
+    let edge = (1u << push.brick_bits) + 2u * GHOST_LAYER;
     let begin = group.x * push.group_samples;
     let bin = bins[group.y];
     for (var i = local.x; i < bin.count; i += 256u) {

@@ -14,7 +14,7 @@ struct Push {
     // Of a cell's coordinate, those in what is stored in one piece.
     piece_bits: u32,
     // How many cells around their own pieces hold.
-    rim: u32,
+    ghost_layer: u32,
     // Of a cell's coordinate, those in its brick.
     brick_bits: u32,
     page_words: u32,
@@ -42,29 +42,29 @@ fn full_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     }
     workgroupBarrier();
     let bin = u32(BIN);
-    let rim = i32(push.rim);
+    let ghost_layer = i32(push.ghost_layer);
     let side = 1u << push.piece_bits;
-    let edge = side + 2u * push.rim;
+    let edge = side + 2u * push.ghost_layer;
     let cell = vec2<i32>(vec2(local.x % bin, local.x / bin));
-    let first = max(cell - rim, vec2(0)) >> vec2(push.piece_bits);
-    let last = min(cell + rim, vec2(BIN - 1)) >> vec2(push.piece_bits);
+    let first = max(cell - ghost_layer, vec2(0)) >> vec2(push.piece_bits);
+    let last = min(cell + ghost_layer, vec2(BIN - 1)) >> vec2(push.piece_bits);
     var bits = 0u;
     for (var z = first.y; z <= last.y; z++) {
         for (var y = first.x; y <= last.x; y++) {
             for (var x = 0u; x < bin / side; x++) {
                 let corner = vec3(x, u32(y), u32(z)) << vec3(push.piece_bits);
                 let number = brick_of(corner, push.piece_bits);
-                let inside = vec2<u32>(cell - vec2<i32>(corner.yz) + rim);
+                let inside = vec2<u32>(cell - vec2<i32>(corner.yz) + ghost_layer);
                 let row = edge * (inside.x + edge * (inside.y + edge * number));
-                let owns_row = all(inside >= vec2(push.rim)) && all(inside < vec2(push.rim + side));
+                let owns_row = all(inside >= vec2(push.ghost_layer)) && all(inside < vec2(push.ghost_layer + side));
                 for (var i = 0u; i < edge; i++) {
-                    let at = i32(corner.x + i) - rim;
+                    let at = i32(corner.x + i) - ghost_layer;
                     let word = pages[group.y * push.page_words + (row + i) / 2u];
                     if at < 0 || at >= BIN || half_of(word, row + i) == 0u {
                         continue;
                     }
                     bits |= 1u << u32(at);
-                    if owns_row && i >= push.rim && i < push.rim + side {
+                    if owns_row && i >= push.ghost_layer && i < push.ghost_layer + side {
                         let brick = brick_of(vec3(u32(at), vec2<u32>(cell)), push.brick_bits);
                         atomicOr(&bricks[brick / 32u], 1u << (brick % 32u));
                     }

@@ -14,11 +14,11 @@ fn once<T>(place: T) -> Found<T> {
     Found { count: 1, first: Some(place) }
 }
 
-/// Two cones tip to tip: closed as long as nobody asks for their rims.
+/// Two cones tip to tip: closed as long as nobody asks for their ghost layers.
 fn cones_on_one_apex() -> Mesh {
-    let rim = [[1., 0., 1.], [0., 1., 1.], [-1., 0., 1.], [0., -1., 1.]];
-    let mut mesh = cone(&rim, [0.; 3]);
-    mesh.positions.extend(rim.map(|p| p.map(|x| -x)));
+    let ghost_layer = [[1., 0., 1.], [0., 1., 1.], [-1., 0., 1.], [0., -1., 1.]];
+    let mut mesh = cone(&ghost_layer, [0.; 3]);
+    mesh.positions.extend(ghost_layer.map(|p| p.map(|x| -x)));
     mesh.triangles.extend((0..4).map(|i| [5 + i, 5 + (i + 1) % 4, 4]));
     mesh
 }
@@ -307,8 +307,8 @@ fn signs_do_not_depend_on_how_a_corner_is_cut_into_triangles() {
     // A spike along x. Slivers on one side of it pull its tip's normal there, unless angles weigh them.
     let quarter = std::f64::consts::FRAC_PI_2;
     let angles = (0..40).map(|i| quarter * f64::from(i) / 40.).chain([1., 2., 3.].map(|i| quarter * i));
-    let rim: Vec<[f64; 3]> = angles.map(|a| [0., 0.05 * a.cos(), 0.05 * a.sin()]).collect();
-    let mut spike = cone(&rim, [1., 0., 0.]);
+    let ghost_layer: Vec<[f64; 3]> = angles.map(|a| [0., 0.05 * a.cos(), 0.05 * a.sin()]).collect();
+    let mut spike = cone(&ghost_layer, [1., 0., 0.]);
     let base = spike.positions.len() as u32;
     spike.positions.push([0.; 3]);
     let below: Vec<_> = spike.triangles.iter().map(|&[a, b, _]| [b, a, base]).collect();

@@ -340,6 +340,10 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a sequence"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (ask(&["--parts", "2", "--plan", "--method", "mueller"]), "--parts has no meaning for this --method"),
+        (
+            ask(&["--parts", "2", "--plan", "--periodic", "-,-100,-,-,100,-"]),
+            "--parts does not go with --periodic",
+        ),
         (ask(&["--parts", "2", "--plan", "--stats", "s"]), "--stats goes with --merge"),
         (ask(&["--parts", "2", "--part", "0", "--dry-run"]), "--dry-run has no meaning with --parts"),
         (ask(&["--parts", "2", "--merge", "--resume"]), "--resume goes with --plan"),

@@ -663,7 +663,7 @@ fn a_fluid_at_rest_does_not_flicker() {
         run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
         let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
         assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
-        // Where the surface is against the particles, its rounded rim with it, in spacings.
+        // Where the surface is against the particles, its rounded ghost layer with it, in spacings.
         let level = |frame: usize| {
             let up = slope * DVec3::Y;
             level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())

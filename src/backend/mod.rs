@@ -118,7 +118,7 @@ impl Surfaces<'_> {
     pub fn regions(&self) -> Vec<CellBox> {
         // A dual cell reaches one cell up from its lowest corner.
         let dif = &self.sampled.dif;
-        let reach = dif.reach() + self.recipe.filters.reach();
+        let reach = dif.ghost_layer() + self.recipe.filters.reach();
         let walls = self.mesh_walls();
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));

@@ -12,7 +12,7 @@ use crate::field::distance::vulkan::{
 };
 use crate::field::distance::{BRICK, MOST_APART, ZERO};
 use crate::field::indicator::vulkan::{CLOUD_SAMPLES, CLOUDS, INDICATE, OCTANT};
-use crate::field::indicator::{DISTANCE_SCALE, RIM, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
+use crate::field::indicator::{DISTANCE_SCALE, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE};
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
 use crate::surface::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS, TILES};
@@ -69,7 +69,7 @@ pub fn constants() -> Vec<(&'static str, &'static str, i64)> {
         ("THETA_PER_DISTANCE", "u32", THETA_PER_DISTANCE.into()),
         ("SHARE_BITS", "u32", SHARE_BITS.into()),
         ("SQUARE_BITS", "u32", SQUARE_BITS.into()),
-        ("RIM", "u32", RIM.into()),
+        ("GHOST_LAYER", "u32", GHOST_LAYER.into()),
         ("RUN", "u32", RUN.into()),
         ("CLOUD_SAMPLES", "u32", CLOUD_SAMPLES.into()),
         ("HALVED_BITS", "u32", HALVED_BITS.into()),

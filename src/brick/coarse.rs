@@ -29,7 +29,7 @@ pub fn halved_box(cells: CellBox) -> CellBox {
 }
 
 /// How pages of cells lie that were made of others half as wide.
-pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, rim: 0 };
+pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
 /// Along an axis that has `step` sums in each plane, every two planes of `run` make one of `to`, but for the outermost two.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
@@ -124,7 +124,7 @@ impl DifField {
     /// as they need.
     #[must_use]
     pub fn halved(self: &Arc<Self>, walls: Option<CellBox>, factor: f64) -> Self {
-        let reach = self.reach();
+        let reach = self.ghost_layer();
         let touched = |cells: CellBox| CellBox { lo: (cells.lo - 1) >> 1, hi: (cells.hi + 2) >> 1 };
         let mut bins: Vec<IVec3> = self
             .infos()

@@ -98,8 +98,8 @@ impl DifField {
 
     /// How far from a page's full cells the DIF can be more than 0, in cells.
     #[must_use]
-    pub fn reach(&self) -> i32 {
-        self.shape.rim
+    pub fn ghost_layer(&self) -> i32 {
+        self.shape.ghost_layer
     }
 
     /// How its pages' samples lie.
@@ -120,7 +120,7 @@ impl DifField {
         self.infos.iter().map(|info| u64::from(info.full_count)).sum()
     }
 
-    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no rims. Reads all pages.
+    /// Mean of the DIF over the full cells, in 0 to 1, where bricks have no ghost layers. Reads all pages.
     #[must_use]
     pub fn mean_of_full(&self) -> f64 {
         let theta = |&sample: &u16| u64::from(self.stored.theta(sample));
@@ -146,7 +146,7 @@ impl DifField {
     #[must_use]
     pub fn gather(&self, cells: CellBox) -> Block {
         match &self.stored {
-            Stored::Theta if self.shape.rim > 0 => self.gather_by(cells, u16::saturating_add),
+            Stored::Theta if self.shape.ghost_layer > 0 => self.gather_by(cells, u16::saturating_add),
             Stored::Theta => self.gather_by(cells, |_, theta| theta),
             Stored::Counts(table) => self.gather_by(cells, |_, count| table.theta(count)),
         }
@@ -164,13 +164,13 @@ impl DifField {
 
     /// Cuts out the samples by what `value` makes of what is there already and of what another brick has stored.
     fn gather_by(&self, cells: CellBox, value: impl Fn(u16, u16) -> u16 + Copy) -> Block {
-        let PageShape { side, rim } = self.shape;
+        let PageShape { side, ghost_layer } = self.shape;
         let edge = side.cells();
         let mut block = Block::zero(cells);
-        for bin in cells.grown(rim, rim).cubes(BIN) {
+        for bin in cells.grown(ghost_layer, ghost_layer).cubes(BIN) {
             let Some(&rank) = self.rank.get(&bin) else { continue };
             let info = &self.infos[rank as usize];
-            let inside = cells.intersection(&info.full.grown(rim, rim));
+            let inside = cells.intersection(&info.full.grown(ghost_layer, ghost_layer));
             if inside.is_empty() {
                 continue;
             }
@@ -178,11 +178,11 @@ impl DifField {
             let samples = match &*samples {
                 PageSamples::Dense(samples) => samples,
                 PageSamples::Sparse(samples) => {
-                    block.put_cells(inside, bin * BIN - rim, samples, value);
+                    block.put_cells(inside, bin * BIN - ghost_layer, samples, value);
                     continue;
                 }
             };
-            let own = CellBox::cube(bin, BIN).intersection(&inside.grown(rim, rim));
+            let own = CellBox::cube(bin, BIN).intersection(&inside.grown(ghost_layer, ghost_layer));
             for brick in own.cubes(edge) {
                 let local = brick - bin * (BIN / edge);
                 if let Some(samples) = info.brick(samples, local, self.shape) {

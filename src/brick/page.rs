@@ -35,11 +35,11 @@ impl PageInfo {
         Self { key, bricks, full: CellBox { lo: lo + corner, hi: hi + corner }, full_count }
     }
 
-    /// Keeps the bricks of `dense` that have a full cell of their own. Without rims `dense` is a whole bin, x fastest; with
-    /// rims it is as [`from_bricks`](Self::from_bricks) takes it.
+    /// Keeps the bricks of `dense` that have a full cell of their own. Without ghost layers `dense` is a whole bin, x fastest; with
+    /// ghost layers it is as [`from_bricks`](Self::from_bricks) takes it.
     #[must_use]
     pub fn from_dense(bin: IVec3, dense: &[u16], shape: PageShape) -> Option<(Self, PageSamples)> {
-        if shape.rim > 0 {
+        if shape.ghost_layer > 0 {
             return Self::from_bricks(bin, &mut dense.to_vec(), shape);
         }
         let edge = shape.side.cells();
@@ -87,7 +87,7 @@ impl PageInfo {
         let sparse = take_sparse(samples, cells, shape);
         let mut full = FullCells::default();
         let own = CellBox::cube(IVec3::ZERO, BIN);
-        let places = sparse.iter().map(|(place, _)| place.local() - shape.rim);
+        let places = sparse.iter().map(|(place, _)| place.local() - shape.ghost_layer);
         for cell in places.filter(|&cell| own.contains(cell)) {
             full.rows[(cell.y + BIN * cell.z) as usize] |= 1 << cell.x;
         }
@@ -96,7 +96,7 @@ impl PageInfo {
     }
 
     /// Describes the page of stored samples, or returns `None` where they make no valid page.
-    /// A valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full cells than the rim is wide.
+    /// A valid page has a full cell in every one of `bricks`, and nothing farther from the bin's full cells than the ghost layer is wide.
     ///
     /// # Panics
     /// If the samples are not of the bricks' number.
@@ -110,11 +110,11 @@ impl PageInfo {
             return None;
         }
         let page = full.page(key, bricks);
-        let near = page.full.grown(shape.rim, shape.rim);
+        let near = page.full.grown(shape.ghost_layer, shape.ghost_layer);
         let first = |local: IVec3| key.coord() * (BIN / shape.side.cells()) + local;
         let is_near =
             |(local, brick): (IVec3, &[u16])| nonzero_are_in(brick, shape.cells_of(first(local)), near);
-        (shape.rim == 0 || stored().all(is_near)).then_some(page)
+        (shape.ghost_layer == 0 || stored().all(is_near)).then_some(page)
     }
 
     /// The inverse of [`from_dense`](Self::from_dense).
@@ -124,7 +124,7 @@ impl PageInfo {
         for index in (0..shape.side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
             let local = local_from_morton(index);
             let Some(samples) = self.brick(samples, local, shape) else { continue };
-            if shape.rim == 0 {
+            if shape.ghost_layer == 0 {
                 for (first, from) in rows(local * edge, edge).zip(samples.chunks_exact(edge as usize)) {
                     dense[first..first + edge as usize].copy_from_slice(from);
                 }
@@ -138,7 +138,7 @@ impl PageInfo {
     #[must_use]
     pub fn most_bytes(&self, shape: PageShape) -> usize {
         let nonzero = shape.cells_a_particle() * self.full_count as usize;
-        let near = self.full.grown(shape.rim, shape.rim).volume();
+        let near = self.full.grown(shape.ghost_layer, shape.ghost_layer).volume();
         PageSamples::most_bytes(nonzero.min(near), self.bricks.count_ones() as usize, shape)
     }
 
@@ -187,10 +187,10 @@ impl Default for FullCells {
 impl FullCells {
     /// Counts in what the brick at `local` leaves in the bin; whether it has a full cell of its own.
     fn add(&mut self, local: IVec3, samples: &[u16], shape: PageShape) -> bool {
-        let PageShape { side, rim } = shape;
+        let PageShape { side, ghost_layer } = shape;
         let (own, edge) = (CellBox::cube(local, side.cells()), shape.edge());
-        let first = own.lo - rim;
-        let inside = own.grown(rim, rim).intersection(&CellBox::cube(IVec3::ZERO, BIN));
+        let first = own.lo - ghost_layer;
+        let inside = own.grown(ghost_layer, ghost_layer).intersection(&CellBox::cube(IVec3::ZERO, BIN));
         let of_brick = ((1_u32 << side.cells()) - 1) << own.lo.x;
         let full = fullness(samples);
         let mut any = 0;

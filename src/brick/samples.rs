@@ -118,9 +118,9 @@ pub(super) fn take_sparse(
     cells: impl ExactSizeIterator<Item = [usize; 3]>,
     shape: PageShape,
 ) -> Box<[(SamplePlace, u16)]> {
-    let (edge, reach) = (shape.edge() as usize, 2 * shape.rim as usize);
+    let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
     let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
-    // The lowest sample around a cell is at the cell's own place, for the brick begins with its rim.
+    // The lowest sample around a cell is at the cell's own place, for the brick begins with its ghost layer.
     for [x, y, z] in cells {
         for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
             let first = x + edge * (y + edge * z);
@@ -138,10 +138,10 @@ pub(super) fn take_sparse(
 mod tests {
     use super::*;
 
-    /// Returns the samples of one-brick bins, with and without a rim, of which different numbers are not 0.
+    /// Returns the samples of one-brick bins, with and without a ghost layer, of which different numbers are not 0.
     fn scenes() -> impl Iterator<Item = (PageShape, Vec<u16>)> {
-        [0, 1].into_iter().flat_map(|rim| {
-            let shape = PageShape { side: BrickSide::Sixteen, rim };
+        [0, 1].into_iter().flat_map(|ghost_layer| {
+            let shape = PageShape { side: BrickSide::Sixteen, ghost_layer };
             let all = shape.brick_samples();
             [0, 1, 5, all / ONE_IN, all / ONE_IN + 1, all].map(|nonzero| {
                 let mut samples = vec![0; all];
@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn what_lies_around_cells_is_taken_once_though_they_are_near_and_nothing_is_left() {
-        let shape = PageShape { side: BrickSide::Sixteen, rim: 1 };
+        let shape = PageShape { side: BrickSide::Sixteen, ghost_layer: 1 };
         let cells = [[0, 0, 0], [15, 15, 15], [15, 14, 15], [3, 9, 7], [3, 9, 7]];
         let edge = shape.edge() as usize;
         let mut samples = vec![0; shape.brick_samples()];

@@ -47,32 +47,32 @@ pub struct PageShape {
     pub side: BrickSide,
     /// How many cells around its own a brick stores, in which its own particles leave something: 0 or 1. What is in a
     /// cell is the sum over all bricks, at most 65535.
-    pub rim: i32,
+    pub ghost_layer: i32,
 }
 
 impl From<BrickSide> for PageShape {
-    /// Without a rim.
+    /// Without a ghost layer.
     fn from(side: BrickSide) -> Self {
-        Self { side, rim: 0 }
+        Self { side, ghost_layer: 0 }
     }
 }
 
 impl PageShape {
-    /// Edge of a brick with its rim, in cells.
+    /// Edge of a brick with its ghost layer, in cells.
     #[must_use]
     pub fn edge(self) -> i32 {
-        self.side.cells() + 2 * self.rim
+        self.side.cells() + 2 * self.ghost_layer
     }
 
-    /// The cells of a brick with its rim, given its place in bricks.
+    /// The cells of a brick with its ghost layer, given its place in bricks.
     pub(super) fn cells_of(self, brick: IVec3) -> CellBox {
-        CellBox::cube(brick, self.side.cells()).grown(self.rim, self.rim)
+        CellBox::cube(brick, self.side.cells()).grown(self.ghost_layer, self.ghost_layer)
     }
 
     /// Cells in which a particle can leave something.
     #[must_use]
     pub fn cells_a_particle(self) -> usize {
-        (1 + 2 * self.rim as usize).pow(3)
+        (1 + 2 * self.ghost_layer as usize).pow(3)
     }
 
     /// Samples of a brick.
@@ -87,7 +87,7 @@ impl PageShape {
         self.side.bricks_a_bin() * self.brick_samples()
     }
 
-    /// Where the samples of a cell lie in a dense bin with rims, for the lowest of the cells around it: the sum over the
+    /// Where the samples of a cell lie in a dense bin with ghost layers, for the lowest of the cells around it: the sum over the
     /// axes, each by the cell's coordinate in the bin.
     #[must_use]
     pub fn firsts(self) -> [[usize; BIN as usize]; 3] {

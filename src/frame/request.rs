@@ -88,8 +88,8 @@ impl Sampling {
         let block = CellBox::cube(IVec3::ZERO, BLOCK);
         let filters = surfacing.filters(asked.kind, self.spacing, &self.grid);
         // A particle leaves something in the cells around its own.
-        let rim = asked.kind.shape(self.side).rim;
-        let of_field = filters.seen(surfacing.normals.cells(block)).grown(rim, rim);
+        let ghost_layer = asked.kind.shape(self.side).ghost_layer;
+        let of_field = filters.seen(surfacing.normals.cells(block)).grown(ghost_layer, ghost_layer);
         let halo = surfacing.attribute_smoothing(asked.kind, self.spacing, &self.grid).halo();
         let of_attributes =
             if self.carried.is_empty() { CellBox::EMPTY } else { dual_cells(block).grown(halo, halo) };

@@ -130,8 +130,8 @@ impl Reading {
             self.corners.push(corner);
         }
         match &self.corners[..] {
-            [apex, rim @ ..] if rim.len() > 1 => {
-                self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
+            [apex, ghost_layer @ ..] if ghost_layer.len() > 1 => {
+                self.triangles.extend(ghost_layer.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
                 Ok(())
             }
             few => Err(scan.fault(line, format!("a face of {} corners", few.len()))),

@@ -269,7 +269,7 @@ pub fn air_of_two_spacings_is_left_wherever_it_lies_deep_in_water(place: &Place)
     }
 }
 
-/// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far as no filter reaches its rim.
+/// How high the middle of a pool 32 spacings wide is on average, and how rough, in spacings: as far as no filter reaches its ghost layer.
 fn level(place: &Place, cell: f64, smooth: f64) -> (f64, f64) {
     let pool = fill(16.0, 1.0, 0.3, 21, |p| p.z < 0.0 && p.z > -10.0);
     let surfacing = Surfacing { smooth: Smooth::new(smooth).unwrap(), ..surfacing() };

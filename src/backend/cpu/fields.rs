@@ -94,7 +94,7 @@ fn parts_of_spray(
     boxes: impl Iterator<Item = CellBox>,
     whole: usize,
 ) -> Option<Vec<Vec<CellBox>>> {
-    let reach = sampled.dif.reach() + distances.reach() + 1;
+    let reach = sampled.dif.ghost_layer() + distances.reach() + 1;
     let near: Vec<Vec<CellBox>> = boxes.map(|cells| sampled.dif.parts_near(cells, reach).collect()).collect();
     let cost = |part: &CellBox| {
         let full = distances.wide_cells(part.grown(-reach, -reach));

@@ -70,7 +70,7 @@ impl BlockBatch {
                 let Some(from) = source.sampled.then(|| work.samples(source.level)) else { continue };
                 let page_bytes = page_bytes(from.shape());
                 let before = pages.len() as u64;
-                for bin in block.bins(from.shape().rim) {
+                for bin in block.bins(from.shape().ghost_layer) {
                     taken += size_of::<u32>() as u64 * 2;
                     if from.sends(bin) {
                         pages.insert(bin);

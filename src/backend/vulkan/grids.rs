@@ -109,7 +109,7 @@ impl Grid {
             block.marks = marks.len() as u32;
             marks.extend(inside.marks(block.cells()));
         }
-        tables.extend(block.bins(from.shape().rim).map(|bin| {
+        tables.extend(block.bins(from.shape().ghost_layer).map(|bin| {
             let number = match from {
                 Samples::There(resident, _) => resident.numbers.get(&bin).copied(),
                 Samples::Sent(_) => from.sends(bin).then(|| {

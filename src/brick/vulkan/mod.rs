@@ -23,7 +23,7 @@ use super::PageShape;
 use crate::grid::{BIN, CellBox};
 use crate::vulkan::{ALIGNMENT, Batch, Kernel, Program, View, VulkanError, push_block};
 
-/// Words of a page without rims on the device: all cells of a bin, x fastest, two samples to a word.
+/// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
 /// Words of a page on the device: its samples, dense, two to a word, up to where a part of a buffer may begin.
 #[must_use]
@@ -85,9 +85,9 @@ impl DeviceBlock {
         CellBox { lo, hi: lo + IVec3::from(self.size.map(|n| n as i32)) }
     }
 
-    /// The bins whose bricks with their rims it touches, in the order of its table.
-    pub fn bins(&self, rim: i32) -> impl Iterator<Item = IVec3> + use<> {
-        self.cells().grown(rim, rim).cubes(BIN)
+    /// The bins whose bricks with their ghost layers it touches, in the order of its table.
+    pub fn bins(&self, ghost_layer: i32) -> impl Iterator<Item = IVec3> + use<> {
+        self.cells().grown(ghost_layer, ghost_layer).cubes(BIN)
     }
 
     /// Words of its samples.
@@ -164,7 +164,7 @@ push_block! {
     struct GatherPush {
         decode: u32,
         brick_bits: u32,
-        rim: u32,
+        ghost_layer: u32,
         page_words: u32,
     }
 }
@@ -205,10 +205,10 @@ pub fn gather(
     field: &View,
 ) -> Result<(), VulkanError> {
     let &DevicePages { shape, decode, .. } = pages;
-    // Without rims a bin is one brick.
-    let brick = if shape.rim == 0 { BIN } else { shape.side.cells() };
-    let (rim, page_words) = (shape.rim as u32, page_words(shape));
-    let push = GatherPush { decode, brick_bits: brick.ilog2(), rim, page_words };
+    // Without ghost layers a bin is one brick.
+    let brick = if shape.ghost_layer == 0 { BIN } else { shape.side.cells() };
+    let (ghost_layer, page_words) = (shape.ghost_layer as u32, page_words(shape));
+    let push = GatherPush { decode, brick_bits: brick.ilog2(), ghost_layer, page_words };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
     batch.dispatch(kernel, &buffers, &push, blocks.run_groups())
@@ -230,8 +230,8 @@ mod tests {
     #[test]
     fn every_page_begins_where_a_part_of_a_buffer_may() {
         for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
-            for rim in [0, 1] {
-                let shape = PageShape { side, rim };
+            for ghost_layer in [0, 1] {
+                let shape = PageShape { side, ghost_layer };
                 let bytes = 4 * u64::from(page_words(shape));
                 assert!(bytes.is_multiple_of(ALIGNMENT), "{shape:?}: {bytes}");
                 assert!(bytes >= 2 * shape.bin_samples() as u64, "{shape:?}: {bytes}");

@@ -14,7 +14,7 @@ push_block! {
     /// Push block of [`FULL_CELLS`].
     struct FullPush {
         piece_bits: u32,
-        rim: u32,
+        ghost_layer: u32,
         brick_bits: u32,
         page_words: u32,
     }
@@ -78,11 +78,11 @@ pub fn full_cells(
     [pages, found]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let brick = shape.side.cells();
-    // Without rims a bin lies in one piece.
-    let piece = if shape.rim == 0 { BIN } else { brick };
+    // Without ghost layers a bin lies in one piece.
+    let piece = if shape.ghost_layer == 0 { BIN } else { brick };
     let push = FullPush {
         piece_bits: piece.ilog2(),
-        rim: shape.rim as u32,
+        ghost_layer: shape.ghost_layer as u32,
         brick_bits: brick.ilog2(),
         page_words: page_words(shape),
     };

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::brick::equal_steps;
 use crate::field::blur::{Filter, Smoothing, blur};
 use crate::field::distance::{BULK_GAIN, Distances};
-use crate::field::indicator::{RIM, SampledDif, WideCells};
+use crate::field::indicator::{GHOST_LAYER, SampledDif, WideCells};
 use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
 use crate::grid::units::{FULL, Isovalue};
@@ -77,7 +77,7 @@ impl Plateau {
             dif: frame.wide(distances.level),
             own: walls_at(distances.level, frame.facts.own_cells()),
             walls: walls_at(distances.level, frame.facts.walls()),
-            reach: RIM,
+            reach: GHOST_LAYER,
             halo: narrowest.kernel.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
             apply: &|block, walls| blur(block, &narrowest.kernel, walls),

@@ -6,7 +6,7 @@ use glam::IVec3;
 
 use crate::brick::halved_from_box;
 use crate::field::blur::Kernel;
-use crate::field::indicator::{Amount, RIM, WideCells};
+use crate::field::indicator::{Amount, GHOST_LAYER, WideCells};
 use crate::grid::units::Smooth;
 use crate::grid::{BLOCK, CellBox};
 
@@ -194,7 +194,7 @@ impl Distances {
             ((halo + spline) << level) + 2 * ((1 << level) - 1)
         };
         let wide = in_wide(self.level, self.wide_halo());
-        wide.max(in_wide(self.drops_level, self.drops_halo())) + RIM
+        wide.max(in_wide(self.drops_level, self.drops_halo())) + GHOST_LAYER
     }
 
     /// The cells whose samples decide the field on some cells, and which of those count as inside.

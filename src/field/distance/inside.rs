@@ -143,7 +143,7 @@ impl Inside {
         let keys: Vec<MortonKey> = field.keys().collect();
         let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
-        let rim = PART * (width - 1);
+        let margin = PART * (width - 1);
         // What is summed up are integers.
         let elsewhere = |pages: &dyn Elsewhere| pages.full_bricks(width as u32, least.ceil() as u32);
         let full = field.elsewhere().and_then(elsewhere).map(|bits| {
@@ -158,7 +158,7 @@ impl Inside {
                 if (own as f64) < least {
                     return 0;
                 }
-                let sums = Cube::of_parts(&field.gather(cells.grown(rim, rim)));
+                let sums = Cube::of_parts(&field.gather(cells.grown(margin, margin)));
                 let Cube { edge, values } = sums.joined(width as usize, |a, b| a + b);
                 let full = Cube { edge, values: values.into_iter().map(|sum| sum as f64 >= least).collect() };
                 let of_brick = width + BRICK / PART - 1;

@@ -210,8 +210,8 @@ pub struct Kernels {
 /// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too wide for that.
 #[must_use]
 pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
-    let rim = PART * (width as i32 - 1);
-    (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(rim, rim))
+    let margin = PART * (width as i32 - 1);
+    (width <= WIDEST_CUBE).then(|| CellBox::cube(bin, BIN).grown(margin, margin))
 }
 
 /// Finds the bricks of bins that are full, of blocks of their [cells](full_bricks_of): two words a bin.

@@ -7,7 +7,7 @@ use crate::brick::{BinContents, BrickSide, PageInfo, PageSamples, PageShape, unp
 use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 
 /// How far from its cell a cloud reaches, in cells.
-pub const RIM: i32 = 1;
+pub const GHOST_LAYER: i32 = 1;
 /// Bits of a share of a cloud: a power of two is the whole.
 pub const SHARE_BITS: u32 = 16;
 /// Bits that the square of a length has more than the share that is half of it: a length has one bit more than an offset.
@@ -124,9 +124,9 @@ impl Clouds {
     }
 }
 
-/// Edge of a brick with its rim, in samples.
+/// Edge of a brick with its ghost layer, in samples.
 const fn edge(side: BrickSide) -> usize {
-    (side.cells() + 2 * RIM) as usize
+    (side.cells() + 2 * GHOST_LAYER) as usize
 }
 
 /// Clouds that are made at once: vectors' work.

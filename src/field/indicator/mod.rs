@@ -23,7 +23,7 @@ mod sampled;
 pub mod vulkan;
 mod wide;
 
-pub use cloud::{Amount, RIM, SHARE_BITS, SQUARE_BITS};
+pub use cloud::{Amount, GHOST_LAYER, SHARE_BITS, SQUARE_BITS};
 pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
 pub use wide::WideCells;
@@ -121,7 +121,7 @@ impl IndicatorKind {
         self == Self::Counting
     }
 
-    /// The bricks that suit it: rims weigh less around large ones.
+    /// The bricks that suit it: ghost layers weigh less around large ones.
     #[must_use]
     pub fn brick_side(self) -> BrickSide {
         if self == Self::Cloud { BrickSide::Sixteen } else { BrickSide::default() }
@@ -130,7 +130,7 @@ impl IndicatorKind {
     /// How what it stores lies in pages.
     #[must_use]
     pub fn shape(self, side: BrickSide) -> PageShape {
-        PageShape { side, rim: if self == Self::Cloud { RIM } else { 0 } }
+        PageShape { side, ghost_layer: if self == Self::Cloud { GHOST_LAYER } else { 0 } }
     }
 }
 

@@ -36,7 +36,7 @@
 //! The samples of a page are those of its bricks one after the other, x fastest in each: first the low bytes of all
 //! samples, then the high bytes. For symmetry they are the DIF, 0 to 65535; for counting they are numbers of
 //! particles, at most 65535, and the DIF is theta(N) = min(N, mu0) / mu0 in 65535ths, rounded; for cloud a brick has a
-//! rim of one more cell on every side, and its samples are what its own particles add there, each in all as much as suits their
+//! ghost layer of one more cell on every side, and its samples are what its own particles add there, each in all as much as suits their
 //! spacing in cells ([`Amount`](crate::field::indicator::Amount)); what lies in a cell is the sum over all bricks, at most 65535.
 //! A cell is full where what its own page holds of it is not 0.
 //!
