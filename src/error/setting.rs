@@ -72,7 +72,7 @@ pub enum Conflict {
     Baseline(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
-    /// Another setting.
+    /// A setting that excludes it.
     Setting(Setting),
     /// A frame that was sampled already, otherwise than is asked for now.
     Sampled,

@@ -65,7 +65,7 @@ pub struct SpoolFile {
     pub file: Scratch,
     /// Where the first of them begins.
     pub at: u64,
-    /// All of them, in Morton order.
+    /// Meshes of all blocks, in Morton order.
     pub blocks: Vec<ListedBlock>,
 }
 
