@@ -89,7 +89,6 @@ impl Asked {
             "indicator": self.indicator.unwrap_or_default().name(),
             "mu0": self.mean,
             "skip-invalid": self.skip_invalid,
-            "particle-type": self.particle_type,
             "method": method,
             "smooth": self.smooth,
             "sigma": self.sigma,
@@ -108,6 +107,9 @@ impl Asked {
             Value::Object(map) => map,
             _ => Settings::new(),
         };
+        if let Some(name) = &self.particle_type {
+            settings.insert("particle-type".into(), name.as_str().into());
+        }
         if let Some(faces) = self.periodic {
             let ends = |side: usize| faces.map(|faces| faces.map(|faces| faces[side]));
             settings.insert("periodic".into(), json!([ends(0), ends(1)].as_flattened()));
