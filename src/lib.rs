@@ -71,6 +71,8 @@ pub mod guide {
     pub mod periodic {}
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
+    #[doc = include_str!("frame/scale.md")]
+    pub mod scale {}
     #[doc = include_str!("simulation/guide.md")]
     pub mod simulations {}
     #[doc = include_str!("frame/speed.md")]
