@@ -906,7 +906,7 @@ fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_thei
     let folder = folder_with_ball();
     let drawn = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
     assert!(drawn.status.success());
-    for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp"] {
+    for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp", "mesh.vtkhdf"] {
         // A packed frame is an input as before.
         let drawn = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
         assert!(drawn.status.success(), "{mesh}");

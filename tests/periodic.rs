@@ -217,7 +217,7 @@ fn images_are_counted_nowhere() {
     let counting = in_box(IndicatorKind::Counting, 1.0, faces);
     let (frame, _) = drawn(&particles[..], &counting, &surfacing());
     assert_eq!(frame.facts().census.binned, particles.len());
-    let alone = Sampling { periodic: None, ..counting.clone() };
+    let alone = Sampling { periodic: None, ..counting };
     let expected = Frame::sample(&particles[..], &alone, &mut Timings::default()).unwrap();
     let mean = |frame: &Frame| frame.dif().unwrap().indicator.mean();
     assert_eq!(mean(&frame), mean(&expected), "cells divide the box");
@@ -247,7 +247,7 @@ fn a_narrow_reach_is_enough_and_less_is_refused() {
     let frame = request.sample(&fluid(15, edges)[..]).unwrap();
     let surface = |request: &Reconstruction| frame.surface_by(request);
     assert!(surface(&request.clone().smooth(1.0)).is_ok(), "narrower filters see less");
-    let error = surface(&request.clone().smooth(2.5)).unwrap_err();
+    let error = surface(&request.smooth(2.5)).unwrap_err();
     assert_eq!(error.cause(), meniscus::Cause::Request);
     assert!(error.to_string().contains("periodic"), "{error}");
 }

@@ -90,9 +90,12 @@ fn listed(planned: &Planned) -> String {
             format!("part {number}: {} particles, {} with those around", part.particles, part.kept);
         if let Some(PartTakes { memory, in_core, scratch, .. }) = part.takes {
             let [memory, budget, in_core, scratch] = [memory, planned.budget, in_core, scratch].map(ByteSize);
-            line += &format!(
-                "; about {memory} of {budget} memory, where all in memory would take {in_core}; at most about {scratch} of scratch"
-            );
+            line += &format!("; about {memory} of {budget} memory");
+            if scratch.0 > 0 {
+                line += &format!(
+                    ", where all in memory would take {in_core}; at most about {scratch} of scratch"
+                );
+            }
         }
         lines.push(line);
     }

@@ -151,13 +151,17 @@ fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
     sum.ok_or_else(|| malformed(0, "more points than can be counted"))
 }
 
-/// Reads the points as particles, whatever cells are made of them.
+/// Reads the points as particles, where no faces are made of them.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
     let (root, kind) = opened(&file)?;
+    let faces = if kind == POLY_DATA { faces(&file, &root)? } else { 0 };
+    if faces > 0 {
+        return Err(ReadFault::Mesh { faces });
+    }
     let frame = Frame::of(&file, &root, step)?;
     let time = frame.time(&file, &root)?;
     let table = frame.table(&file, &root)?;
@@ -166,17 +170,26 @@ pub fn read_particles(
     Ok(ParticleFile { time, ..table.read(file, format, wanted)? })
 }
 
+/// Polygons and strips of all partitions and steps.
+fn faces(file: &File, root: &Group) -> Result<u64, ReadFault> {
+    let mut faces = 0;
+    for cells in ["Polygons", "Strips"] {
+        let Some(group) = sub_group(root, cells)? else { continue };
+        for cells in integers(file, &group, "NumberOfCells")? {
+            faces = sum(&[faces, count(cells, "NumberOfCells")?])?;
+        }
+    }
+    Ok(faces)
+}
+
 /// Whether there are polygons or strips, or nothing at all.
 pub fn has_faces(file: &File) -> Result<bool, ReadFault> {
     let (root, kind) = opened(file)?;
     if kind != POLY_DATA {
         return Ok(false);
     }
-    for faces in ["Polygons", "Strips"] {
-        let Some(group) = sub_group(&root, faces)? else { continue };
-        if integers(file, &group, "NumberOfCells")?.iter().any(|&cells| cells > 0) {
-            return Ok(true);
-        }
+    if faces(file, &root)? > 0 {
+        return Ok(true);
     }
     Ok(integers(file, &root, "NumberOfPoints")?.iter().all(|&points| points == 0))
 }
