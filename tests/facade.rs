@@ -44,19 +44,16 @@ fn the_library_and_the_program_write_the_same_bytes() {
         (&[], usual()),
         (&["--spacing", "0.5", "--cell", "0.3", "--smooth", "2"], usual().spacing(0.5).cell(0.3).smooth(2.0)),
         (&["--cell-size", "0.4", "--normals"], usual().cell_size(0.4).normals()),
-        (
-            &["--indicator", "counting", "--detail"],
-            usual().indicator(IndicatorKind::Counting).recover_details(),
-        ),
+        (&["--indicator", "counting", "--detail"], usual().indicator(IndicatorKind::Counting).detail()),
         (
             &["--indicator", "symmetry", "--iso", "0.2", "--cell", "1", "--origin", "0.1,0,0"],
             usual().indicator(IndicatorKind::Symmetry).iso(0.2).cell(1.0).origin([0.1, 0.0, 0.0]),
         ),
         (
             &["--domain", "-4,-9,-9,9,9,9", "--simplify", "0.5"],
-            usual().walls([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
+            usual().domain([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
         ),
-        (&["--method", "mueller"], usual().baseline(Method::Mueller { iso: Method::HALF })),
+        (&["--method", "mueller"], usual().method(Method::Mueller { iso: Method::HALF })),
         (
             &["--memory", "24MiB", "--threads", "1", "--smallest-drop", "5"],
             usual().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
@@ -143,7 +140,7 @@ fn numbers_out_of_range_are_refused_before_any_work() {
         ("smooth", asked().smooth(0.01)),
         ("sigma", asked().indicator(IndicatorKind::Counting).sigma(-1.0)),
         ("isovalue", asked().indicator(IndicatorKind::Counting).iso(2.0)),
-        ("mu0", asked().indicator(IndicatorKind::Counting).mean_count(0.0)),
+        ("mu0", asked().indicator(IndicatorKind::Counting).mu0(0.0)),
         ("simplifying", asked().simplify(1e9)),
         ("least volume", asked().drop_smaller(-2.0)),
         ("memory", asked().memory(MemoryBudget(1 << 10))),
@@ -222,10 +219,10 @@ fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
         (asked().cell_size(0.3), Setting::CellSize),
         (asked().spacing(0.4), Setting::Spacing),
         (asked().origin([0.1; 3]), Setting::Origin),
-        (asked().walls([-1.0; 3], [1.0; 3]), Setting::Walls),
+        (asked().domain([-1.0; 3], [1.0; 3]), Setting::Domain),
         (asked().indicator(IndicatorKind::Counting), Setting::Indicator),
         (asked().skip_invalid(), Setting::SkipInvalid),
-        (asked().baseline(Method::ZhuBridson), Setting::Baseline),
+        (asked().method(Method::ZhuBridson), Setting::Method),
         (asked().attributes(["heat"]), Setting::Attributes),
     ] {
         let error = frame.surface_by(&other).unwrap_err();

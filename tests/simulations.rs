@@ -82,7 +82,7 @@ fn the_library_and_the_program_write_the_same_files() {
             request.simplify(1.0).smallest_drop(4).attributes([""; 0])
         }),
         (&["--indicator", "symmetry", "--iso", "0.3", "--domain", "-4,-9,-9,9,9,9"], |request| {
-            request.indicator(IndicatorKind::Symmetry).iso(0.3).walls([-4.0, -9.0, -9.0], [9.0; 3])
+            request.indicator(IndicatorKind::Symmetry).iso(0.3).domain([-4.0, -9.0, -9.0], [9.0; 3])
         }),
     ];
     for (number, (options, ask)) in asked.into_iter().enumerate() {
@@ -362,17 +362,17 @@ fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
 fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
     let asked = Reconstruction::new;
     let counting = || asked().indicator(IndicatorKind::Counting);
-    let mueller = || asked().baseline(meniscus::Method::Mueller { iso: 0.5 });
+    let mueller = || asked().method(meniscus::Method::Mueller { iso: 0.5 });
     let folder = TempDir::new().unwrap();
     for (setting, request) in [
         (Setting::Sigma, asked().sigma(1.0)),
         (Setting::Iso, asked().iso(0.5)),
-        (Setting::Details, asked().recover_details()),
-        (Setting::MeanCount, asked().mean_count(3.0)),
+        (Setting::Detail, asked().detail()),
+        (Setting::Mu0, asked().mu0(3.0)),
         (Setting::Smooth, counting().smooth(1.6)),
         (Setting::Smooth, mueller().smooth(1.6)),
         (Setting::Sigma, mueller().sigma(1.6)),
-        (Setting::Iso, asked().baseline(meniscus::Method::ZhuBridson).iso(0.5)),
+        (Setting::Iso, asked().method(meniscus::Method::ZhuBridson).iso(0.5)),
         (Setting::Indicator, mueller().indicator(IndicatorKind::Cloud)),
     ] {
         let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting == setting);

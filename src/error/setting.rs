@@ -16,17 +16,17 @@ pub enum Setting {
     CellSize,
     Cell,
     Origin,
-    Walls,
+    Domain,
     Periodic,
     Indicator,
-    MeanCount,
+    Mu0,
     SkipInvalid,
     ParticleType,
-    Baseline,
+    Method,
     Smooth,
     Sigma,
     Iso,
-    Details,
+    Detail,
     Normals,
     Attributes,
     Compression,
@@ -41,17 +41,17 @@ impl fmt::Display for Setting {
             Self::Spacing => "a spacing",
             Self::CellSize | Self::Cell => "a size of cells",
             Self::Origin => "an origin",
-            Self::Walls => "a tank",
+            Self::Domain => "a tank",
             Self::Periodic => "a periodic box",
             Self::Indicator => "an indicator",
-            Self::MeanCount => "a mean number of particles (mu0)",
+            Self::Mu0 => "a mean number of particles (mu0)",
             Self::ParticleType => "a type of particles",
             Self::SkipInvalid => "skipping invalid particles",
-            Self::Baseline => "a kernel method",
+            Self::Method => "a kernel method",
             Self::Smooth => "a width of smoothing",
             Self::Sigma => "the width of a Gaussian (sigma)",
             Self::Iso => "an isovalue",
-            Self::Details => "recovering details",
+            Self::Detail => "recovering details",
             Self::Normals => "vertex normals",
             Self::Attributes => "vertex attributes",
             Self::Compression => "compression",
@@ -69,7 +69,7 @@ pub enum Conflict {
     /// The indicator that makes the field.
     Indicator(IndicatorKind),
     /// The kernel method that makes the field.
-    Baseline(Method),
+    Method(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
     /// A setting that excludes it.
@@ -102,7 +102,7 @@ impl fmt::Display for Unfit {
             Conflict::Indicator(kind) => {
                 write!(f, "{setting} has no meaning for the indicator {}", kind.name())
             }
-            Conflict::Baseline(_) => write!(f, "{setting} has no meaning for this kernel method"),
+            Conflict::Method(_) => write!(f, "{setting} has no meaning for this kernel method"),
             Conflict::Packed(path) => {
                 write!(f, "{}: {setting} needs the particles themselves", path.display())
             }

@@ -92,7 +92,7 @@ impl Reconstruction {
 
     /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not counted. An axis without walls goes
     /// from -inf to inf.
-    pub fn walls(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
+    pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
         self.asked.walls = Some([lowest, highest]);
         self
     }
@@ -135,13 +135,13 @@ impl Reconstruction {
     }
 
     /// Sets `mu0`, the mean number of particles in a full cell, for counting.
-    pub fn mean_count(mut self, particles: f64) -> Self {
+    pub fn mu0(mut self, particles: f64) -> Self {
         self.asked.mean = Some(particles);
         self
     }
 
     /// Makes the field by one of the kernel methods that the paper compares against.
-    pub fn baseline(mut self, method: Method) -> Self {
+    pub fn method(mut self, method: Method) -> Self {
         self.asked.baseline = Some(method);
         self
     }
@@ -165,7 +165,7 @@ impl Reconstruction {
     }
 
     /// Recovers details that smoothing loses, for the paper's indicators.
-    pub fn recover_details(mut self) -> Self {
+    pub fn detail(mut self) -> Self {
         self.asked.details = true;
         self
     }

@@ -120,20 +120,20 @@ fn field(asked: &Asked) -> Result<FieldRequest, Error> {
     let kind = asked.indicator.unwrap_or_default();
     let Some(method) = asked.baseline else {
         if asked.mean.is_some() && !kind.counts() {
-            return unfit(Setting::MeanCount, Conflict::Indicator(kind));
+            return unfit(Setting::Mu0, Conflict::Indicator(kind));
         }
         return Ok(IndicatorRequest { kind, mean: asked.mean.map(MeanCount::new).transpose()? }.into());
     };
     let meaningless = given([
         (Setting::Smooth, asked.smooth.is_some()),
         (Setting::Sigma, asked.sigma.is_some()),
-        (Setting::Details, asked.details),
+        (Setting::Detail, asked.details),
         (Setting::Indicator, asked.indicator.is_some()),
-        (Setting::MeanCount, asked.mean.is_some()),
+        (Setting::Mu0, asked.mean.is_some()),
         (Setting::Iso, method == Method::ZhuBridson && asked.iso.is_some()),
     ]);
     if let Some(setting) = meaningless {
-        return unfit(setting, Conflict::Baseline(method));
+        return unfit(setting, Conflict::Method(method));
     }
     // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
     let asked = asked.iso.map(Isovalue::new).transpose()?.map(Isovalue::value);
@@ -175,7 +175,7 @@ impl Asked {
             IndicatorKind::Cloud => given([
                 (Setting::Sigma, self.sigma.is_some()),
                 (Setting::Iso, self.iso.is_some()),
-                (Setting::Details, self.details),
+                (Setting::Detail, self.details),
             ]),
             IndicatorKind::Counting | IndicatorKind::Symmetry => {
                 given([(Setting::Smooth, self.smooth.is_some())])
@@ -206,16 +206,16 @@ impl Asked {
             (Setting::CellSize, self.cell_size.is_some() && self.cell_size != sampled.cell_size),
             (Setting::Cell, self.cell.is_some() && self.cell != sampled.cell),
             (Setting::Origin, self.origin.is_some() && self.origin != sampled.origin),
-            (Setting::Walls, self.walls.is_some() && self.walls != sampled.walls),
+            (Setting::Domain, self.walls.is_some() && self.walls != sampled.walls),
             (Setting::Periodic, self.periodic.is_some() && self.periodic != sampled.periodic),
             (Setting::Indicator, self.indicator.is_some() && self.indicator != sampled.indicator),
-            (Setting::MeanCount, self.mean.is_some() && self.mean != sampled.mean),
+            (Setting::Mu0, self.mean.is_some() && self.mean != sampled.mean),
             (Setting::SkipInvalid, self.skip_invalid && !sampled.skip_invalid),
             (
                 Setting::ParticleType,
                 self.particle_type.is_some() && self.particle_type != sampled.particle_type,
             ),
-            (Setting::Baseline, self.baseline.is_some() && self.baseline != sampled.baseline),
+            (Setting::Method, self.baseline.is_some() && self.baseline != sampled.baseline),
         ])
     }
 

@@ -132,7 +132,7 @@ impl Frame {
         let Ready { checked, threads } = &self.ready;
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());
-            return Err(Unfit { setting: Setting::Baseline, with }.into());
+            return Err(Unfit { setting: Setting::Method, with }.into());
         };
         checked.resources.control.begins(Stage::Writing);
         let mut timings = self.timings.clone();

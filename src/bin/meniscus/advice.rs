@@ -65,17 +65,17 @@ fn option(setting: Setting) -> &'static str {
         Setting::CellSize => "--cell-size",
         Setting::Cell => "--cell",
         Setting::Origin => "--origin",
-        Setting::Walls => "--domain",
+        Setting::Domain => "--domain",
         Setting::Periodic => "--periodic",
         Setting::Indicator => "--indicator",
-        Setting::MeanCount => "--mu0",
+        Setting::Mu0 => "--mu0",
         Setting::SkipInvalid => "--skip-invalid",
         Setting::ParticleType => "--particle-type",
-        Setting::Baseline => "--method",
+        Setting::Method => "--method",
         Setting::Smooth => "--smooth",
         Setting::Sigma => "--sigma",
         Setting::Iso => "--iso",
-        Setting::Details => "--detail",
+        Setting::Detail => "--detail",
         Setting::Normals => "--normals",
         Setting::Attributes => "--attributes",
         Setting::Compression => "--compress",
@@ -88,7 +88,7 @@ fn option(setting: Setting) -> &'static str {
 fn unfit_options(unfit: &Unfit) -> String {
     let given = option(unfit.setting);
     match (&unfit.with, unfit.setting) {
-        (Conflict::Indicator(kind), Setting::MeanCount) => {
+        (Conflict::Indicator(kind), Setting::Mu0) => {
             format!("{given} has no meaning for --indicator {}", kind.name())
         }
         (Conflict::Indicator(IndicatorKind::Cloud), setting) => format!(
@@ -99,7 +99,7 @@ fn unfit_options(unfit: &Unfit) -> String {
         (Conflict::Indicator(_), _) => {
             format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
         }
-        (Conflict::Baseline(_), _) => format!("{given} has no meaning for this --method"),
+        (Conflict::Method(_), _) => format!("{given} has no meaning for this --method"),
         (Conflict::Setting(other), _) => format!("{given} does not go with {}", option(*other)),
         (Conflict::Packed(path), _) => format!("{}: {given} needs the particles themselves", path.display()),
         (Conflict::Format { path, .. }, Setting::Compression) => {

@@ -164,7 +164,7 @@ impl Options {
                 let what = "--backend vulkan has no meaning for this --method";
                 return Err(Error::Request(what.into()));
             }
-            request = request.baseline(method);
+            request = request.method(method);
         }
         if let Some(spacings) = self.smooth {
             request = request.smooth(spacings);
@@ -176,7 +176,7 @@ impl Options {
             request = request.iso(value);
         }
         if self.detail {
-            request = request.recover_details();
+            request = request.detail();
         }
         if let Some(ends) = self.periodic_mesh {
             request = request.periodic_mesh(ends.into());

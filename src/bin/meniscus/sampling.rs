@@ -134,7 +134,7 @@ impl SamplingOptions {
         }
         if let Some(faces) = self.domain {
             let walls = faces.map(|walls| walls.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]));
-            request = request.walls(walls.map(|[lo, _]| lo), walls.map(|[_, hi]| hi));
+            request = request.domain(walls.map(|[lo, _]| lo), walls.map(|[_, hi]| hi));
         }
         if let Some(faces) = self.periodic {
             request = request.periodic(faces);
@@ -150,7 +150,7 @@ impl SamplingOptions {
             request = request.particle_type(name);
         }
         if let Some(mean) = self.mu0 {
-            request = request.mean_count(mean);
+            request = request.mu0(mean);
         }
         Ok(if self.skip_invalid { request.skip_invalid() } else { request })
     }

@@ -112,7 +112,7 @@ impl Cube<bool> {
 }
 
 /// The bin of a brick, given in bricks from the corner of `bin`, and its Morton index there.
-fn home(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
+fn owner(bin: IVec3, brick: IVec3) -> (IVec3, usize) {
     let edge = IVec3::splat(BRICKS);
     (bin + brick.div_euclid(edge), local_morton(brick.rem_euclid(edge)))
 }
@@ -166,7 +166,7 @@ impl Inside {
             })
         });
         let is_full = |bin: IVec3, brick: IVec3| {
-            let (bin, brick) = home(bin, brick);
+            let (bin, brick) = owner(bin, brick);
             full.get(&bin).is_some_and(|full| full >> brick & 1 != 0)
         };
         let bricks = bits_by_bin(&keys, |bin| match full.get(&bin) {
@@ -179,7 +179,7 @@ impl Inside {
     /// Whether a brick of wide cells is inside, given in bricks.
     #[must_use]
     pub fn contains(&self, brick: IVec3) -> bool {
-        let (bin, brick) = home(IVec3::ZERO, brick);
+        let (bin, brick) = owner(IVec3::ZERO, brick);
         self.bricks.get(&bin).is_some_and(|bricks| bricks >> brick & 1 != 0)
     }
 

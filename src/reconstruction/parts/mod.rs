@@ -203,7 +203,7 @@ impl Parts {
             return Err(Unfit { setting: Setting::Parts, with }.into());
         }
         if let Some(method) = checked.asked.baseline {
-            return Err(Unfit { setting: Setting::Parts, with: Conflict::Baseline(method) }.into());
+            return Err(Unfit { setting: Setting::Parts, with: Conflict::Method(method) }.into());
         }
         checked.refuse_of_indicator()?;
         refuse_same_file(&self.output, file_and_step(&self.input).0)?;

@@ -4,8 +4,8 @@
 //! quadric error metrics, 1997), if the mesh stays a 2-manifold there (Dey et al., Topology preserving edge contraction,
 //! 1999), no triangle turns over or becomes a sliver, and what changes stays near, both ways.
 //!
-//! Every vertex of the reference that is gone has a home, a triangle that is near enough. When triangles change, those
-//! whose home they were must find new ones among them. What lies between two vertices that one triangle is near to, it is
+//! Every vertex of the reference that is gone has a closest triangle, which is near enough. When triangles change, those
+//! that they were closest to must find new ones among them. What lies between two vertices that one triangle is near to, it is
 //! near to as well, for triangles are convex; elsewhere it is halved.
 
 use glam::{Vec3A, Vec4};
@@ -21,10 +21,10 @@ const SAMPLE_STEP: f32 = 0.5;
 const DOUBT_SHARE: f32 = 0.4;
 const FINE: i32 = 4;
 /// Nothing between two vertices is looked at if each takes no more than this share of the distance, and the cosine between
-/// the normals of their homes is not less.
+/// the normals of their closest triangles is not less.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// Where this was so all around a vertex, nobody looks again until its home has turned by more, as a cosine.
+/// Where this was so all around a vertex, nobody looks again until its closest triangle has turned by more, as a cosine.
 const STEADY: f32 = 0.98;
 /// How often what lies between two vertices is halved.
 const HALVINGS: u32 = 4;
@@ -53,7 +53,7 @@ pub struct Measure<'a> {
     pub distance: f32,
 }
 
-/// Finds homes on `surface` for the vertices of `reference` that it does not have, from one that has one to the next.
+/// Finds closest triangles on `surface` for the vertices of `reference` that it does not have, from one that has one to the next.
 pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A], distance: f32) {
     let lacks =
         |surface: &Surface, corners: &[u32; 3]| corners.iter().any(|&v| surface.spot(v) == Spot::NOWHERE);
@@ -74,9 +74,10 @@ pub fn find_homes(reference: &Surface, surface: &mut Surface, normals: &[Vec3A],
                     true => surface.towards(known, place),
                     false => surface.at(known),
                 };
-                if let Some((home, squared)) = surface.holder(from, place, normal, SAMPLE_SHARE * distance) {
+                if let Some((closest, squared)) = surface.holder(from, place, normal, SAMPLE_SHARE * distance)
+                {
                     let is_close = squared <= (CLOSE_SHARE * distance).powi(2);
-                    surface.settle(vertex, Spot::gone(home, is_close));
+                    surface.settle(vertex, Spot::gone(closest, is_close));
                     found_some = true;
                 }
             }
@@ -138,10 +139,10 @@ impl Quadric {
 struct Work<'a, 'b> {
     by: &'b Measure<'a>,
     surface: Surface<'a>,
-    /// For each triangle one of those whose home it is, and for each of these the next.
+    /// For each triangle one of those whose closest triangle it is, and for each of these the next.
     first: Vec<u32>,
     next: Vec<u32>,
-    /// For each vertex that is gone the normal of its home when nothing around it needed a look, or zero.
+    /// For each vertex that is gone the normal of its closest triangle when nothing around it needed a look, or zero.
     calm: Vec<Vec3A>,
     /// Vertices at the other ends of what was looked at: they are calm no more.
     looked_at: Vec<u32>,
@@ -163,7 +164,7 @@ struct Work<'a, 'b> {
     mark: u32,
 }
 
-/// A vertex that is gone, and its home before and after.
+/// A vertex that is gone, and its closest triangle before and after.
 #[derive(Clone, Copy)]
 struct Moved {
     vertex: u32,
@@ -482,14 +483,14 @@ impl Work<'_, '_> {
         after > 0.0 && after >= KEPT * volume(from)
     }
 
-    /// Finds homes among the triangles that are to be for all whose home changes.
+    /// Finds closest triangles among the triangles that are to be for all whose closest triangle changes.
     fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
         let within = (SAMPLE_SHARE * self.by.distance).powi(2);
         let close = (CLOSE_SHARE * self.by.distance).powi(2);
         let last = self.parts.len();
-        let home = |gone: u32, before: usize| {
+        let closest = |gone: u32, before: usize| {
             let (place, normal) = (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
             // The triangle that it was before, first, and those beside it.
             let mut nearest = None;
@@ -509,13 +510,13 @@ impl Work<'_, '_> {
             }
             nearest.map(|(part, is_close)| Spot::gone(ring[part + 1].triangle, is_close))
         };
-        let Some(to) = home(vertex, 0) else { return false };
+        let Some(to) = closest(vertex, 0) else { return false };
         self.moved.push(Moved { vertex, from: Spot::NOWHERE, to, calm: Vec3A::ZERO });
         self.marks[vertex as usize] = self.mark;
         for (turn, incident) in ring.iter().enumerate() {
             let mut gone = self.first[incident.triangle as usize];
             while gone != NONE {
-                let Some(to) = home(gone, turn.clamp(1, last) - 1) else { return false };
+                let Some(to) = closest(gone, turn.clamp(1, last) - 1) else { return false };
                 self.moved.push(Moved { vertex: gone, from: self.surface.spot(gone), to, calm: Vec3A::ZERO });
                 self.marks[gone as usize] = self.mark;
                 gone = self.next[gone as usize];
@@ -532,14 +533,14 @@ impl Work<'_, '_> {
         })
     }
 
-    /// Whether edges of the reference are near whose ends have new homes.
+    /// Whether edges of the reference are near whose ends have new closest triangles.
     fn is_between_near(&mut self) -> bool {
         let (mut moved, mut looked_at) =
             (std::mem::take(&mut self.moved), std::mem::take(&mut self.looked_at));
         looked_at.clear();
         let is_near = moved.iter_mut().all(|moved| {
-            let (home, is_close) = (moved.to.triangle(), moved.to.is_close());
-            let (corners, normal) = (self.surface.triangles[home as usize], self.surface.normal(home));
+            let (closest, is_close) = (moved.to.triangle(), moved.to.is_close());
+            let (corners, normal) = (self.surface.triangles[closest as usize], self.surface.normal(closest));
             if self.stays_calm(moved.vertex) {
                 moved.calm = self.calm[moved.vertex as usize];
                 return true;
@@ -549,7 +550,7 @@ impl Work<'_, '_> {
                 let spot = self.surface.spot(other);
                 // Without branches, for none could be foreseen.
                 let facing = self.surface.normal_of(spot);
-                let needs_no_look = (spot.triangle() == home)
+                let needs_no_look = (spot.triangle() == closest)
                     | (!spot.is_gone() & corners.contains(&other))
                     | facing.is_none_or(|facing| is_close & spot.is_close() & (normal.dot(facing) >= FLAT));
                 if !needs_no_look {
@@ -561,7 +562,7 @@ impl Work<'_, '_> {
                     || self.marks[other as usize] == self.mark
                         && other < moved.vertex
                         && !self.stays_calm(other)
-                    || self.is_edge_near(moved.vertex, home, other)
+                    || self.is_edge_near(moved.vertex, closest, other)
             });
             moved.calm = if is_calm { normal } else { Vec3A::ZERO };
             is_near
@@ -570,7 +571,7 @@ impl Work<'_, '_> {
         is_near
     }
 
-    /// Whether a vertex that is gone needs no look at what is around it, for its home has hardly turned since nothing did.
+    /// Whether a vertex that is gone needs no look at what is around it, for its closest triangle has hardly turned since nothing did.
     fn stays_calm(&self, vertex: u32) -> bool {
         let spot = self.surface.spot(vertex);
         let facing = self.surface.normal_of(spot);
@@ -578,20 +579,20 @@ impl Work<'_, '_> {
     }
 
     /// Whether an edge of the reference is near, one end of which is gone.
-    fn is_edge_near(&self, gone: u32, home: u32, other: u32) -> bool {
-        let other_home = match self.surface.has(other) {
+    fn is_edge_near(&self, gone: u32, closest: u32, other: u32) -> bool {
+        let other_closest = match self.surface.has(other) {
             true => self.surface.towards(other, self.position(gone)),
             false => self.surface.at(other),
         };
-        self.are_near([home, other_home], [gone, other].map(|end| self.position(end)), HALVINGS)
+        self.are_near([closest, other_closest], [gone, other].map(|end| self.position(end)), HALVINGS)
     }
 
     /// Whether triangles are near all between two points, each of which has one that is near.
-    fn are_near(&self, homes: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
+    fn are_near(&self, closest: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
         let within = SAMPLE_SHARE * self.by.distance;
         let [from, to] =
-            homes.map(|home| move |place: Vec3A| self.surface.is_near(home, place, within * within));
-        if homes[0] == homes[1] || from(q) || to(p) {
+            closest.map(|closest| move |place: Vec3A| self.surface.is_near(closest, place, within * within));
+        if closest[0] == closest[1] || from(q) || to(p) {
             return true;
         }
         for left in (0..halvings).rev() {
@@ -602,10 +603,10 @@ impl Work<'_, '_> {
                 (false, true) => q = middle,
                 (false, false) => {
                     // A crest's normal says little of where it faces.
-                    let between = self.surface.holder(homes[0], middle, Vec3A::ZERO, within);
+                    let between = self.surface.holder(closest[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|(between, _)| {
-                        self.are_near([homes[0], between], [p, middle], left)
-                            && self.are_near([between, homes[1]], [middle, q], left)
+                        self.are_near([closest[0], between], [p, middle], left)
+                            && self.are_near([between, closest[1]], [middle, q], left)
                     });
                 }
             }

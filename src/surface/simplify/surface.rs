@@ -29,7 +29,7 @@ pub struct Surface<'a> {
     normals: Vec<Vec3A>,
 }
 
-/// Where a vertex is: a corner of a triangle, or gone, and near one, its home. Or nowhere.
+/// Where a vertex is: a corner of a triangle, or gone, and near one, its closest triangle. Or nowhere.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Spot(u32);
 
@@ -42,11 +42,11 @@ impl Spot {
         Self(triangle)
     }
 
-    pub fn gone(home: u32, is_close: bool) -> Self {
-        Self(home | Self::GONE | if is_close { 0 } else { Self::FAR })
+    pub fn gone(closest: u32, is_close: bool) -> Self {
+        Self(closest | Self::GONE | if is_close { 0 } else { Self::FAR })
     }
 
-    /// With this corner, or its home.
+    /// With this corner, or its closest triangle.
     pub fn triangle(self) -> u32 {
         self.0 & !(Self::GONE | Self::FAR)
     }
@@ -157,7 +157,7 @@ impl<'a> Surface<'a> {
         self.spots[vertex as usize]
     }
 
-    /// Returns the normal of the triangle with this corner, or of its home; `None` where it is nowhere.
+    /// Returns the normal of the triangle with this corner, or of its closest triangle; `None` where it is nowhere.
     pub fn normal_of(&self, spot: Spot) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
