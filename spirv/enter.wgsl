@@ -1,4 +1,4 @@
-//! with table
+//! with bin_table
 // Counts the particles of a chunk by bin, and notes each one's: a particle a thread. A bin's first particle takes a slot for it; whether two
 // particles share a bin is read from their keys, which were written before.
 

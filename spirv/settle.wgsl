@@ -1,4 +1,4 @@
-//! with table
+//! with bin_table
 // Gives the slots that a chunk took the keys of their bins, before the next chunk comes: a slot a thread.
 
 struct Push {

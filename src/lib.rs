@@ -169,7 +169,7 @@ pub mod internals {
     pub mod system {
         pub use crate::system::*;
     }
-    /// Compute on a Vulkan device: choosing one, its memory, its kernels, and batches of commands.
+    /// Compute on a Vulkan device: choosing one, its memory, its shaders, and batches of commands.
     pub mod vulkan {
         pub use crate::vulkan::*;
     }
@@ -193,7 +193,7 @@ pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation, Missing, Simulation, Summary,
     Tallied,
 };
-pub use surface::simplify::Dropped;
+pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;
 pub use system::control::{Progress, Stage};
 pub use system::memory::{default_memory, peak_memory};

@@ -358,7 +358,7 @@ fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
 }
 
 #[test]
-fn invalid_particles_are_dropped_and_counted_when_asked() {
+fn invalid_particles_are_left_out_and_counted_when_asked() {
     let folder = TempDir::new().unwrap();
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
     fs::write(folder.path().join("good.xyz"), raw(&ball)).unwrap();
@@ -373,10 +373,10 @@ fn invalid_particles_are_dropped_and_counted_when_asked() {
         meniscus(folder.path(), &["reconstruct", input, "-o", output, "--spacing", "0.5", "--skip-invalid"])
     };
     assert!(run("good.xyz", "good.ply").status.success());
-    let dropped = run("bad.xyz", "bad.ply");
-    let notes = String::from_utf8_lossy(&dropped.stderr);
-    assert!(dropped.status.success(), "{notes}");
-    assert!(notes.contains("2 particles dropped") && notes.contains("1 particles dropped"), "{notes}");
+    let skipped = run("bad.xyz", "bad.ply");
+    let notes = String::from_utf8_lossy(&skipped.stderr);
+    assert!(skipped.status.success(), "{notes}");
+    assert!(notes.contains("2 particles skipped") && notes.contains("1 particles skipped"), "{notes}");
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("good.ply") == bytes("bad.ply"));
 }
@@ -671,18 +671,18 @@ fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
         (&["a.ply", "--simplify", "0"][..], "--simplify"),
         (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
         (&["a.ply", "--simplify", "nan"], "--simplify"),
-        (&["a.ply", "--drop-smaller", "-1"], "--drop-smaller"),
+        (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
         (&["a.ply", "--compress"], "--compress goes with .glb"),
         (&["a.glb", "--up", "z"], "in a .glb y points up; --particles-up z"),
     ] {
         assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
     }
-    let all = [&ball[..], &["a.ply", "--drop-smaller", "1e9"]].concat();
+    let all = [&ball[..], &["a.ply", "--smallest-component", "1e9"]].concat();
     assert_refused(
         folder.path(),
         &all,
         3,
-        &["all of its 1 components are below the least volume; a smaller --drop-smaller"],
+        &["all of its 1 components are below the smallest component; a smaller --smallest-component"],
     );
 }
 
@@ -696,7 +696,7 @@ fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
         String::from_utf8(output.stderr).unwrap()
     };
     run(&["-o", "whole.ply"]);
-    let said = run(&["-o", "less.ply", "--simplify", "0.25", "--drop-smaller", "10"]);
+    let said = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
     assert!(said.contains("simplified within 0.25 cells"), "{said}");
     assert!(said.contains("0 components of less than 10 cells left out"), "{said}");
     let [whole, less] = ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
@@ -885,7 +885,7 @@ fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
         "Input:",
         "Surface:",
         "Output:",
-        "Sequences:",
+        "Simulations:",
         "Clusters:",
         "Messages:",
         "Machine:",
@@ -898,7 +898,7 @@ fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
         all
     });
     let place = |heading: &str| help.find(heading).unwrap();
-    assert!(place("Input:") < place("--spacing") && place("Sequences:") < place("--resume"));
+    assert!(place("Input:") < place("--spacing") && place("Simulations:") < place("--resume"));
 }
 
 #[test]

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use bytemuck::Pod;
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::vulkan::{
-    BinKernels, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
+    BinPipelines, Coordinate, DeviceBinError, DeviceBins, DeviceGrid, DevicePositions, bin, reciprocal,
 };
 use meniscus::internals::brick::{BinError, BinPlan, Block, Census, CountingRoom, InvalidParticles};
 use meniscus::internals::grid::units::Isovalue;
@@ -27,9 +27,11 @@ use meniscus::internals::surface::dual_mc::vulkan::Tally;
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::surface::mesh::spool::Spool;
 use meniscus::internals::surface::stitch::Stitched;
-use meniscus::internals::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
+use meniscus::internals::surface::stitch::vulkan::{
+    MeshLayout, StitchBuffers, StitchPipelines, stitch, table,
+};
 use meniscus::internals::vulkan::{
-    Buffer, Device, DeviceOptions, Place, Program, Queue, ValidationLog, VulkanError,
+    Buffer, Device, DeviceOptions, Place, Queue, Shader, ValidationLog, VulkanError,
 };
 use scene::Random;
 
@@ -155,7 +157,7 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
         at_most: u32,
     }
     let Some((device, log)) = open() else { return };
-    let program: &'static Program = Box::leak(Box::new(Program {
+    let shader: &'static Shader = Box::leak(Box::new(Shader {
         name: "arithmetic",
         code: compile::compiled("arithmetic", &compile::whole(ARITHMETIC).unwrap()).unwrap().leak(),
         buffers: &["cases", "answers"],
@@ -178,11 +180,11 @@ fn double_precision_by_whole_numbers_is_that_of_the_host_to_the_bit() {
         })
         .collect();
     let answers = device.buffer(Place::Device, (count * size_of::<Answer>()) as u64).unwrap();
-    let kernel = Arc::new(device.kernel(program).unwrap());
+    let pipeline = Arc::new(device.pipeline(shader).unwrap());
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let views = [upload(&device, &cases).whole(), answers.whole()];
-    batch.dispatch(&kernel, &views, &(), [count as u32 / 64, 1, 1]).unwrap();
+    batch.dispatch(&pipeline, &views, &(), [count as u32 / 64, 1, 1]).unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     let answers: Vec<Answer> = download(&device, &answers, count);
@@ -307,7 +309,7 @@ fn grids() -> Vec<Grid> {
 #[test]
 fn a_device_sorts_particles_into_the_bins_of_the_host() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let doubles = cloud(60_000, 1);
     let singles = single(&doubles);
     for grid in grids() {
@@ -319,7 +321,7 @@ fn a_device_sorts_particles_into_the_bins_of_the_host() {
             let domain = domain.as_ref();
             let skip = InvalidParticles::Skip;
             let sort = |positions: &[DevicePositions]| {
-                bin(&device, &kernels, positions, &grid, domain, skip, 1 << 20).unwrap()
+                bin(&device, &pipelines, positions, &grid, domain, skip, 1 << 20).unwrap()
             };
             let (one, two) = singles.split_at(20_001);
             let found = sort(&on_device(&device, &[one, two], Coordinate::Single));
@@ -336,7 +338,7 @@ fn a_device_sorts_particles_into_the_bins_of_the_host() {
 #[test]
 fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::splat(0.05), 0.1).unwrap();
     let (lo, hi) = (DVec3::new(-1.04, -0.3, 0.0), DVec3::new(2.0, 0.77, 1.26));
     let domain = Domain::new(&grid, lo, hi).unwrap();
@@ -352,7 +354,7 @@ fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
         .collect();
     let refuse = InvalidParticles::Refuse;
     let positions = on_device(&device, &[&particles], Coordinate::Double);
-    let found = bin(&device, &kernels, &positions, &grid, Some(&domain), refuse, 1 << 20).unwrap();
+    let found = bin(&device, &pipelines, &positions, &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(found.census.outside > 1000 && found.census.binned > 1000);
     let expected = on_host(&particles[..], &grid, Some(&domain), refuse, 1 << 20).unwrap();
     assert!(from_device(&device, found) == expected);
@@ -362,7 +364,7 @@ fn particles_on_walls_and_beyond_the_last_cells_are_where_the_host_puts_them() {
 #[test]
 fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
     let Some((device, log)) = open_narrow(4 << 20) else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(8);
     let mut particles: Vec<[f32; 3]> =
         (0..340_000).map(|_| std::array::from_fn(|_| (60.0 * random.unit() - 30.0) as f32)).collect();
@@ -373,7 +375,7 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
     let sort = |particles: &[[f32; 3]]| {
         let pieces: Vec<_> = particles.chunks(300_001).collect();
         let positions = on_device(&device, &pieces, Coordinate::Single);
-        let bins = bin(&device, &kernels, &positions, &grid, None, refuse, 1 << 20).unwrap();
+        let bins = bin(&device, &pipelines, &positions, &grid, None, refuse, 1 << 20).unwrap();
         assert!(bins.runs.len() > 2);
         from_device(&device, bins)
     };
@@ -389,18 +391,18 @@ fn many_chunks_and_runs_are_sorted_like_one_and_their_order_does_not_matter() {
 #[test]
 fn a_table_too_small_grows_until_it_holds_all_bins_or_more_than_are_allowed() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let mut random = Random::new(2);
     let particles: Vec<[f32; 3]> =
         (0..50_000).map(|_| std::array::from_fn(|_| (1e6 * (random.unit() - 0.5)) as f32)).collect();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let refuse = InvalidParticles::Refuse;
     let positions = on_device(&device, &[&particles], Coordinate::Single);
-    let found = bin(&device, &kernels, &positions, &grid, None, refuse, 1 << 20).unwrap();
+    let found = bin(&device, &pipelines, &positions, &grid, None, refuse, 1 << 20).unwrap();
     assert!(found.keys.len() > 40_000);
     assert!(from_device(&device, found) == on_host(&particles[..], &grid, None, refuse, 1 << 20).unwrap());
     for limit in [100, 2000, 40_000] {
-        let refused = bin(&device, &kernels, &positions, &grid, None, refuse, limit).unwrap_err();
+        let refused = bin(&device, &pipelines, &positions, &grid, None, refuse, limit).unwrap_err();
         assert_eq!(refused, DeviceBinError::Bin(BinError::TooManyBins { limit }));
     }
     assert_valid(&log);
@@ -409,7 +411,7 @@ fn a_table_too_small_grows_until_it_holds_all_bins_or_more_than_are_allowed() {
 #[test]
 fn the_first_invalid_particle_is_named_as_on_the_host() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let refuse = InvalidParticles::Refuse;
     for (bad, far) in [(70_003, 9000), (0, 99_999), (99_999, 99_998)] {
@@ -417,7 +419,7 @@ fn the_first_invalid_particle_is_named_as_on_the_host() {
         particles[bad][1] = f32::INFINITY;
         particles[far][2] = -1e30;
         let positions = on_device(&device, &[&particles[..300], &particles[300..]], Coordinate::Single);
-        let found = bin(&device, &kernels, &positions, &grid, None, refuse, 8).unwrap_err();
+        let found = bin(&device, &pipelines, &positions, &grid, None, refuse, 8).unwrap_err();
         let expected = on_host(&particles[..], &grid, None, refuse, 8).unwrap_err();
         assert_eq!(found, DeviceBinError::Bin(expected));
     }
@@ -427,11 +429,11 @@ fn the_first_invalid_particle_is_named_as_on_the_host() {
 #[test]
 fn no_particles_are_no_bins() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let none = on_device::<f32>(&device, &[&[]], Coordinate::Single);
     for positions in [&none[..], &[]] {
-        let bins = bin(&device, &kernels, positions, &grid, None, InvalidParticles::Refuse, 8).unwrap();
+        let bins = bin(&device, &pipelines, positions, &grid, None, InvalidParticles::Refuse, 8).unwrap();
         assert_eq!((bins.keys, bins.first, bins.census), (vec![], vec![0], Census::default()));
         assert!(bins.runs.is_empty());
     }
@@ -441,7 +443,7 @@ fn no_particles_are_no_bins() {
 #[test]
 fn binning_that_finds_no_memory_says_so_and_keeps_none() {
     let Some((device, log)) = open() else { return };
-    let kernels = BinKernels::new(&device).unwrap();
+    let pipelines = BinPipelines::new(&device).unwrap();
     let particles = vec![[0.5_f32; 3]; 1000];
     let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
     let positions = on_device(&device, &[&particles], Coordinate::Single);
@@ -449,7 +451,7 @@ fn binning_that_finds_no_memory_says_so_and_keeps_none() {
     let mut failures = 0;
     for number in 1.. {
         device.faults().allocation.store(number, std::sync::atomic::Ordering::Relaxed);
-        let found = bin(&device, &kernels, &positions, &grid, None, InvalidParticles::Refuse, 8);
+        let found = bin(&device, &pipelines, &positions, &grid, None, InvalidParticles::Refuse, 8);
         device.faults().allocation.store(0, std::sync::atomic::Ordering::Relaxed);
         match found {
             Ok(bins) => {
@@ -551,10 +553,10 @@ fn stitched(
         positions: positions.whole(),
         indices: indices.whole(),
     };
-    let kernels = StitchKernels::new(device).unwrap();
+    let pipelines = StitchPipelines::new(device).unwrap();
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
-    stitch(device, (&mut batch, &[]), &kernels, &layout, iso, &buffers).unwrap();
+    stitch(device, (&mut batch, &[]), &pipelines, &layout, iso, &buffers).unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     (download(device, &positions, vertices), download(device, &indices, triangles))

@@ -122,7 +122,7 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
     assert_eq!(source, SpacingSource::Estimated);
     assert_eq!(report.facts.grid.cell_size(), spacing / 2.0);
     assert_eq!((report.facts.census.not_finite, report.facts.census.binned), (1, particles.len() - 1));
-    assert!(report.measured.is_some() && report.dropped.is_some() && report.warnings.is_empty());
+    assert!(report.measured.is_some() && report.too_small.is_some() && report.warnings.is_empty());
     assert!(report.timings.seconds().iter().any(|(stage, _)| *stage == "mesh"));
     let again = Reconstruction::new().calibrated(report.measured.unwrap().calibration);
     let again = again.skip_invalid().smallest_drop(3).run(&particles[..]).unwrap();
@@ -142,7 +142,7 @@ fn numbers_out_of_range_are_refused_before_any_work() {
         ("isovalue", asked().indicator(IndicatorKind::Counting).iso(2.0)),
         ("mu0", asked().indicator(IndicatorKind::Counting).mu0(0.0)),
         ("simplifying", asked().simplify(1e9)),
-        ("least volume", asked().drop_smaller(-2.0)),
+        ("smallest component", asked().smallest_component(-2.0)),
         ("memory", asked().memory(MemoryBudget(1 << 10))),
         ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {

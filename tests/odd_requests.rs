@@ -524,10 +524,10 @@ fn particles_in_no_surface_are_counted_inside_a_body_and_far_from_it() {
         ["reconstruct", "f_3.xyz", "-o", "c.ply", "--spacing", "1", "--method", "zhu-bridson", "--cell", "4"];
     let kernels = run(folder.path(), &kernels, 0);
     assert!(kernels.contains("in no surface"), "{kernels}");
-    // A sequence tells the sum, of frames with nothing else, too.
+    // A simulation tells the sum, of frames with nothing else, too.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);
     assert!(notes.contains(&format!("at least 202 of {} particles", 3 * body.len() + 202)), "{notes}");
-    assert!(notes.contains("12 particles dropped: a coordinate is not finite"), "{notes}");
+    assert!(notes.contains("12 particles skipped: a coordinate is not finite"), "{notes}");
     let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
     let lost = |line: &str| -> (u64, u64) {
         let line: Value = serde_json::from_str(line).unwrap();

@@ -333,11 +333,11 @@ fn what_is_no_request_for_parts_is_refused_before_any_work() {
         (ask(&["--parts", "2", "--part", "0", "--plan"]), "cannot be used with"),
         (ask(&["--part", "0"]), "--parts"),
         (ask(&["--merge"]), "--parts"),
-        (ask(&["--plan"]), "--plan needs a sequence"),
+        (ask(&["--plan"]), "--plan needs a simulation"),
         (ask(&["--parts", "0", "--plan"]), "--parts"),
         (ask(&["--parts", "1001", "--plan"]), "1 to 1000 parts"),
         (ask(&["--parts", "2", "--part", "2"]), "there is no part 2 of 2"),
-        (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a sequence"),
+        (ask(&["--parts", "2", "--plan", "--start", "3"]), "--start needs a simulation"),
         (ask(&["--parts", "2", "--plan", "--watch"]), "--watch"),
         (ask(&["--parts", "2", "--plan", "--method", "mueller"]), "--parts has no meaning for this --method"),
         (

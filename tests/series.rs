@@ -1,4 +1,4 @@
-//! What tells other programs of a sequence: listings that are whole after each frame, and a stage of layers.
+//! What tells other programs of a simulation: listings that are whole after each frame, and a stage of layers.
 #![allow(clippy::unwrap_used)]
 
 mod common {
@@ -19,7 +19,7 @@ use meniscus::internals::surface::mesh::source::MeshSource;
 use serde_json::Value;
 
 fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {
-    Series { format, sequence: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
+    Series { format, simulation: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
 }
 
 fn frame(frame: u64, file: &str, time: Option<f64>) -> SeriesFrame {

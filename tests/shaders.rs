@@ -10,8 +10,8 @@ use std::io::Write;
 use std::process::{Command, Stdio};
 
 use compile::{folder, parsed, source};
-use meniscus::internals::backend::programs::PROGRAMS;
-use meniscus::internals::vulkan::Program;
+use meniscus::internals::backend::shaders::SHADERS;
+use meniscus::internals::vulkan::Shader;
 use naga::{AddressSpace, TypeInner};
 
 #[test]
@@ -22,7 +22,7 @@ fn every_binary_is_what_its_source_compiles_to() {
 
 #[test]
 fn no_binary_is_without_a_program_and_no_source_unused() {
-    let mut used: Vec<String> = PROGRAMS.iter().map(|p| p.name.to_owned()).collect();
+    let mut used: Vec<String> = SHADERS.iter().map(|p| p.name.to_owned()).collect();
     let mut binaries = Vec::new();
     let mut sources = Vec::new();
     for file in fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path()) {
@@ -37,30 +37,30 @@ fn no_binary_is_without_a_program_and_no_source_unused() {
     used.sort();
     assert_eq!(binaries, used);
     for part in sources.iter().filter(|s| !used.contains(s)) {
-        let named = |p: &&Program| {
+        let named = |p: &&Shader| {
             let text = fs::read_to_string(folder().join(p.name).with_extension("wgsl")).unwrap();
             text.lines().next().unwrap().split_whitespace().any(|word| word == part)
         };
-        assert!(PROGRAMS.iter().any(named), "nothing uses {part}.wgsl");
+        assert!(SHADERS.iter().any(named), "nothing uses {part}.wgsl");
     }
 }
 
 #[test]
 fn bindings_push_blocks_and_groups_are_what_rust_believes() {
-    for program in PROGRAMS {
-        let module = parsed(program.name, &source(program.name).unwrap()).unwrap();
-        let [entry] = &module.entry_points[..] else { panic!("{}: one entry point", program.name) };
-        assert_eq!((entry.name.as_str(), entry.workgroup_size), (program.name, program.group));
+    for shader in SHADERS {
+        let module = parsed(shader.name, &source(shader.name).unwrap()).unwrap();
+        let [entry] = &module.entry_points[..] else { panic!("{}: one entry point", shader.name) };
+        assert_eq!((entry.name.as_str(), entry.workgroup_size), (shader.name, shader.group));
         let mut bound: Vec<(u32, &str)> = Vec::new();
         let mut push = Vec::new();
         for (_, variable) in module.global_variables.iter() {
             if let Some(binding) = &variable.binding {
-                assert_eq!(binding.group, 0, "{}", program.name);
-                assert!(matches!(variable.space, AddressSpace::Storage { .. }), "{}", program.name);
+                assert_eq!(binding.group, 0, "{}", shader.name);
+                assert!(matches!(variable.space, AddressSpace::Storage { .. }), "{}", shader.name);
                 bound.push((binding.binding, variable.name.as_deref().unwrap()));
             } else if variable.space == AddressSpace::Immediate {
                 let TypeInner::Struct { members, .. } = &module.types[variable.ty].inner else {
-                    panic!("{}: the push block is a structure", program.name)
+                    panic!("{}: the push block is a structure", shader.name)
                 };
                 push = members
                     .iter()
@@ -72,11 +72,11 @@ fn bindings_push_blocks_and_groups_are_what_rust_believes() {
             }
         }
         bound.sort_unstable();
-        let believed: Vec<_> = (0..).zip(program.buffers.iter().copied()).collect();
-        assert_eq!(bound, believed, "{}", program.name);
-        let believed: Vec<_> = program.push.iter().map(|f| (f.name, f.offset, f.bytes)).collect();
-        assert_eq!(push, believed, "{}", program.name);
-        assert!(program.push_bytes() <= 128, "{}", program.name);
+        let believed: Vec<_> = (0..).zip(shader.buffers.iter().copied()).collect();
+        assert_eq!(bound, believed, "{}", shader.name);
+        let believed: Vec<_> = shader.push.iter().map(|f| (f.name, f.offset, f.bytes)).collect();
+        assert_eq!(push, believed, "{}", shader.name);
+        assert!(shader.push_bytes() <= 128, "{}", shader.name);
     }
 }
 
@@ -87,15 +87,15 @@ fn spirv_val_accepts_every_binary() {
         let _ = writeln!(std::io::stderr(), "skipped: spirv_val_accepts_every_binary: it is not installed");
         return;
     }
-    for program in PROGRAMS {
+    for shader in SHADERS {
         let mut validator = Command::new("spirv-val")
             .args(["--target-env", "vulkan1.2", "-"])
             .stdin(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        validator.stdin.take().unwrap().write_all(program.code).unwrap();
+        validator.stdin.take().unwrap().write_all(shader.code).unwrap();
         let output = validator.wait_with_output().unwrap();
-        assert!(output.status.success(), "{}: {}", program.name, String::from_utf8_lossy(&output.stderr));
+        assert!(output.status.success(), "{}: {}", shader.name, String::from_utf8_lossy(&output.stderr));
     }
 }

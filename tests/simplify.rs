@@ -31,7 +31,7 @@ fn within(cells: f64) -> Reduction {
 }
 
 fn without(volume: f64) -> Reduction {
-    Reduction { least_volume_cells: Some(volume), ..Reduction::default() }
+    Reduction { smallest_component: Some(volume), ..Reduction::default() }
 }
 
 fn collected(source: &dyn MeshSource) -> Mesh {
@@ -52,7 +52,7 @@ fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction
     let particle = sampling.spacing.unwrap_or(1.0).powi(3);
     let surface = surface(particles, sampling);
     let result = simplify(surface, reduction, particle, u64::MAX, &std::env::temp_dir()).unwrap();
-    (collected(&result), result.dropped().total())
+    (collected(&result), result.too_small().total())
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn vertices_that_are_left_keep_their_positions_and_normals() {
 #[test]
 fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
     let particles = splashes(4);
-    let reduction = Reduction { least_volume_cells: Some(5.0), ..within(0.1) };
+    let reduction = Reduction { smallest_component: Some(5.0), ..within(0.1) };
     let run = |threads: usize, bytes: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let scratch = std::env::temp_dir();
@@ -176,7 +176,7 @@ fn components_below_a_volume_are_left_out_whole_wherever_they_lie() {
         .collect();
     let whole = surface(&particles, &sampling()).to_mesh().unwrap();
     for (volume, left) in [(1.0, 3), (60.0, 2), (300.0, 1), (2000.0, 0)] {
-        for reduction in [without(volume), Reduction { least_volume_cells: Some(volume), ..within(0.1) }] {
+        for reduction in [without(volume), Reduction { smallest_component: Some(volume), ..within(0.1) }] {
             let (mesh, dropped) = simplified(&particles, &sampling(), &reduction);
             let report = check(&mesh);
             assert!(report.is_closed_oriented_manifold(), "{reduction:?}: {report}");

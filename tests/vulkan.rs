@@ -16,11 +16,11 @@ use common::{
     INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
 };
 use glam::IVec3;
-use meniscus::internals::backend::programs::PROGRAMS;
+use meniscus::internals::backend::shaders::SHADERS;
 use meniscus::internals::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
 use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
-use meniscus::internals::field::blur::{self, Kernel};
+use meniscus::internals::field::blur::{self, Weights};
 use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
 use meniscus::internals::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
@@ -64,18 +64,18 @@ fn random_block(cells: CellBox, seed: u64) -> Block {
 #[test]
 fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
     validated(|device| {
-        let program = Arc::new(device.kernel(&blur::vulkan::BLUR).unwrap());
+        let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
         for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
-            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
-            let reach = kernel.reach();
+            let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
+            let reach = weights.reach();
             let inner = CellBox { lo: IVec3::new(-5, 3, -20), hi: IVec3::new(6, 12, -13) };
             let mut dif = random_block(inner.grown(reach, reach), seed);
             for walls in [None, Some(CellBox { lo: inner.lo + 2, hi: inner.hi + 1 })] {
                 if let Some(walls) = walls {
                     dif.repeat_edges(walls);
                 }
-                let expected = blur::blur(dif.clone(), &kernel, None);
-                let (block, samples) = blurred_on(device, &program, &dif, &kernel, walls);
+                let expected = blur::blur(dif.clone(), &weights, None);
+                let (block, samples) = blurred_on(device, &pipeline, &dif, &weights, walls);
                 let inside = walls.map_or(inner, |walls| inner.intersection(&walls));
                 for ([y, z], row) in expected.rows(inside) {
                     for (x, &sample) in (inside.lo.x..).zip(row) {
@@ -93,9 +93,9 @@ fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
 /// A block as the device keeps it, and its samples after a blur.
 fn blurred_on(
     device: &Device,
-    program: &Arc<meniscus::internals::vulkan::Kernel>,
+    pipeline: &Arc<meniscus::internals::vulkan::ComputePipeline>,
     dif: &Block,
-    kernel: &Kernel,
+    weights: &Weights,
     walls: Option<CellBox>,
 ) -> (DeviceBlock, Vec<u16>) {
     let block = DeviceBlock::new(dif.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO });
@@ -105,14 +105,14 @@ fn blurred_on(
         padded.samples_mut()[to..to + row.len()].copy_from_slice(row);
     }
     let field = device.uploaded(padded.samples()).unwrap();
-    let weights = device.uploaded(kernel.half()).unwrap();
+    let uploaded = device.uploaded(weights.half()).unwrap();
     let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
     let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
     let blocks = DeviceBlocks::new(device.uploaded(&[block]).unwrap(), &[block]);
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let views = [&field, &through, &to];
-    blur::vulkan::blur(&mut batch, program, &blocks, (kernel, &weights), walls, 0, views).unwrap();
+    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views).unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
     (block, to.read(0, padded.samples().len()))
@@ -336,8 +336,8 @@ fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come
 fn shaders_that_check_every_index_give_the_same_bytes() {
     let particles = splashes(23);
     let binaries = compile::checked().unwrap();
-    let differ = PROGRAMS.iter().filter(|program| binaries[program.name] != program.code).count();
-    assert!(differ > PROGRAMS.len() / 2, "{differ} programs check anything");
+    let differ = SHADERS.iter().filter(|shader| binaries[shader.name] != shader.code).count();
+    assert!(differ > SHADERS.len() / 2, "{differ} shaders check anything");
     let options = DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
     validated_with(&options, |device| {
         let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));

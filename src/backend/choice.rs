@@ -12,7 +12,7 @@ use crate::vulkan::{Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions,
 use super::{Backend, Cpu, Vulkan};
 
 /// Bytes of particles that two threads make meshes of in about the time, a third of a second, that a driver takes to open a device and to
-/// compile kernels, or find them in its cache: a million particles.
+/// compile shaders, or find them in its cache: a million particles.
 const SMALL: u64 = 12_000_000;
 
 /// Budgets below this are not spent on looking for devices: drivers take some 100 MiB.
@@ -56,7 +56,7 @@ impl fmt::Display for OnCpu {
     }
 }
 
-/// Opens a device, and compiles its kernels, or finds them in a folder for such; it may take three quarters of what is free of its memory.
+/// Opens a device, and compiles its shaders, or finds them in a folder for such; it may take three quarters of what is free of its memory.
 ///
 /// # Errors
 /// [`VulkanError`] where there is no such device, or it cannot be used.

@@ -2,7 +2,7 @@
 
 pub mod choice;
 mod cpu;
-pub mod programs;
+pub mod shaders;
 mod vulkan;
 
 pub use cpu::{Cpu, field};

@@ -1,6 +1,6 @@
 //! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
 //!
-//! Positions are read twice: once to count, once to drop each particle, packed into 51 bits, into its bin's place in
+//! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into its bin's place in
 //! memory, or into its run of bins in a scratch file. Where there is room, the first reading keeps what the second would
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
@@ -122,9 +122,9 @@ pub enum BinError {
 pub struct Census {
     /// Particles that are in a bin, and so in the field.
     pub binned: usize,
-    /// Particles that are dropped, for a coordinate is not finite.
+    /// Particles that are skipped, for a coordinate is not finite.
     pub not_finite: usize,
-    /// Particles that are dropped, for they are beyond the addressable grid.
+    /// Particles that are skipped, for they are beyond the addressable grid.
     pub too_far: usize,
     /// Particles that are not counted, for they are outside of the domain's walls, or of a periodic box.
     pub outside: usize,
@@ -369,7 +369,7 @@ impl<'a> BinPlan<'a> {
         runs
     }
 
-    /// The second reading, into a scratch file in `folder`: drops each of the same `particles`, and the
+    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and the
     /// attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in all.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Binning beyond memory: particles dropped into runs of bins in a scratch file, sorted run by run.
+//! Binning beyond memory: particles put into runs of bins in a scratch file, sorted run by run.
 //!
 //! A run is a stretch of the Morton curve with as many particles as memory takes. Its particles are written
 //! in pieces, each the Elias-Fano code of packed particles whose free upper bits name their bins in the run,
@@ -98,7 +98,7 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, records, values }
     }
 
-    /// Reads run number `run` piece by piece, and drops each particle into its bin's place.
+    /// Reads run number `run` piece by piece, and puts each particle into its bin's place.
     ///
     /// # Errors
     /// Where the scratch file cannot be read.

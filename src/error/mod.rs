@@ -23,7 +23,7 @@ pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
 pub use setting::{Conflict, Setting, Unfit};
-pub use simulation::{FPS, SequenceError};
+pub use simulation::{FPS, SimulationError};
 
 /// Anything that can go wrong between a particle file and a mesh file.
 #[derive(Debug, Error)]
@@ -75,7 +75,7 @@ pub enum Error {
     },
     /// A simulation that cannot be begun or gone on with.
     #[error(transparent)]
-    Sequence(#[from] SequenceError),
+    Simulation(#[from] SimulationError),
     /// A mesh that is made in parts.
     #[error(transparent)]
     Parts(#[from] PartsError),
@@ -214,9 +214,9 @@ impl Error {
             | Self::NoSpacing { .. }
             | Self::Mesh { .. }
             | Self::Read(_) => Cause::Input,
-            Self::Sequence(SequenceError::NoFrames(_)) => Cause::Input,
-            Self::Sequence(SequenceError::Io { .. }) => Cause::Output,
-            Self::Sequence(_) => Cause::Request,
+            Self::Simulation(SimulationError::NoFrames(_)) => Cause::Input,
+            Self::Simulation(SimulationError::Io { .. }) => Cause::Output,
+            Self::Simulation(_) => Cause::Request,
             Self::Parts(
                 PartsError::Changed { .. }
                 | PartsError::Missing { .. }

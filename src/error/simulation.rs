@@ -8,9 +8,9 @@ use thiserror::Error;
 /// Rates of frames whose times programs can tell apart.
 pub const FPS: RangeInclusive<f64> = 1e-9..=1e9;
 
-/// A sequence that cannot be begun.
+/// A simulation that cannot be begun.
 #[derive(Debug, Error)]
-pub enum SequenceError {
+pub enum SimulationError {
     /// The request names no frame.
     #[error("{0}: there are no frames")]
     NoFrames(String),
@@ -40,12 +40,12 @@ pub enum SequenceError {
     /// The names do not say which frame is which.
     #[error("{0}")]
     Names(String),
-    /// The files are of several sequences, and what is asked for goes with one.
-    #[error("{from}: several sequences: {families}; name one of them, or a folder for the meshes of each")]
+    /// The files are of several simulations, and what is asked for goes with one.
+    #[error("{from}: several simulations: {families}; name one of them, or a folder for the meshes of each")]
     Several {
         /// Where they were found.
         from: String,
-        /// The names of the sequences, and how many frames each has.
+        /// The names of the simulations, and how many frames each has.
         families: String,
     },
     /// A folder or the state that cannot be read.

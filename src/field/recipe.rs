@@ -3,7 +3,7 @@
 //! A request says which [`Filters`] there are, and so how far they reach and what they take. A [`Recipe`] also has
 //! what only a calibration tells: where the surface is.
 
-use crate::field::blur::{FieldCount, Filter, Kernel, Smoothing};
+use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
 use crate::field::distance::{Bulk, Depths, Distances, Drops, Gate, Inside, Width};
 use crate::field::indicator::IndicatorKind;
@@ -99,10 +99,10 @@ impl Filters {
 
     /// The weights of all stages.
     #[must_use]
-    pub fn kernels(&self) -> Vec<&Kernel> {
+    pub fn weights(&self) -> Vec<&Weights> {
         match self {
-            Self::Paper(paper) => paper.stages().flat_map(Filter::kernels).collect(),
-            Self::Distances(distances) => distances.kernels().collect(),
+            Self::Paper(paper) => paper.stages().flat_map(Filter::weights).collect(),
+            Self::Distances(distances) => distances.weights().collect(),
         }
     }
 
@@ -179,8 +179,8 @@ impl PaperFilters {
     fn apply<F: Fields>(&self, fields: &mut F, iso: Isovalue) -> Result<F::Field, F::Error> {
         let dif = fields.samples(0, self.halo())?;
         let smooth = |fields: &mut F, dif: F::Field| {
-            let mut filters = self.smoothing.kernels().iter();
-            filters.try_fold(dif, |field, kernel| fields.blur(field, kernel))
+            let mut filters = self.smoothing.weights().iter();
+            filters.try_fold(dif, |field, weights| fields.blur(field, weights))
         };
         let Some(recovery) = &self.recovery else { return smooth(fields, dif) };
         let smooth = smooth(fields, dif.clone())?;
@@ -206,7 +206,7 @@ pub struct WideFields<T> {
 pub fn bulk<F: Fields>(distances: &Distances, fields: &mut F) -> Result<WideFields<F::Field>, F::Error> {
     let Distances { level, bulk, near, least, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
-    let mut share = |width: &Width| fields.blur(clouds.clone(), &width.kernel);
+    let mut share = |width: &Width| fields.blur(clouds.clone(), &width.weights);
     let [narrow, middle, wide] = &bulk.widths;
     let shares = [share(narrow)?, share(middle)?, share(wide)?];
     let Depths { calm, fine, apart } = fields.depths(bulk, shares)?;
@@ -257,7 +257,7 @@ pub trait Fields {
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// One separable filter (section 4.2); at a wall it sees the edge cells repeated.
-    fn blur(&mut self, field: Self::Field, kernel: &Kernel) -> Result<Self::Field, Self::Error>;
+    fn blur(&mut self, field: Self::Field, weights: &Weights) -> Result<Self::Field, Self::Error>;
 
     /// theta_bar (section 6.2).
     fn lost(

@@ -14,7 +14,7 @@ use crate::field::recipe::{Filters, Recipe};
 use crate::frame::estimate::OverBudget;
 use crate::grid::units::{Isovalue, significant};
 use crate::particles::Unread;
-use crate::surface::simplify::Dropped;
+use crate::surface::simplify::TooSmall;
 use crate::vulkan::VulkanError;
 
 /// A frame that cannot be reconstructed.
@@ -88,7 +88,7 @@ pub enum FrameError {
     },
     /// Every component is smaller than what was to be kept.
     #[error("the surface is empty: all of its {} components are below {}", .0.total(), .0.limits())]
-    NothingLeft(Dropped),
+    NothingLeft(TooSmall),
     /// A mesh on a device has vertices that 32 bits cannot number.
     #[error("the surface has more vertices or triangles than 32 bits can number; use a larger cell size")]
     TooManyVertices,

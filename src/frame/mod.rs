@@ -384,7 +384,7 @@ pub fn simplified(
         .map_err(resources.scratch_error())?;
     timings.done("simplify");
     if simplified.triangle_count() == 0 {
-        return Err(FrameError::NothingLeft(simplified.dropped()));
+        return Err(FrameError::NothingLeft(simplified.too_small()));
     }
     Ok(simplified)
 }

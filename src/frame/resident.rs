@@ -10,14 +10,14 @@
 //! [`Device::foreign_buffer`]: crate::vulkan::Device::foreign_buffer
 
 use crate::backend::{ResidentFrame, Surfaces, Vulkan};
-use crate::brick::vulkan::{BinKernels, DeviceBins, DeviceGrid, DevicePositions, bin};
+use crate::brick::vulkan::{BinPipelines, DeviceBins, DeviceGrid, DevicePositions, bin};
 use crate::brick::{Census, DifField, FrameFacts, InvalidParticles};
 use crate::field::calibration::{Binned, Calibrated, Calibration, Fullness, indicate};
 use crate::field::indicator::{IndicatorRequest, PageRule, SampledDif};
 use crate::grid::units::Isovalue;
 use crate::grid::{Domain, Grid};
 use crate::surface::dual_mc::Normals;
-use crate::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchKernels, stitch, table};
+use crate::surface::stitch::vulkan::{MeshLayout, StitchBuffers, StitchPipelines, stitch, table};
 use crate::vulkan::{Batch, Device, Moment, Place, Queue, View, VulkanError};
 
 use super::{FrameError, Surfacing};
@@ -89,20 +89,20 @@ impl ResidentSurface {
     }
 }
 
-/// All kernels from positions to a mesh, compiled once for all frames.
+/// All shaders from positions to a mesh, compiled once for all frames.
 #[derive(Debug)]
 pub struct Pipeline {
     vulkan: Vulkan,
-    bin: BinKernels,
-    stitch: StitchKernels,
+    bin: BinPipelines,
+    stitch: StitchPipelines,
     table: View,
 }
 
 impl Pipeline {
-    /// Compiles all kernels for a device, opened here or adopted.
+    /// Compiles all shaders for a device, opened here or adopted.
     ///
     /// # Errors
-    /// [`VulkanError`] where the driver refuses a kernel.
+    /// [`VulkanError`] where the driver refuses a shader.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
         let mut batch = device.batch(Queue::Compute)?;
         batch.begin()?;
@@ -111,8 +111,8 @@ impl Pipeline {
         batch.wait()?;
         Ok(Self {
             vulkan: Vulkan::new(device.clone())?,
-            bin: BinKernels::new(device)?,
-            stitch: StitchKernels::new(device)?,
+            bin: BinPipelines::new(device)?,
+            stitch: StitchPipelines::new(device)?,
             table,
         })
     }

@@ -269,7 +269,7 @@ fn spread(bits: u32) -> u64 {
     x
 }
 
-/// Moves bit 3 i to bit i and drops the others.
+/// Moves bit 3 i to bit i and leaves out the others.
 fn gather(bits: u64) -> u32 {
     let mut x = bits & 0x1249_2492_4924_9249;
     for (shift, mask) in [

@@ -25,8 +25,8 @@ pub enum UnitError {
     /// How far a simplified surface may lie from the one that it replaces.
     #[error("the tolerance of simplifying must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
     Tolerance(f64),
-    /// The least volume of what is kept.
-    #[error("the least volume must be a positive volume; {0} is not")]
+    /// The volume of the smallest component that is kept.
+    #[error("the smallest component must have a positive volume; {0} is not")]
     Volume(f64),
     /// A coordinate that must be finite.
     #[error("{what} must be finite numbers; {value} is not")]

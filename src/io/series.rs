@@ -1,5 +1,5 @@
-//! Files that tell other programs of a sequence's frames: rewritten, each whole or not at all, as frames are done, so
-//! that an unfinished sequence can be looked at. Of the frames `pool_1.vtp`, `pool_2.vtp` and so on:
+//! Files that tell other programs of a simulation's frames: rewritten, each whole or not at all, as frames are done, so
+//! that a conversion can be looked at before its end. Of the frames `pool_1.vtp`, `pool_2.vtp` and so on:
 //!
 //! | meshes | files beside them |
 //! |---|---|
@@ -55,13 +55,13 @@ pub struct SeriesFrame {
     pub attributes: Vec<AttributeInfo>,
 }
 
-/// The files that list a sequence.
+/// The files that list a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
     /// Format of the meshes, with the axis that points up where that is written.
     pub format: MeshFormat,
     /// Path of the frames without any number: `mesh/pool.vtp`.
-    pub sequence: PathBuf,
+    pub simulation: PathBuf,
     /// Frames a second, where it is known.
     pub fps: Option<f64>,
     /// The axis that points up in the meshes, as programs will show them.
@@ -84,26 +84,26 @@ impl Series {
         let list = self.appended(".json");
         match self.format {
             MeshFormat::Vtp | MeshFormat::Pvtp => {
-                vec![list, self.sequence.with_extension("pvd"), self.appended(".series")]
+                vec![list, self.simulation.with_extension("pvd"), self.appended(".series")]
             }
             MeshFormat::Vtk | MeshFormat::VtkHdf | MeshFormat::Ply | MeshFormat::Stl => {
                 vec![list, self.appended(".series")]
             }
             MeshFormat::Obj | MeshFormat::Glb(_) => vec![list],
             // What the stage names is there before it.
-            MeshFormat::Usdc(_) => vec![list, self.clips(), self.sequence.with_extension("usda")],
+            MeshFormat::Usdc(_) => vec![list, self.clips(), self.simulation.with_extension("usda")],
         }
     }
 
     fn appended(&self, ending: &str) -> PathBuf {
-        let mut name = self.sequence.clone().into_os_string();
+        let mut name = self.simulation.clone().into_os_string();
         name.push(ending);
         name.into()
     }
 
     /// Returns the path of the manifest, which says what USD's clips hold.
     fn clips(&self) -> PathBuf {
-        self.sequence.with_extension("manifest.usda")
+        self.simulation.with_extension("manifest.usda")
     }
 
     /// Lists `frames`, which are in order of their numbers, in place of those listed before.

@@ -48,7 +48,7 @@ pub(crate) struct Asked {
     /// `None` for the velocity, where the format can hold it.
     pub(crate) attributes: Option<Attributes>,
     pub(crate) tolerance: Option<f64>,
-    pub(crate) least_volume_cells: Option<f64>,
+    pub(crate) smallest_component: Option<f64>,
     pub(crate) smallest_drop: Option<u32>,
     pub(crate) compress: bool,
     pub(crate) up: Option<UpAxis>,
@@ -97,7 +97,8 @@ impl Asked {
             "normals": self.normals,
             "attributes": attributes,
             "simplify": self.tolerance,
-            "drop-smaller": self.least_volume_cells,
+            // Named as the option was before: states that were written then go on.
+            "drop-smaller": self.smallest_component,
             "smallest-drop": self.smallest_drop,
             "compress": self.compress,
             "up": self.up.map(|axis| axis.to_string()),

@@ -189,8 +189,8 @@ impl Reconstruction {
     }
 
     /// Leaves out components, drops or bubbles, of less volume than so many cells.
-    pub fn drop_smaller(mut self, cells: f64) -> Self {
-        self.asked.least_volume_cells = Some(cells);
+    pub fn smallest_component(mut self, cells: f64) -> Self {
+        self.asked.smallest_component = Some(cells);
         self
     }
 

@@ -157,12 +157,12 @@ fn surfacing(asked: &Asked) -> Result<Surfacing, Error> {
 }
 
 fn reduction(asked: &Asked) -> Result<Reduction, Error> {
-    if let Some(value) = asked.least_volume_cells.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
+    if let Some(value) = asked.smallest_component.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
         return Err(UnitError::Volume(value).into());
     }
     Ok(Reduction {
         tolerance: asked.tolerance.map(Tolerance::new).transpose()?,
-        least_volume_cells: asked.least_volume_cells,
+        smallest_component: asked.smallest_component,
         // Every drop has one.
         smallest_drop: asked.smallest_drop.filter(|&particles| particles > 1),
     })

@@ -100,7 +100,7 @@ impl Checked {
         self.resources.control.begins(Stage::Simplifying);
         let simplified = engine.simplify(surface, &self.reduction, timings)?;
         self.resources.control.ends(Stage::Simplifying);
-        report.dropped = Some(simplified.dropped());
+        report.too_small = Some(simplified.too_small());
         Ok(Kept::Reduced(simplified))
     }
 }

@@ -5,7 +5,7 @@ use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, Calibration};
 use crate::field::indicator::Indicator;
 use crate::frame::{Frame as Engine, Surfacing};
-use crate::surface::simplify::Dropped;
+use crate::surface::simplify::TooSmall;
 use crate::system::timings::Timings;
 
 use super::Cells;
@@ -36,8 +36,8 @@ pub struct Report {
     /// Particles that are in no surface, at the least.
     pub lost: u64,
     /// Components that were left out, where any were to be.
-    pub dropped: Option<Dropped>,
-    /// Triangles before simplifying and dropping.
+    pub too_small: Option<TooSmall>,
+    /// Triangles before simplifying and leaving out.
     pub whole_triangles: u64,
     /// Doubts about the surface, or about the request for it.
     pub warnings: Vec<Warning>,
@@ -81,7 +81,7 @@ impl Report {
             kernel_iso: None,
             measured: None,
             lost: 0,
-            dropped: None,
+            too_small: None,
             whole_triangles: 0,
             warnings: Vec::new(),
             backend,

@@ -8,7 +8,7 @@ use crate::field::indicator::{IndicatorKind, SampledDif};
 use crate::frame::{Frame as Engine, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
-use crate::surface::simplify::Dropped;
+use crate::surface::simplify::TooSmall;
 
 use super::Doubt;
 
@@ -106,7 +106,7 @@ pub enum Emptiness {
     /// No cell's centre is inside of the surface.
     Distances,
     /// All components were too small to be kept.
-    Dropped(Dropped),
+    TooSmall(TooSmall),
 }
 
 impl fmt::Display for Warning {
@@ -152,7 +152,7 @@ impl fmt::Display for Warning {
                 Emptiness::Distances => {
                     f.write_str("no cell's centre is inside of the surface: an empty mesh")
                 }
-                Emptiness::Dropped(all) => {
+                Emptiness::TooSmall(all) => {
                     write!(f, "all components are below {}: an empty mesh", all.limits())
                 }
             },

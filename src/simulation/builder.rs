@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, FPS, SequenceError};
+use crate::error::{Error, FPS, SimulationError};
 use crate::reconstruction::Reconstruction;
 
 use super::inputs::{Inputs, Selection};
@@ -66,7 +66,7 @@ impl Simulation {
     /// Asks for a simulation where inputs and output name one; `None` where both name a single frame.
     ///
     /// # Errors
-    /// [`Error::Sequence`] for names that cannot be those of frames, and [`Error::Request`] for several inputs and one output.
+    /// [`Error::Simulation`] for names that cannot be those of frames, and [`Error::Request`] for several inputs and one output.
     pub fn if_several(inputs: &[PathBuf], output: &Path) -> Result<Option<Self>, Error> {
         match (Inputs::of(inputs)?, Naming::of(output)?) {
             (None, None) => Ok(None),
@@ -85,13 +85,13 @@ impl Simulation {
         self
     }
 
-    /// Begins the sequence at a frame's number.
+    /// Begins the simulation at a frame's number.
     pub fn start(mut self, number: u64) -> Self {
         self.selection.start = number;
         self
     }
 
-    /// Ends the sequence at a frame's number, which is part of it.
+    /// Ends the simulation at a frame's number, which is part of it.
     pub fn end(mut self, number: u64) -> Self {
         self.selection.end = number;
         self
@@ -103,7 +103,7 @@ impl Simulation {
         self
     }
 
-    /// Converts these frames of the sequence only, as one of several jobs; all jobs measure and keep the same.
+    /// Converts these frames of the simulation only, as one of several jobs; all jobs measure and keep the same.
     pub fn frames(mut self, numbers: RangeInclusive<u64>) -> Self {
         self.frames = numbers.into_inner();
         self
@@ -143,13 +143,13 @@ impl Simulation {
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
         let Some(naming) = Naming::of(&self.output)? else {
             let what = format!("{}: one file for all frames", self.output.display());
-            return Err(SequenceError::Names(what).into());
+            return Err(SimulationError::Names(what).into());
         };
         let inputs = Inputs::of(&self.inputs)?.unwrap_or_else(|| Inputs::Files(self.inputs.clone()));
         Ok((inputs, naming))
     }
 
-    /// Whether a frame of the sequence is one of those that are to be converted.
+    /// Whether a frame of the simulation is one of those that are to be converted.
     pub(super) fn wants(&self, number: u64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
@@ -158,17 +158,17 @@ impl Simulation {
     /// Refuses numbers that have no meaning.
     pub(super) fn validate(&self) -> Result<(), Error> {
         if let Some(fps) = self.fps.filter(|fps| !FPS.contains(fps)) {
-            return Err(SequenceError::Rate(fps).into());
+            return Err(SimulationError::Rate(fps).into());
         }
         if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
-            return Err(SequenceError::Wait(seconds).into());
+            return Err(SimulationError::Wait(seconds).into());
         }
         let Selection { start, end, step } = self.selection;
         if start > end {
-            return Err(SequenceError::Range { first: start, last: end }.into());
+            return Err(SimulationError::Range { first: start, last: end }.into());
         }
         if step == 0 {
-            return Err(SequenceError::Step.into());
+            return Err(SimulationError::Step.into());
         }
         Ok(())
     }

@@ -81,9 +81,9 @@ pub enum Event<'a> {
     Done(&'a FrameDone),
     /// A frame could not be made.
     Failed(&'a FrameFailed),
-    /// One of several sequences could not be converted; the others are.
+    /// One of several simulations could not be converted; the others are.
     SequenceFailed(&'a Error),
-    /// All frames of a sequence are done, or have failed.
+    /// All frames of a simulation are done, or have failed.
     Ended(&'a Summary),
 }
 
@@ -95,7 +95,7 @@ pub struct FrameDone {
     pub input: PathBuf,
     /// The mesh's file.
     pub output: PathBuf,
-    /// The mesh, as the sequence lists it.
+    /// The mesh, as the simulation lists it.
     pub mesh: SeriesFrame,
     /// The frame's time in seconds, by its file or by the rate of frames.
     pub time: Option<f64>,

@@ -3,7 +3,7 @@
 use super::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
 use super::inputs::FrameFile;
 use super::state::{State, Store};
-use crate::error::{Cause, Error, SequenceError};
+use crate::error::{Cause, Error, SimulationError};
 use crate::frame::{FrameError, Resources};
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
@@ -102,7 +102,7 @@ impl Setup<'_> {
                 Ok((frozen, None))
             }
             (None, Some(error)) => Err(error),
-            (None, None) => Err(SequenceError::NoFrames(self.inputs.describe()).into()),
+            (None, None) => Err(SimulationError::NoFrames(self.inputs.describe()).into()),
         }
     }
 

@@ -63,7 +63,7 @@ pub enum Trust {
     Sound,
 }
 
-/// Measures a frame for its whole sequence.
+/// Measures a frame for its whole simulation.
 ///
 /// A first frame often is a lattice, and one that falls on the grid in a way that no later frame will. It is
 /// measured, and with a free origin all frames are sampled, on a grid that holds it as it will hold the fluid in
@@ -95,7 +95,7 @@ pub fn measure(
     }
 }
 
-/// Measures a sampled frame for its whole sequence, by whether its particles stand on a lattice.
+/// Measures a sampled frame for its whole simulation, by whether its particles stand on a lattice.
 ///
 /// # Errors
 /// [`TooFine`].

@@ -1,4 +1,4 @@
-//! The files that are the frames of a sequence, and their order.
+//! The files that are the frames of a simulation, and their order.
 //!
 //! A frame has a number. `{}` in a name says where it stands, padded or not; otherwise it is the last digits of the
 //! name before its extensions. Order is that of the numbers.
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::io::frame_files::{files_of, snapshot_piece};
 use crate::io::input::{holds_mesh, is_known, steps};
 
-use crate::error::SequenceError;
+use crate::error::SimulationError;
 
 use super::pieces::{Whole, whole_frames};
 
@@ -46,7 +46,7 @@ pub enum Inputs {
     Files(Vec<PathBuf>),
 }
 
-/// The common part of the names of a sequence's files. A name with `.gz` appended is no other.
+/// The common part of the names of a simulation's files. A name with `.gz` appended is no other.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Family {
     /// Before the number.
@@ -72,9 +72,9 @@ impl Pattern {
     /// Reads `{}` or `{:04}` in the name of `path`; `None` where there is none.
     ///
     /// # Errors
-    /// [`SequenceError::Names`] for more than one, one in a folder's name, or braces that say something else.
-    pub fn parse(path: &Path) -> Result<Option<Self>, SequenceError> {
-        let wrong = |what: &str| Err(SequenceError::Names(format!("{}: {what}", path.display())));
+    /// [`SimulationError::Names`] for more than one, one in a folder's name, or braces that say something else.
+    pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
+        let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
         let folder = path.parent().unwrap_or(Path::new(""));
         if folder.to_string_lossy().contains("{}") {
@@ -120,11 +120,11 @@ fn all_digits(text: &str) -> bool {
 }
 
 impl Inputs {
-    /// Reads the arguments as a sequence; `None` where they name one file.
+    /// Reads the arguments as a simulation; `None` where they name one file.
     ///
     /// # Errors
-    /// [`SequenceError::Names`] for a pattern that cannot be one.
-    pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SequenceError> {
+    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    pub fn of(arguments: &[PathBuf]) -> Result<Option<Self>, SimulationError> {
         let [path] = arguments else { return Ok(Some(Self::Files(arguments.to_vec()))) };
         if path.is_file() {
             // A file that cannot be read is told of as a single frame.
@@ -162,23 +162,23 @@ impl Inputs {
     /// The frames that are there now, in order.
     ///
     /// # Errors
-    /// [`SequenceError::Io`] for a folder that cannot be read, [`SequenceError::Names`] where two files are the same
-    /// frame, [`SequenceError::Several`] where the files are of several sequences.
-    pub fn list(&self) -> Result<Vec<FrameFile>, SequenceError> {
+    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same
+    /// frame, [`SimulationError::Several`] where the files are of several simulations.
+    pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let mut frames = self.found()?;
         let families = self.families(&frames);
         if families.len() > 1 {
             let each = families.iter().map(|(family, files)| format!("{family} ({})", files.len()));
             let families = each.collect::<Vec<_>>().join(", ");
-            return Err(SequenceError::Several { from: self.describe(), families });
+            return Err(SimulationError::Several { from: self.describe(), families });
         }
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
         if let Some(family) = families.keys().next() {
             refuse_decimals(family, &frames)?;
         }
         if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
-            return Err(SequenceError::Names(format!(
-                "{} and {} are both frame {}; name one sequence, with {{}} for its numbers",
+            return Err(SimulationError::Names(format!(
+                "{} and {} are both frame {}; name one simulation, with {{}} for its numbers",
                 a.path.display(),
                 b.path.display(),
                 a.number
@@ -187,12 +187,12 @@ impl Inputs {
         Ok(frames)
     }
 
-    /// The sequences that the files belong to, told by their names: of a scene with several fluids each is one. Of a folder that
+    /// The simulations that the files belong to, told by their names: of a scene with several fluids each is one. Of a folder that
     /// holds particles, meshes are none, whoever made them.
     ///
     /// # Errors
     /// As [`list`](Self::list), but for several.
-    pub fn sequences(&self) -> Result<Vec<Self>, SequenceError> {
+    pub fn simulations(&self) -> Result<Vec<Self>, SimulationError> {
         let mut families = self.families(&self.found()?);
         let all = families.len();
         if let Self::Folder(folder) = self {
@@ -200,7 +200,7 @@ impl Inputs {
             let is_mesh = |file: &PathBuf| holds_mesh(file).unwrap_or(false);
             families.retain(|_, files| !files.first().is_some_and(is_mesh));
             if families.len() < all.min(1) {
-                return Err(SequenceError::Names(format!(
+                return Err(SimulationError::Names(format!(
                     "{}: holds meshes and no particles",
                     folder.display()
                 )));
@@ -257,7 +257,7 @@ impl Inputs {
         }
     }
 
-    /// The files of each sequence. A pattern, or a file of steps, says itself what belongs together.
+    /// The files of each simulation. A pattern, or a file of steps, says itself what belongs together.
     fn families(&self, frames: &[FrameFile]) -> BTreeMap<Family, Vec<PathBuf>> {
         let mut families: BTreeMap<Family, Vec<PathBuf>> = BTreeMap::new();
         for frame in frames.iter().filter(|_| !matches!(self, Self::Pattern(_) | Self::Steps(_))) {
@@ -267,7 +267,7 @@ impl Inputs {
     }
 
     /// The frames that are there now, in any order.
-    fn found(&self) -> Result<Vec<FrameFile>, SequenceError> {
+    fn found(&self) -> Result<Vec<FrameFile>, SimulationError> {
         Ok(match self {
             Self::Pattern(pattern) => {
                 let number = |path: PathBuf| {
@@ -298,11 +298,11 @@ impl Inputs {
                     digits: number.to_string(),
                     path: PathBuf::from(format!("{}#{number}", file.display())),
                 };
-                let steps = steps(file).map_err(|e| SequenceError::Names(e.to_string()))?;
+                let steps = steps(file).map_err(|e| SimulationError::Names(e.to_string()))?;
                 steps.into_iter().map(frame).collect()
             }
             Self::Glob(pattern) => {
-                let fail = |e: glob::PatternError| SequenceError::Names(format!("{pattern}: {e}"));
+                let fail = |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
                 let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
                 numbered(whole_frames(paths.filter(|path| path.is_file()).collect()))?
             }
@@ -319,7 +319,7 @@ impl FrameFile {
         files_of(&self.path).iter().map(bytes).sum()
     }
 
-    /// The part of its name that it shares with the others of its sequence; nothing where it has no number.
+    /// The part of its name that it shares with the others of its simulation; nothing where it has no number.
     pub(super) fn family(&self) -> Family {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         // The first of a snapshot's files is numbered by what stands before the piece's own number.
@@ -345,25 +345,25 @@ fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameF
     frames.iter().zip(frames.iter().skip(1))
 }
 
-fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SequenceError> {
+fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SimulationError> {
     match digits.parse() {
         Ok(number) => Ok(FrameFile { number, digits, path }),
         Err(_) => {
             let what = format!("{}: frames are numbered up to {}", path.display(), u64::MAX);
-            Err(SequenceError::Names(what))
+            Err(SimulationError::Names(what))
         }
     }
 }
 
 /// The frame that a file is by its name; nothing where that has no number.
-fn by_last_digits(Whole { path, named }: Whole) -> Option<Result<FrameFile, SequenceError>> {
+fn by_last_digits(Whole { path, named }: Whole) -> Option<Result<FrameFile, SimulationError>> {
     let name = named.file_name()?.to_string_lossy().into_owned();
     let (_, digits, _) = split_number(&name)?;
     Some(frame(digits.to_owned(), path))
 }
 
 /// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in another order.
-fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), SequenceError> {
+fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), SimulationError> {
     let before = family.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
         return Ok(());
@@ -371,7 +371,7 @@ fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), Sequence
     let fraction = |frame: &FrameFile| frame.digits.trim_end_matches('0').to_owned();
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
-        Some((a, b)) => Err(SequenceError::Names(format!(
+        Some((a, b)) => Err(SimulationError::Names(format!(
             "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by {family}",
             a.path.display(),
             b.path.display(),
@@ -395,7 +395,7 @@ pub(super) fn split_number(name: &str) -> Option<(&str, &str, &str)> {
 }
 
 /// Each has a number in its name, or none has and they are counted.
-fn numbered(whole: Vec<Whole>) -> Result<Vec<FrameFile>, SequenceError> {
+fn numbered(whole: Vec<Whole>) -> Result<Vec<FrameFile>, SimulationError> {
     let files: Vec<PathBuf> = whole.iter().map(|file| file.path.clone()).collect();
     let frames: Vec<_> = whole.into_iter().map(by_last_digits).collect();
     match frames.iter().position(Option::is_none) {
@@ -408,15 +408,15 @@ fn numbered(whole: Vec<Whole>) -> Result<Vec<FrameFile>, SequenceError> {
             };
             Ok(files.into_iter().enumerate().map(count).collect())
         }
-        Some(odd) => Err(SequenceError::Names(format!(
+        Some(odd) => Err(SimulationError::Names(format!(
             "{}: its name has no number, those of other frames have",
             files[odd].display()
         ))),
     }
 }
 
-fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SequenceError> {
-    let fail = |fault| SequenceError::Io { path: folder.to_owned(), fault };
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
+    let fail = |fault| SimulationError::Io { path: folder.to_owned(), fault };
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files = Vec::new();
     for entry in entries {
@@ -499,7 +499,7 @@ pub struct Gaps {
     pub step: u64,
     /// The first and the last missing number of each gap: there may be any number of frames between two time stamps.
     pub ranges: Vec<(u64, u64)>,
-    /// More is missing than there: a choice of frames, and not a sequence with gaps.
+    /// More is missing than there: a choice of frames, and not a simulation with gaps.
     pub sparse: bool,
 }
 

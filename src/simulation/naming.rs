@@ -1,4 +1,4 @@
-//! The names of a sequence's outputs.
+//! The names of a simulation's outputs.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use crate::io::input::file_and_step;
 use crate::io::output::MeshFormat;
 
 use super::inputs::{FrameFile, Pattern};
-use crate::error::SequenceError;
+use crate::error::SimulationError;
 
 /// How outputs are called.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,11 +21,11 @@ pub enum Naming {
 const IN_FOLDER: &str = ".ply";
 
 impl Naming {
-    /// Reads an output path as the names of a sequence; `None` where it names one file.
+    /// Reads an output path as the names of a simulation; `None` where it names one file.
     ///
     /// # Errors
-    /// [`SequenceError::Names`] for a pattern that cannot be one.
-    pub fn of(path: &Path) -> Result<Option<Self>, SequenceError> {
+    /// [`SimulationError::Names`] for a pattern that cannot be one.
+    pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
         // A folder called as a mesh is in the way of one.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
@@ -56,9 +56,9 @@ impl Naming {
         }
     }
 
-    /// Beside the outputs, without any number: what state and series of the sequence are called by.
+    /// Beside the outputs, without any number: what state and series of the simulation are called by.
     #[must_use]
-    pub fn sequence(&self, first: &FrameFile) -> PathBuf {
+    pub fn simulation(&self, first: &FrameFile) -> PathBuf {
         let (stem, suffix) = match self {
             Self::Pattern(pattern) => (pattern.prefix.clone(), &*pattern.suffix),
             Self::Folder(_) => (stem(first), IN_FOLDER),
@@ -93,13 +93,13 @@ mod tests {
         let input = frame("sim/Fluid_007.bgeo.gz", "007");
         let folder = Naming::of(Path::new("mesh/")).unwrap().unwrap();
         assert_eq!(folder.path(&input), Path::new("mesh/Fluid_007.ply"));
-        assert_eq!(folder.sequence(&input), Path::new("mesh/Fluid.ply"));
+        assert_eq!(folder.simulation(&input), Path::new("mesh/Fluid.ply"));
         let pattern = Naming::of(Path::new("mesh/a_{}.obj")).unwrap().unwrap();
         assert_eq!(pattern.path(&input), Path::new("mesh/a_007.obj"));
-        assert_eq!(pattern.sequence(&input), Path::new("mesh/a.obj"));
+        assert_eq!(pattern.simulation(&input), Path::new("mesh/a.obj"));
         let bare = Naming::of(Path::new("{:02}.vtk")).unwrap().unwrap();
         assert_eq!(bare.path(&input), Path::new("07.vtk"));
-        assert_eq!(bare.sequence(&input), Path::new("./frames.vtk"));
+        assert_eq!(bare.simulation(&input), Path::new("./frames.vtk"));
         assert_eq!(Naming::of(Path::new("mesh/a.ply")).unwrap(), None);
     }
 }

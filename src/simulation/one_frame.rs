@@ -307,12 +307,12 @@ impl Conversion<'_> {
         let precision = SinglePrecision::of(&surface);
         match checked.reduce(sampled, surface, &mut report, timings) {
             Ok(mesh) => {
-                left_out.drops = report.dropped.map_or(0, |dropped| dropped.drops);
+                left_out.drops = report.too_small.map_or(0, |too_small| too_small.drops);
                 Ok(Surfaced { mesh: Some((mesh, precision)), of: report })
             }
             Err(FrameError::NothingLeft(all)) => {
                 left_out.drops = all.drops;
-                let why = Emptiness::Dropped(all);
+                let why = Emptiness::TooSmall(all);
                 report.warnings.push(Warning::Empty { why, clouds, measured_on: by });
                 Ok(Surfaced { mesh: None, of: report })
             }

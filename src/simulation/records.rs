@@ -19,7 +19,7 @@ use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 
 use super::frozen::Stamp;
-use crate::error::SequenceError;
+use crate::error::SimulationError;
 
 const MERGED: &str = "frames.jsonl";
 
@@ -117,8 +117,8 @@ impl Log {
     /// Keeps the record of a frame.
     ///
     /// # Errors
-    /// [`SequenceError::Io`].
-    pub fn keep(&self, record: &Record) -> Result<(), SequenceError> {
+    /// [`SimulationError::Io`].
+    pub fn keep(&self, record: &Record) -> Result<(), SimulationError> {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
@@ -129,7 +129,7 @@ impl Log {
             *file = Some(named);
             Ok(())
         });
-        written.map_err(|fault| SequenceError::Io { path: self.folder.clone(), fault })
+        written.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })
     }
 
     /// Ends this log, and moves all that are not written any more into one file. Of several processes only one may do so

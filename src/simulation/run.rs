@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::thread::sleep;
 use std::time::Instant;
 
-use crate::error::{Cause, Error, SequenceError};
+use crate::error::{Cause, Error, SimulationError};
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
 use crate::io::whole::sweep;
@@ -28,7 +28,7 @@ use super::state::{State, Store};
 /// Whoever is told of events.
 type Tell<'a> = dyn Fn(Event<'_>) + Sync + 'a;
 
-/// A sequence that may be converted: nothing of it is refused.
+/// A simulation that may be converted: nothing of it is refused.
 struct Begun<'a> {
     setup: &'a Setup<'a>,
     series: Series,
@@ -38,12 +38,12 @@ struct Begun<'a> {
 }
 
 impl Simulation {
-    /// Converts all frames, and tells of events from whatever thread they happen on. Returns a summary of each sequence that there is.
+    /// Converts all frames, and tells of events from whatever thread they happen on. Returns a summary of each simulation that there is.
     ///
     /// A frame that cannot be made is an event, and the others are made all the same.
     ///
     /// # Errors
-    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames, [`Error::Sequence`], [`Error::TwoPurposes`],
+    /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames, [`Error::Simulation`], [`Error::TwoPurposes`],
     /// [`Error::Write`] as soon as nothing can be written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<Summary>, Error> {
         self.each(&tell, |begun| {
@@ -98,7 +98,7 @@ impl Simulation {
             return None;
         }
         let mut frames = Vec::new();
-        for inputs in self.names().ok()?.0.sequences().ok()? {
+        for inputs in self.names().ok()?.0.simulations().ok()? {
             frames.extend(inputs.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
         }
         let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
@@ -108,7 +108,7 @@ impl Simulation {
     /// Refuses what can be refused without an input.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::Unfit`] and [`Error::Sequence`].
+    /// [`Error::Unit`], [`Error::Unfit`] and [`Error::Simulation`].
     pub fn check(&self) -> Result<(), Error> {
         self.prepare().map(drop)
     }
@@ -118,7 +118,7 @@ impl Simulation {
         self.validate()?;
         let (inputs, naming) = self.names()?;
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
-            return Err(SequenceError::Steps(inputs.describe()).into());
+            return Err(SimulationError::Steps(inputs.describe()).into());
         }
         let mut request = self.request.clone();
         request.scratch.get_or_insert_with(|| naming.folder().to_owned());
@@ -132,15 +132,16 @@ impl Simulation {
         Ok((inputs, naming, checked))
     }
 
-    /// Does something with each sequence that is there, on threads of its own.
+    /// Does something with each simulation that is there, on threads of its own.
     fn each<T: Send>(
         &self,
         tell: &Tell<'_>,
         act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
     ) -> Result<Vec<T>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
-        let sequences = inputs.sequences()?;
-        if sequences.len() > 1 && (self.planned || self.watch.is_some() || !told_apart(&sequences, &naming)?)
+        let simulations = inputs.simulations()?;
+        if simulations.len() > 1
+            && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming)?)
         {
             // Says which there are.
             inputs.list()?;
@@ -148,7 +149,7 @@ impl Simulation {
         let ready = checked.on_threads()?;
         ready.threads.install(|| {
             let mut results = Vec::new();
-            for inputs in &sequences {
+            for inputs in &simulations {
                 let setup = Setup {
                     simulation: self,
                     inputs,
@@ -160,7 +161,7 @@ impl Simulation {
                 match self.begin(&setup).and_then(&act) {
                     Ok(result) => results.push(result),
                     // What is wrong with one fluid's files does not concern the others.
-                    Err(error) if error.cause() == Cause::Input && sequences.len() > 1 => {
+                    Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
                         setup.tell(Event::SequenceFailed(&error));
                     }
                     Err(error) => return Err(error),
@@ -170,22 +171,22 @@ impl Simulation {
         })
     }
 
-    /// Refuses what a sequence's frames and outputs do not allow.
+    /// Refuses what a simulation's frames and outputs do not allow.
     fn begin<'a>(&self, setup: &'a Setup<'a>) -> Result<Begun<'a>, Error> {
         let frames = first_frames(setup)?;
         let Some(first) = frames.first() else {
-            return Err(SequenceError::NoFrames(setup.inputs.describe()).into());
+            return Err(SimulationError::NoFrames(setup.inputs.describe()).into());
         };
         let naming = setup.naming;
         let format = setup.format(first)?;
-        let sequence = naming.sequence(first);
-        let store = Store::beside(&sequence);
+        let simulation = naming.simulation(first);
+        let store = Store::beside(&simulation);
         let up = setup.checked.asked.orientation(usual_up(&first.path), format).shown;
-        let series = Series { format, sequence, fps: self.fps, up };
+        let series = Series { format, simulation, fps: self.fps, up };
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
-            return Err(SequenceError::NoneWanted(setup.inputs.describe()).into());
+            return Err(SimulationError::NoneWanted(setup.inputs.describe()).into());
         }
         let kept = setup.kept_state(&store, &frames)?;
         if !self.resume && !self.overwrite && !self.planned {
@@ -223,11 +224,11 @@ fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
     Ok(())
 }
 
-/// Whether the outputs of each sequence have names of their own.
-fn told_apart(sequences: &[Inputs], naming: &Naming) -> Result<bool, Error> {
+/// Whether the outputs of each simulation have names of their own.
+fn told_apart(simulations: &[Inputs], naming: &Naming) -> Result<bool, Error> {
     let mut names = Vec::new();
-    for inputs in sequences {
-        names.extend(inputs.list()?.first().map(|first| naming.sequence(first)));
+    for inputs in simulations {
+        names.extend(inputs.list()?.first().map(|first| naming.simulation(first)));
     }
     names.sort();
     Ok(names.windows(2).all(|pair| pair[0] != pair[1]))

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use crate::error::{Error, SequenceError};
+use crate::error::{Error, SimulationError};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::{Resources, Sampling};
@@ -30,7 +30,7 @@ use super::state::{State, Store};
 /// Between two looks at a simulation that runs.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
-/// A sequence before any of its frames is read.
+/// A simulation before any of its frames is read.
 pub(super) struct Setup<'a> {
     pub(super) simulation: &'a Simulation,
     pub(super) inputs: &'a Inputs,
@@ -61,7 +61,7 @@ impl Setup<'_> {
         Ok(frames)
     }
 
-    /// The frames of the sequence that are there now.
+    /// The frames of the simulation that are there now.
     pub(super) fn frames(&self) -> Result<Vec<FrameFile>, Error> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
@@ -153,14 +153,14 @@ impl Setup<'_> {
                 return Ok(Some(state));
             }
             let what = "what was measured is missing, or of another surface".into();
-            let damaged = SequenceError::State { path: store.state_path(), what };
+            let damaged = SimulationError::State { path: store.state_path(), what };
             return if anew { Ok(None) } else { Err(damaged.into()) };
         }
         if anew || self.simulation.resume {
             self.tell(Event::Anew { state: &store.state_path(), differing: &differing });
             return Ok(None);
         }
-        Err(SequenceError::Settings { path: store.state_path(), differing }.into())
+        Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
     /// Whether a state has all that frames are sampled and drawn by. Packed frames have a mu0 of their own.

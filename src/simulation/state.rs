@@ -1,4 +1,4 @@
-//! Files beside the outputs, in a folder named as the sequence with `.meniscus` appended: `state.json`, what
+//! Files beside the outputs, in a folder named as the simulation with `.meniscus` appended: `state.json`, what
 //! all frames have in common, and the [records](super::records) of those that are done.
 
 use std::fs::{self, File};
@@ -13,12 +13,12 @@ use crate::reconstruction::differing;
 
 use super::frozen::Frozen;
 use super::records::Log;
-use crate::error::SequenceError;
+use crate::error::SimulationError;
 
 /// Settings by the names of the options.
 pub type Settings = Map<String, Value>;
 
-/// The state of a sequence: all that its frames have in common.
+/// The state of a simulation: all that its frames have in common.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// The version of this library.
@@ -57,10 +57,10 @@ pub struct Store {
 }
 
 impl Store {
-    /// Beside the outputs of a sequence; nothing is created yet.
+    /// Beside the outputs of a simulation; nothing is created yet.
     #[must_use]
-    pub fn beside(sequence: &Path) -> Self {
-        let mut name = sequence.as_os_str().to_owned();
+    pub fn beside(simulation: &Path) -> Self {
+        let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
         Self { log: Log::new(name.into()) }
     }
@@ -80,31 +80,31 @@ impl Store {
     /// The state, if there is one.
     ///
     /// # Errors
-    /// [`SequenceError::Io`] and [`SequenceError::State`] where it cannot be read.
-    pub fn load(&self) -> Result<Option<State>, SequenceError> {
+    /// [`SimulationError::Io`] and [`SimulationError::State`] where it cannot be read.
+    pub fn load(&self) -> Result<Option<State>, SimulationError> {
         let path = self.state_path();
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(fault) => return Err(SequenceError::Io { path, fault }),
+            Err(fault) => return Err(SimulationError::Io { path, fault }),
         };
         let state: State = serde_json::from_slice(&bytes)
-            .map_err(|e| SequenceError::State { path: path.clone(), what: e.to_string() })?;
+            .map_err(|e| SimulationError::State { path: path.clone(), what: e.to_string() })?;
         match state.frozen.grid() {
             Ok(_) => Ok(Some(state)),
-            Err(fault) => Err(SequenceError::State { path, what: fault.to_string() }),
+            Err(fault) => Err(SimulationError::State { path, what: fault.to_string() }),
         }
     }
 
     /// Keeps a state in place of any other.
     ///
     /// # Errors
-    /// [`SequenceError::Io`].
-    pub fn save(&self, state: &State) -> Result<(), SequenceError> {
+    /// [`SimulationError::Io`].
+    pub fn save(&self, state: &State) -> Result<(), SimulationError> {
         let folder = self.folder();
-        fs::create_dir_all(folder).map_err(|fault| SequenceError::Io { path: folder.to_owned(), fault })?;
+        fs::create_dir_all(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
         let path = self.state_path();
-        replace_small(&path, &json(state)).map_err(|fault| SequenceError::Io { path, fault })
+        replace_small(&path, &json(state)).map_err(|fault| SimulationError::Io { path, fault })
     }
 
     /// Keeps other processes that ask for the same from going on until this is dropped, where the file system has locks.
@@ -158,6 +158,6 @@ mod tests {
             }
         }
         fs::write(store.state_path(), "{").unwrap();
-        assert!(matches!(store.load(), Err(SequenceError::State { .. })));
+        assert!(matches!(store.load(), Err(SimulationError::State { .. })));
     }
 }

@@ -9,7 +9,7 @@ use ash::vk;
 use bytemuck::Pod;
 
 use super::device::{QueueState, Shared};
-use super::{Buffer, Device, Faults, Kernel, Place, Queue, View, VulkanError};
+use super::{Buffer, ComputePipeline, Device, Faults, Place, Queue, View, VulkanError};
 
 /// Dispatches that a batch holds at the most.
 const DISPATCHES: u32 = 128;
@@ -46,7 +46,7 @@ pub struct Batch {
     /// Where the device writes the number of the submission when it is done: a lost device may say that it is.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
-    kernels: Vec<Arc<Kernel>>,
+    pipelines: Vec<Arc<ComputePipeline>>,
     /// Each with the bytes that it moves.
     stages: Vec<(&'static str, u64)>,
     /// The last submission, and whether it may still be at work.
@@ -72,7 +72,7 @@ impl Device {
             queries: vk::QueryPool::null(),
             stamp: self.buffer(Place::Download, 4)?,
             buffers: Vec::new(),
-            kernels: Vec::new(),
+            pipelines: Vec::new(),
             stages: Vec::new(),
             last: None,
             pending: false,
@@ -156,49 +156,49 @@ impl Batch {
         }
     }
 
-    /// Runs a kernel on `buffers`, in the order of its bindings, with so many work groups along each axis.
+    /// Runs a shader on `buffers`, in the order of its bindings, with so many work groups along each axis.
     ///
     /// # Errors
     /// [`VulkanError::OutOfMemory`] where a buffer is larger than a shader can see.
     ///
     /// # Panics
-    /// If the arguments are not those of the kernel's program.
+    /// If the arguments are not those of the shader's program.
     pub fn dispatch(
         &mut self,
-        kernel: &Arc<Kernel>,
+        pipeline: &Arc<ComputePipeline>,
         buffers: &[View],
         push: &impl Pod,
         groups: [u32; 3],
     ) -> Result<(), VulkanError> {
         let most = self.device.limits.groups;
-        assert!(groups.iter().all(|&n| n <= most), "{groups:?} groups of {kernel:?}");
+        assert!(groups.iter().all(|&n| n <= most), "{groups:?} groups of {pipeline:?}");
         if !groups.contains(&0) {
-            self.bind(kernel, buffers, push)?;
+            self.bind(pipeline, buffers, push)?;
             let [x, y, z] = groups;
-            // SAFETY: the commands are being recorded, and a kernel is bound.
+            // SAFETY: the commands are being recorded, and a shader is bound.
             unsafe { self.device.raw.cmd_dispatch(self.commands, x, y, z) };
         }
         Ok(())
     }
 
-    /// Runs a kernel with as many work groups along each axis as three words of a buffer say by then.
+    /// Runs a shader with as many work groups along each axis as three words of a buffer say by then.
     /// They must not say more than the device allows.
     ///
     /// # Errors
     /// Those of [`dispatch`](Self::dispatch).
     ///
     /// # Panics
-    /// If the arguments are not those of the kernel's program, or there are no three words.
+    /// If the arguments are not those of the shader's program, or there are no three words.
     pub fn dispatch_as(
         &mut self,
-        kernel: &Arc<Kernel>,
+        pipeline: &Arc<ComputePipeline>,
         buffers: &[View],
         push: &impl Pod,
         groups: &View,
     ) -> Result<(), VulkanError> {
-        assert!(self.owns(groups) && groups.bytes >= 12, "groups of {kernel:?}");
-        self.bind(kernel, buffers, push)?;
-        // SAFETY: the commands are being recorded, and a kernel is bound.
+        assert!(self.owns(groups) && groups.bytes >= 12, "groups of {pipeline:?}");
+        self.bind(pipeline, buffers, push)?;
+        // SAFETY: the commands are being recorded, and a shader is bound.
         unsafe {
             let raw = &self.device.raw;
             raw.cmd_dispatch_indirect(self.commands, groups.buffer.raw(), groups.offset);
@@ -207,44 +207,49 @@ impl Batch {
         Ok(())
     }
 
-    /// Lets a kernel see what came before, and binds it and its buffers.
-    fn bind(&mut self, kernel: &Arc<Kernel>, buffers: &[View], push: &impl Pod) -> Result<(), VulkanError> {
+    /// Lets a shader see what came before, and binds it and its buffers.
+    fn bind(
+        &mut self,
+        pipeline: &Arc<ComputePipeline>,
+        buffers: &[View],
+        push: &impl Pod,
+    ) -> Result<(), VulkanError> {
         let push = bytemuck::bytes_of(push);
-        assert_eq!(buffers.len(), kernel.program.buffers.len(), "buffers of {kernel:?}");
-        assert_eq!(push.len(), kernel.program.push_bytes() as usize, "push block of {kernel:?}");
+        assert_eq!(buffers.len(), pipeline.shader.buffers.len(), "buffers of {pipeline:?}");
+        assert_eq!(push.len(), pipeline.shader.push_bytes() as usize, "push block of {pipeline:?}");
         let limits = self.device.limits;
-        assert!(Arc::ptr_eq(&kernel.device, &self.device), "{kernel:?} is of another device");
-        assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {kernel:?} is of another device");
+        assert!(Arc::ptr_eq(&pipeline.device, &self.device), "{pipeline:?} is of another device");
+        assert!(buffers.iter().all(|view| self.owns(view)), "a buffer of {pipeline:?} is of another device");
         assert!(
             buffers.iter().all(|view| view.offset.is_multiple_of(limits.alignment)),
-            "buffers of {kernel:?}"
+            "buffers of {pipeline:?}"
         );
         if let Some(view) = buffers.iter().find(|view| view.bytes > limits.storage_range) {
             return Err(VulkanError::OutOfMemory { bytes: view.bytes });
         }
         self.barrier();
-        let set = [self.bound(kernel, buffers)?];
+        let set = [self.bound(pipeline, buffers)?];
         let raw = &self.device.raw;
-        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and kernel are held
+        // SAFETY: the handles are this device's, the commands are being recorded, and buffers and shader are held
         // until they are done.
         unsafe {
             let compute = vk::PipelineBindPoint::COMPUTE;
-            raw.cmd_bind_pipeline(self.commands, compute, kernel.pipeline);
-            raw.cmd_bind_descriptor_sets(self.commands, compute, kernel.layout, 0, &set, &[]);
+            raw.cmd_bind_pipeline(self.commands, compute, pipeline.pipeline);
+            raw.cmd_bind_descriptor_sets(self.commands, compute, pipeline.layout, 0, &set, &[]);
             if !push.is_empty() {
                 let stages = vk::ShaderStageFlags::COMPUTE;
-                raw.cmd_push_constants(self.commands, kernel.layout, stages, 0, push);
+                raw.cmd_push_constants(self.commands, pipeline.layout, stages, 0, push);
             }
         }
         self.buffers.extend(buffers.iter().map(|view| Arc::clone(&view.buffer)));
-        self.kernels.push(Arc::clone(kernel));
+        self.pipelines.push(Arc::clone(pipeline));
         Ok(())
     }
 
-    /// Returns a new descriptor set that binds `buffers` to a kernel.
-    fn bound(&self, kernel: &Kernel, buffers: &[View]) -> Result<vk::DescriptorSet, VulkanError> {
+    /// Returns a new descriptor set that binds `buffers` to a shader.
+    fn bound(&self, pipeline: &ComputePipeline, buffers: &[View]) -> Result<vk::DescriptorSet, VulkanError> {
         let raw = &self.device.raw;
-        let layouts = [kernel.sets];
+        let layouts = [pipeline.sets];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.sets).set_layouts(&layouts);
         // SAFETY: the pool and the layout are this device's.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }
@@ -437,7 +442,7 @@ impl Batch {
         }
         self.stages.clear();
         self.buffers.clear();
-        self.kernels.clear();
+        self.pipelines.clear();
         Ok(())
     }
 
@@ -495,7 +500,7 @@ impl Drop for Batch {
             if self.pending && self.device.queue(self.queue).idle(&self.device.raw).is_err() {
                 // The device may still be at work: what it works on stays.
                 self.buffers.drain(..).for_each(std::mem::forget);
-                self.kernels.drain(..).for_each(std::mem::forget);
+                self.pipelines.drain(..).for_each(std::mem::forget);
                 std::mem::forget(Arc::clone(&self.stamp));
                 return;
             }

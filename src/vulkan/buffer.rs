@@ -35,7 +35,7 @@ const HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFl
 /// Where a buffer is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// Where kernels are fastest; the host cannot see it.
+    /// Where shaders are fastest; the host cannot see it.
     Device,
     /// Written by the host, read by the device.
     Upload,
@@ -43,7 +43,7 @@ pub enum Place {
     Download,
 }
 
-/// A piece of memory that kernels and copies work on.
+/// A piece of memory that shaders and copies work on.
 pub struct Buffer {
     pub(super) device: Arc<Shared>,
     raw: vk::Buffer,

@@ -47,12 +47,12 @@ pub struct DeviceOptions {
 /// The queues of a device that are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Queues {
-    /// One for copies beside the one for kernels, where the device has a family for copies alone.
+    /// One for copies beside the one for shaders, where the device has a family for copies alone.
     #[default]
     All,
     /// One for everything.
     One,
-    /// One for everything that is used as if it were two: copies wait for kernels, and kernels for copies.
+    /// One for everything that is used as if it were two: copies wait for shaders, and shaders for copies.
     OneAsTwo,
 }
 
@@ -72,9 +72,9 @@ pub struct Limits {
 /// A queue of the device. Both may be the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Queue {
-    /// For kernels.
+    /// For shaders.
     Compute,
-    /// For copies, beside the kernels where the device can.
+    /// For copies, beside the shaders where the device can.
     Transfer,
 }
 
@@ -552,7 +552,7 @@ impl Drop for Shared {
     fn drop(&mut self) {
         // A cache that cannot be kept costs time in the next run, and nothing else.
         let _ = self.save_cache();
-        // SAFETY: buffers, kernels and batches hold this, so none is left. The allocator goes before its device.
+        // SAFETY: buffers, shaders and batches hold this, so none is left. The allocator goes before its device.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             for queue in &self.queues {

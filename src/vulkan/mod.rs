@@ -1,4 +1,4 @@
-//! Compute on a Vulkan device: choosing one, its memory, its kernels, and batches of commands.
+//! Compute on a Vulkan device: choosing one, its memory, its shaders, and batches of commands.
 //!
 //! Knows nothing of fluids. Asks for Vulkan 1.2 with timeline semaphores, and nothing beyond.
 //!
@@ -9,15 +9,15 @@ mod buffer;
 mod device;
 mod faults;
 mod instance;
-mod kernel;
+mod shader;
 
 pub use batch::{Batch, Moment, Ticket};
 pub use buffer::{Buffer, Place, View};
 pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
-pub(crate) use kernel::push_block;
-pub use kernel::{Field, Kernel, Program};
+pub(crate) use shader::push_block;
+pub use shader::{ComputePipeline, Field, Shader};
 
 use ash::vk;
 use thiserror::Error;

@@ -10,7 +10,7 @@ use glam::{DVec3, IVec3};
 use meniscus::internals::field::indicator::Indicator;
 use meniscus::internals::field::recipe::Detail;
 use meniscus::internals::grid::CellBox;
-use meniscus::internals::surface::dual_mc::table::TABLE;
+use meniscus::internals::surface::dual_mc::cases::TABLE;
 
 /// What is to be computed. Cells have edge 1 and the grid's origin is 0.
 pub struct Method {

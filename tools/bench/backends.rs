@@ -94,7 +94,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
                 done => done?,
             };
             sampling.resources.backend = Arc::clone(&vulkan) as _;
-            // The first run compiles kernels and takes memory.
+            // The first run compiles shaders and takes memory.
             run(&particles, &sampling)?;
             drop(device.take_timings());
             let start = Instant::now();

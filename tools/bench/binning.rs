@@ -13,14 +13,14 @@ use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::internals::brick::vulkan::{
-    BinKernels, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
+    BinPipelines, Coordinate, DeviceBins, DeviceGrid, DevicePositions, PAGE_WORDS, PROBES, SETTLED, bin,
 };
 use meniscus::internals::brick::{BrickSide, InvalidParticles};
-use meniscus::internals::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Kernels, indicate};
+use meniscus::internals::field::indicator::vulkan::{BinEntry, CLOUDS, INDICATE, Pipelines, indicate};
 use meniscus::internals::field::indicator::{Content, PageRule};
 use meniscus::internals::grid::{BIN, Grid, MortonKey};
 use meniscus::internals::vulkan::{
-    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Program, Queue, View, VulkanError,
+    Batch, Buffer, Device, DeviceChoice, DeviceOptions, Instance, Place, Queue, Shader, View, VulkanError,
 };
 
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -65,7 +65,7 @@ fn best(mut work: impl FnMut() -> Result<f64, VulkanError>) -> Result<f64, Vulka
     (0..3).try_fold(f64::INFINITY, |best, _| Ok(best.min(work()?)))
 }
 
-/// The bins in a table as `table.wgsl` has it, and the number of each slot's bin.
+/// The bins in a table as `bin_table.wgsl` has it, and the number of each slot's bin.
 fn table(bins: &DeviceBins) -> (Vec<[u32; 4]>, Vec<u32>) {
     let len = (4 * bins.keys.len()).next_power_of_two();
     let (mut slots, mut numbers) = (vec![[0; 4]; len], vec![0; len]);
@@ -94,7 +94,7 @@ fn main() -> Result<(), compile::Fault> {
     let grid = Grid::new(DVec3::ZERO, 1.0)?;
     let positions =
         DevicePositions { view: upload(&device, &particles)?, count, coordinate: Coordinate::Single };
-    let kernels = BinKernels::new(&device)?;
+    let pipelines = BinPipelines::new(&device)?;
 
     let mut sorted = None;
     let mut whole = f64::INFINITY;
@@ -103,7 +103,8 @@ fn main() -> Result<(), compile::Fault> {
         drop(device.take_timings());
         let start = Instant::now();
         let positions = std::slice::from_ref(&positions);
-        sorted = Some(bin(&device, &kernels, positions, &grid, None, InvalidParticles::Refuse, usize::MAX)?);
+        sorted =
+            Some(bin(&device, &pipelines, positions, &grid, None, InvalidParticles::Refuse, usize::MAX)?);
         whole = whole.min(start.elapsed().as_secs_f64());
     }
     let bins = sorted.expect("three runs");
@@ -120,26 +121,27 @@ fn main() -> Result<(), compile::Fault> {
     let entries: Vec<BinEntry> = bins.keys.iter().zip(bins.first.windows(2)).map(entry).collect();
     let entries_view = upload(&device, &entries)?;
     let pages = device.buffer(Place::Device, 4 * u64::from(PAGE_WORDS) * entries.len() as u64)?.whole();
-    let [indicate_kernel, clouds] = [&INDICATE, &CLOUDS].map(|program| device.kernel(program).map(Arc::new));
-    let kernels = Kernels { indicate: indicate_kernel?, clouds: clouds? };
+    let [indicate_pipeline, clouds] =
+        [&INDICATE, &CLOUDS].map(|shader| device.pipeline(shader).map(Arc::new));
+    let pipelines = Pipelines { indicate: indicate_pipeline?, clouds: clouds? };
     let rule = PageRule { content: Content::Symmetry, side: BrickSide::default(), walls: None };
     let [(_, records)] = &bins.runs[..] else { return Err("too many particles for one run".into()) };
     let seconds = best(|| {
         run(&device, |batch| {
             let views = [&entries_view, &records.whole(), &pages];
-            indicate(batch, &kernels, entries.len() as u32, &rule, views)
+            indicate(batch, &pipelines, entries.len() as u32, &rule, views)
         })
     })?;
     row("sums in shared memory, and the DIF", count, seconds);
 
-    let direct: &'static Program = Box::leak(Box::new(Program {
+    let direct: &'static Shader = Box::leak(Box::new(Shader {
         name: "direct",
         code: compile::compiled("direct", &compile::whole(include_str!("direct.wgsl"))?)?.leak(),
         buffers: &["grid", "positions", "slots", "bins", "sums"],
         push: const { &[field("first", 0), field("count", 4), field("width", 8), field("mask", 12)] },
         group: [256, 1, 1],
     }));
-    let kernel = Arc::new(device.kernel(direct)?);
+    let pipeline = Arc::new(device.pipeline(direct)?);
     let (slots, numbers) = table(&bins);
     let sums: Arc<Buffer> = device.buffer(Place::Device, 28 * BIN.pow(3) as u64 * entries.len() as u64)?;
     let grid = upload(&device, &[DeviceGrid::new(&grid, None)])?;
@@ -160,7 +162,7 @@ fn main() -> Result<(), compile::Fault> {
                 let positions = positions.view.part(12 * first as u64, 12 * len as u64);
                 let buffers = [grid.clone(), positions, slots.clone(), numbers.clone(), sums.whole()];
                 let push = Push { first: 0, count: len as u32, width: 1, mask };
-                batch.dispatch(&kernel, &buffers, &push, [len.div_ceil(256) as u32, 1, 1])?;
+                batch.dispatch(&pipeline, &buffers, &push, [len.div_ceil(256) as u32, 1, 1])?;
             }
             Ok(())
         })

@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::DVec3;
 use meniscus::internals::backend::field;
 use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, InvalidParticles};
-use meniscus::internals::field::blur::{Kernel, blur};
+use meniscus::internals::field::blur::{Weights, blur};
 use meniscus::internals::field::indicator::{Amount, Content, IndicatorKind, PageRule, indicate};
 use meniscus::internals::frame::{Frame, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{MemoryBudget, Sigma};
@@ -76,15 +76,15 @@ fn main() {
         row(&format!("bin and accumulate, {name}"), count, "M particles/s", bin_seconds + seconds);
     }
 
-    let kernel = Kernel::gaussian(Sigma::new(1.0).expect("a valid sigma"));
+    let weights = Weights::gaussian(Sigma::new(1.0).expect("a valid sigma"));
     let block =
-        Block::<u16>::zero(CellBox::cube(glam::IVec3::ZERO, 33).grown(kernel.reach(), kernel.reach()));
+        Block::<u16>::zero(CellBox::cube(glam::IVec3::ZERO, 33).grown(weights.reach(), weights.reach()));
     let blocks = 4096;
     // Each with a copy of the block that it works in.
     let (seconds, _) = best_seconds(3, || {
         (0..blocks)
             .into_par_iter()
-            .map(|_| blur(black_box(block.clone()), &kernel, None).samples().len())
+            .map(|_| blur(black_box(block.clone()), &weights, None).samples().len())
             .sum::<usize>()
     });
     row("blur, reach 2, blocks of 32^3", f64::from(blocks) * 32f64.powi(3), "M cells/s", seconds);

@@ -126,7 +126,7 @@ fn on_device(vulkan: &Arc<Vulkan>, particles: &[[f32; 3]], cell: f64) -> Outcome
         held(&mesh, particles.len(), 1.0)?;
         Ok((seconds, mesh.triangle_count()))
     };
-    // The first run compiles kernels and takes memory.
+    // The first run compiles shaders and takes memory.
     run()?;
     drop(vulkan.device().take_timings());
     let (whole, triangles) = run()?;

@@ -62,12 +62,10 @@ pub fn run(options: &Options) -> Outcome<()> {
          its mean, and its RMS about the mean; bubbles, crumbs and handles (of four pools, and the ball)",
     );
     sheets.print(
-        "sheets of jittered particles above a pool: pieces, holes in them, mean thickness in spacings",
+        "sheets of jittered particles above a pool: components, holes in them, mean thickness in spacings",
     );
-    drops.print(&format!(
-        "components above a pool of {} drops: fewer are lost, more are in pieces",
-        DROPS * DROPS
-    ));
+    drops
+        .print(&format!("components above a pool of {} drops: fewer are lost, more are torn", DROPS * DROPS));
     Ok(())
 }
 
@@ -138,7 +136,7 @@ fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
     Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }
 
-/// The pieces, holes and thickness of a sheet above a pool, which is there for its plateau.
+/// The components, holes and thickness of a sheet above a pool, which is there for its plateau.
 fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     let mut random = Random::new(1);
     let mut particles = cuboid(IVec3::new(0, -28, 0), IVec3::new(WIDTH, -16, WIDTH), JITTER, &mut random);
@@ -150,7 +148,7 @@ fn sheet(method: &Method, cell: f64, layers: i32) -> Outcome<String> {
     let measures = measure(&sheet);
     let holes = measures.genus.ok_or("a sheet is not closed")?;
     let thickness = measures.volume.unwrap_or(0.0) / f64::from(WIDTH * WIDTH);
-    Ok(format!("{} pieces, {holes} holes, {thickness:.2}", measures.components))
+    Ok(format!("{} components, {holes} holes, {thickness:.2}", measures.components))
 }
 
 /// How many drops of `size` particles are left above a pool.

@@ -1,4 +1,4 @@
-import json, subprocess, sys
+import json, pathlib, subprocess, sys
 from paraview.simple import OpenDataFile, PVDReader
 from vtkmodules.vtkCommonCore import vtkFloatArray, vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstructuredGrid
@@ -8,7 +8,7 @@ folder, meniscus = sys.argv[1:]
 frames = json.load(open(f"{folder}/dam.ply.json"))["frames"]
 times = [frame["time"] for frame in frames]
 
-for name in ["dam.pvd", "dam.vtp.series", "dam.vtk.series", "dam.ply.series"]:
+for name in ["dam.pvd", "dam.vtp.series", "dam.vtk.series", "dam.ply.series", "dam.pvtp.series"]:
     path = f"{folder}/{name}"
     reader = PVDReader(FileName=path) if name.endswith(".pvd") else OpenDataFile(path)
     reader.UpdatePipelineInformation()
@@ -29,7 +29,25 @@ reader = PVDReader(FileName=f"{folder}/empty.pvd")
 reader.UpdatePipeline(times[0])
 info = reader.GetDataInformation()
 assert (info.GetNumberOfPoints(), info.GetNumberOfCells()) == (0, 0)
-print("an empty sequence")
+print("an empty simulation")
+
+# A mesh in pieces is one whole.
+path = f"{folder}/fine.pvtp"
+checked = json.loads(subprocess.run([meniscus, "check", "--json", path], check=True, capture_output=True).stdout)[0]
+reader = OpenDataFile(path)
+reader.UpdatePipeline()
+info = reader.GetDataInformation()
+report = checked["report"]
+assert info.GetNumberOfCells() == report["triangles"] and checked["closed_oriented_manifold"], (info.GetNumberOfCells(), checked)
+# Each piece has what its triangles use: vertices that two share are there twice, under one identifier.
+identifiers = [array for array in reader.PointData.keys() if reader.PointData[array].GetRange() == (0, report["vertices"] - 1)]
+assert len(identifiers) == 1, list(reader.PointData.keys())
+assert info.GetNumberOfPoints() > report["vertices"], info.GetNumberOfPoints()
+lo, hi = reader.PointData["velocity"].GetRange(1)
+assert lo < -0.5, (lo, hi)
+pieces = len(list(pathlib.Path(f"{folder}/fine").glob("*.vtp")))
+assert pieces > 1, pieces
+print(f"fine.pvtp: {pieces} pieces, {report['vertices']} vertices in {identifiers[0]}, {report['triangles']} triangles")
 
 # Particles, as VTK itself writes them.
 count = 5000

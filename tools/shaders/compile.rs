@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use meniscus::internals::backend::programs::{PROGRAMS, constants};
-use meniscus::internals::vulkan::Program;
+use meniscus::internals::backend::shaders::{SHADERS, constants};
+use meniscus::internals::vulkan::Shader;
 use naga::Module;
 use naga::back::spv;
 use naga::proc::{BoundsCheckPolicies, BoundsCheckPolicy};
@@ -26,9 +26,9 @@ pub struct Binary {
 /// The binaries that are missing or are not what their sources compile to.
 pub fn outdated() -> Result<Vec<Binary>, Fault> {
     let mut outdated = Vec::new();
-    for program in PROGRAMS {
-        let file = folder().join(program.name).with_extension("spv");
-        let code = compiled(program.name, &source(program.name)?)?;
+    for shader in SHADERS {
+        let file = folder().join(shader.name).with_extension("spv");
+        let code = compiled(shader.name, &source(shader.name)?)?;
         if fs::read(&file).ok().as_ref() != Some(&code) {
             outdated.push(Binary { file, code });
         }
@@ -77,11 +77,11 @@ pub fn compiled(name: &str, source: &str) -> Result<Vec<u8>, Fault> {
 
 /// All programs with checks of every index into a buffer or an array: those beyond the end are the last.
 pub fn checked() -> Result<HashMap<&'static str, Vec<u8>>, Fault> {
-    let binary = |program: &&Program| {
+    let binary = |shader: &&Shader| {
         let checks = BoundsCheckPolicy::Restrict;
-        Ok((program.name, compiled_with(program.name, &source(program.name)?, checks)?))
+        Ok((shader.name, compiled_with(shader.name, &source(shader.name)?, checks)?))
     };
-    PROGRAMS.iter().map(binary).collect()
+    SHADERS.iter().map(binary).collect()
 }
 
 fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<Vec<u8>, Fault> {

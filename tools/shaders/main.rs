@@ -4,7 +4,7 @@
 //! `cargo run --example shaders -- --check` writes nothing, names them, and exits with 1 if there are any.
 //!
 //! A source is what its file holds after the parts that its first line names (`//! with wide float64`) and the constants
-//! of `meniscus::internals::backend::programs` that it uses, so a constant that changes in Rust changes binaries too. The library embeds the
+//! of `meniscus::internals::backend::shaders` that it uses, so a constant that changes in Rust changes binaries too. The library embeds the
 //! binaries; for a new program create an empty one first, that the library compiles.
 
 #[allow(dead_code, reason = "tests use the rest")]

@@ -3,7 +3,7 @@
 use std::rc::Rc;
 
 use crate::brick::Block;
-use crate::field::blur::{Kernel, blur_of_few, blur_while};
+use crate::field::blur::{Weights, blur_of_few, blur_while};
 use crate::field::detail::{lost, raise};
 use crate::field::distance::{
     Bulk, Depths, Distances, Drops, Gate, Inside, depths, joined, mixed, outlying, outlying_part, quotient,
@@ -226,12 +226,12 @@ impl Fields for Blocks<'_> {
         if goes_on { Ok(Field { block: Rc::new(block), level }) } else { Err(Stopped) }
     }
 
-    fn blur(&mut self, Field { block, level }: Field, kernel: &Kernel) -> Result<Field, Stopped> {
+    fn blur(&mut self, Field { block, level }: Field, weights: &Weights) -> Result<Field, Stopped> {
         if self.few {
-            return Ok(Field { block: Rc::new(blur_of_few(&block, kernel, self.walls(level))), level });
+            return Ok(Field { block: Rc::new(blur_of_few(&block, weights, self.walls(level))), level });
         }
         let goes_on = |smooth: &Block| !self.decides || self.looking.may_cut(smooth);
-        let block = blur_while(Rc::unwrap_or_clone(block), kernel, self.walls(level), goes_on);
+        let block = blur_while(Rc::unwrap_or_clone(block), weights, self.walls(level), goes_on);
         block.map(|block| Field { block: Rc::new(block), level }).ok_or(Stopped)
     }
 

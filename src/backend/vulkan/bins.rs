@@ -14,8 +14,8 @@ use crate::grid::MortonKey;
 use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};
-use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly, part};
+use super::pipelines::page_bytes;
 use super::resident::Resident;
 
 /// Bins of a batch at the most.
@@ -175,7 +175,7 @@ impl DeviceFrame {
         making: &Making<'_>,
     ) -> Result<BinBatch, VulkanError> {
         let Making { rule, resident, read } = making;
-        let (device, kernels, shape) = (&self.device, &self.kernels, rule.shape());
+        let (device, pipelines, shape) = (&self.device, &self.pipelines, rule.shape());
         let page_bytes = page_bytes(shape);
         let bytes = bins.len() as u64 * page_bytes;
         let pages = match resident {
@@ -184,7 +184,7 @@ impl DeviceFrame {
         };
         lane.compute.stage("indicate", records.bytes() + bytes);
         let (views, count) = ([entries, records, &pages], bins.len() as u32);
-        indicate(&mut lane.compute, &kernels.indicate, count, rule, views)?;
+        indicate(&mut lane.compute, &pipelines.indicate, count, rule, views)?;
         let read = match read {
             Read::Pages => lane.buffer(device, "pages read", Place::Download, bytes)?,
             Read::FullCells => self.tell_full_cells(lane, &pages, bins.len(), shape)?,
@@ -205,7 +205,7 @@ impl DeviceFrame {
         let found = lane.buffer(&self.device, "full cells", Place::Device, bytes)?;
         let read = lane.buffer(&self.device, "full cells read", Place::Download, bytes)?;
         lane.compute.stage("full cells", pages.bytes());
-        full_cells(&mut lane.compute, &self.kernels.full_cells, count as u32, shape, [pages, &found])?;
+        full_cells(&mut lane.compute, &self.pipelines.full_cells, count as u32, shape, [pages, &found])?;
         lane.compute.copy(&found, &read);
         Ok(read)
     }

@@ -19,8 +19,8 @@ use super::contouring::{BlockBatch, Contouring, Fielded};
 use super::fields::PaddedBlocks;
 use super::frame::{DeviceFrame, State};
 use super::grids::Grid;
-use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly};
+use super::pipelines::page_bytes;
 
 impl DeviceFrame {
     /// Hands the surfaces through some regions to `take`, as far as nothing fails and `meter` goes on.
@@ -204,9 +204,9 @@ impl Contouring<'_> {
             _ => self.filter(lane, batch)?,
         };
         let (iso, walls) = (self.surfaces.recipe.iso, self.surfaces.mesh_walls());
-        let (commands, kernels) = (&mut lane.compute, &self.frame.kernels.dual_mc);
+        let (commands, pipelines) = (&mut lane.compute, &self.frame.pipelines.dual_mc);
         commands.stage("dual marching cubes", field.bytes());
-        contour(commands, kernels, &blocks, &field, iso, walls, self.has_normals(), &outputs)?;
+        contour(commands, pipelines, &blocks, &field, iso, walls, self.has_normals(), &outputs)?;
         commands.copy(&outputs.tallies, &read);
         commands.submit(&[uploaded])?;
         Ok(())

@@ -1,9 +1,9 @@
-//! Constants that kernels look up: tables, and the weights of filters.
+//! Constants that shaders look up: tables, and the weights of filters.
 
 use hashbrown::{HashMap, HashSet};
 
 use crate::backend::Surfaces;
-use crate::field::blur::Kernel;
+use crate::field::blur::Weights;
 use crate::field::distance::vulkan::tables as tables_of_distances;
 use crate::surface::dual_mc::vulkan::lengths;
 use crate::vulkan::{Batch, View, VulkanError};
@@ -11,11 +11,11 @@ use crate::vulkan::{Batch, View, VulkanError};
 /// Weights that are kept, at the most.
 const KEPT_WEIGHTS: usize = 64;
 
-/// Constants that kernels look up, on the device from when they are first asked for.
+/// Constants that shaders look up, on the device from when they are first asked for.
 #[derive(Debug, Default)]
 pub(super) struct Constants {
     tables: Option<Tables>,
-    weights: HashMap<Kernel, View>,
+    weights: HashMap<Weights, View>,
 }
 
 /// Tables that are the same for every frame.
@@ -31,7 +31,7 @@ pub(super) struct Tables {
 /// Constants that the batches of a frame look up.
 pub(super) struct FrameConstants {
     pub(super) tables: Tables,
-    pub(super) weights: HashMap<Kernel, View>,
+    pub(super) weights: HashMap<Weights, View>,
     pub(super) theta: View,
     pub(super) decode: u32,
 }
@@ -46,9 +46,9 @@ impl Constants {
         let Self { tables, weights: known } = self;
         let theta = surfaces.sampled.dif.decode_table().unwrap_or_default();
         let theta: Vec<u32> = theta.iter().map(|&theta| theta.into()).collect();
-        let kernels = surfaces.recipe.filters.kernels();
-        let unknown: HashSet<&Kernel> =
-            kernels.iter().copied().filter(|kernel| !known.contains_key(*kernel)).collect();
+        let used = surfaces.recipe.filters.weights();
+        let unknown: HashSet<&Weights> =
+            used.iter().copied().filter(|weights| !known.contains_key(*weights)).collect();
         batch.begin()?;
         let made = match tables {
             Some(tables) => tables.clone(),
@@ -57,8 +57,8 @@ impl Constants {
                 Tables { depths: depths?, away: away?, lengths: batch.store(&lengths())? }
             }
         };
-        let new = unknown.into_iter().map(|kernel| Ok((kernel.clone(), batch.store(kernel.half())?)));
-        let new: Vec<(Kernel, View)> = new.collect::<Result<_, VulkanError>>()?;
+        let new = unknown.into_iter().map(|weights| Ok((weights.clone(), batch.store(weights.half())?)));
+        let new: Vec<(Weights, View)> = new.collect::<Result<_, VulkanError>>()?;
         let decode = theta.len() as u32;
         let theta = if decode > 0 { batch.store(&theta)? } else { made.lengths.clone() };
         if tables.is_none() || !new.is_empty() || decode > 0 {
@@ -68,10 +68,10 @@ impl Constants {
         // What is kept is there.
         *tables = Some(made.clone());
         if known.len() > KEPT_WEIGHTS {
-            known.retain(|kernel, _| kernels.contains(&kernel));
+            known.retain(|weights, _| used.contains(&weights));
         }
         known.extend(new);
-        let weights = kernels.into_iter().map(|kernel| (kernel.clone(), known[kernel].clone())).collect();
+        let weights = used.into_iter().map(|weights| (weights.clone(), known[weights].clone())).collect();
         Ok(FrameConstants { tables: made, weights, theta, decode })
     }
 }

@@ -21,7 +21,7 @@ use super::constants::FrameConstants;
 use super::fields::{PaddedBlocks, PaddedFields};
 use super::frame::DeviceFrame;
 use super::grids::Samples;
-use super::kernels::page_bytes;
+use super::pipelines::page_bytes;
 use super::resident::Resident;
 
 /// Blocks of a batch at the most.
@@ -191,8 +191,8 @@ impl<'a> Contouring<'a> {
         commands: &'b mut Batch,
         grids: Vec<PaddedBlocks>,
     ) -> PaddedFields<'b> {
-        let (kernels, constants, walls) = (&*self.frame.kernels, &self.constants, self.surfaces.walls());
+        let (pipelines, constants, walls) = (&*self.frame.pipelines, &self.constants, self.surfaces.walls());
         let gathered = VecDeque::new();
-        PaddedFields { kernels, constants, walls, commands, grids, gathered, cells: 0, parts: None }
+        PaddedFields { pipelines, constants, walls, commands, grids, gathered, cells: 0, parts: None }
     }
 }

@@ -18,8 +18,8 @@ use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};
 use super::grids::{Grid, NO_TILES, Samples};
-use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, fly};
+use super::pipelines::page_bytes;
 use super::resident::Resident;
 
 /// Blocks of a batch at the most.
@@ -123,13 +123,13 @@ impl Elsewhere for DeviceField {
             };
             let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
             let from = Samples::There(resident, self.shape);
-            let kernel = &self.frame.kernels.halve;
+            let pipeline = &self.frame.pipelines.halve;
             let found: Vec<FullCells> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
                     let count = range.len();
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
                     lane.compute.stage("halve", cells.bytes() + pages.bytes());
-                    halve(&mut lane.compute, kernel, blocks, (walls, factor), [cells, &pages])?;
+                    halve(&mut lane.compute, pipeline, blocks, (walls, factor), [cells, &pages])?;
                     self.frame.tell_full_cells(lane, &pages, count, HALVED)
                 })?;
             let infos = bins.iter().zip(found).map(|(&bin, found)| found.info(MortonKey::of(bin)));
@@ -149,14 +149,14 @@ impl Elsewhere for DeviceField {
         let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
         self.made(|state, resident| {
             let from = Samples::There(resident, self.shape);
-            let (device, kernels) = (&self.frame.device, &self.frame.kernels.distance);
+            let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
             let full: Vec<[u32; 2]> =
                 self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
                     let bytes = (range.len() * size_of::<[u32; 2]>()) as u64;
                     let bricks = lane.buffer(device, "full bricks", Place::Device, bytes)?;
                     let read = lane.buffer(device, "full bricks read", Place::Download, bytes)?;
                     lane.compute.stage("inside", cells.bytes());
-                    full_bricks(&mut lane.compute, kernels, blocks, (width, least), [cells, &bricks])?;
+                    full_bricks(&mut lane.compute, pipelines, blocks, (width, least), [cells, &bricks])?;
                     lane.compute.copy(&bricks, &read);
                     Ok(read)
                 })?;
@@ -200,7 +200,7 @@ impl DeviceFrame {
                 let uploaded = lane.send(&staged, &inputs)?;
                 let (blocks, pages) = (grid.on_device(&inputs, &places), places.pages(&inputs, from, None));
                 lane.compute.stage("gather", pages.pages.bytes() + cells.bytes());
-                gather(&mut lane.compute, &self.kernels.gather, &blocks, &pages, &cells)?;
+                gather(&mut lane.compute, &self.pipelines.gather, &blocks, &pages, &cells)?;
                 let read = make(lane, begin..next, &blocks, &cells)?;
                 lane.compute.submit(&[uploaded])?;
                 Ok(Some((next - begin, read)))

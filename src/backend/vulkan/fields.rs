@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 
 use crate::brick::vulkan::{DeviceBlocks, DevicePages, Window, gather};
-use crate::field::blur::Kernel;
+use crate::field::blur::Weights;
 use crate::field::blur::vulkan::blur;
 use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
@@ -15,7 +15,7 @@ use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
 
 use super::constants::FrameConstants;
-use super::kernels::Kernels;
+use super::pipelines::Pipelines;
 
 /// The samples of a batch's blocks; those within `margin` of a block's faces are unknown.
 pub(super) struct Padded {
@@ -40,7 +40,7 @@ pub(super) struct PaddedBlocks {
 
 /// Fields of padded blocks, in as few buffers as they need: one that nobody refers to any more is used again.
 pub(super) struct PaddedFields<'a> {
-    pub(super) kernels: &'a Kernels,
+    pub(super) pipelines: &'a Pipelines,
     pub(super) constants: &'a FrameConstants,
     pub(super) walls: Option<CellBox>,
     pub(super) commands: &'a mut Batch,
@@ -57,7 +57,7 @@ impl PaddedFields<'_> {
     pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
         let samples = self.take(of);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
-        gather(self.commands, &self.kernels.gather, &self.grids[of].blocks, pages, &samples)?;
+        gather(self.commands, &self.pipelines.gather, &self.grids[of].blocks, pages, &samples)?;
         self.gathered.push_back(Rc::new(Padded { samples, margin: 0, of }));
         Ok(())
     }
@@ -100,7 +100,7 @@ impl Fields for PaddedFields<'_> {
         Ok(field)
     }
 
-    fn blur(&mut self, field: Rc<Padded>, kernel: &Kernel) -> Result<Rc<Padded>, VulkanError> {
+    fn blur(&mut self, field: Rc<Padded>, weights: &Weights) -> Result<Rc<Padded>, VulkanError> {
         let of = field.of;
         self.stage("blur", 3, of);
         let to = self.take(of);
@@ -109,13 +109,13 @@ impl Fields for PaddedFields<'_> {
             Ok(own) => (&own.samples, own.samples.clone(), own.margin),
             Err(shared) => (&shared.samples, self.take(of), shared.margin),
         };
-        let filter = (kernel, &self.constants.weights[kernel]);
+        let filter = (weights, &self.constants.weights[weights]);
         let views = [from, &through, &to];
         let walls = self.walls(of);
         let blocks = &self.grids[of].blocks;
-        blur(self.commands, &self.kernels.blur, blocks, filter, walls, margin, views)?;
+        blur(self.commands, &self.pipelines.blur, blocks, filter, walls, margin, views)?;
         self.grids[of].free.push(through);
-        Ok(Rc::new(Padded { samples: to, margin: margin + kernel.reach(), of }))
+        Ok(Rc::new(Padded { samples: to, margin: margin + weights.reach(), of }))
     }
 
     fn lost(
@@ -128,7 +128,7 @@ impl Fields for PaddedFields<'_> {
         self.stage("detail", 2, of);
         let kept = self.take(of);
         let views = [&dif.samples, &smooth.samples, &kept];
-        lost(self.commands, &self.kernels.lost, &self.grids[of].blocks, iso, views)?;
+        lost(self.commands, &self.pipelines.lost, &self.grids[of].blocks, iso, views)?;
         self.give(dif);
         Ok(Rc::new(Padded { samples: kept, margin: smooth.margin, of }))
     }
@@ -137,7 +137,7 @@ impl Fields for PaddedFields<'_> {
         let of = field.of;
         self.stage("detail", 2, of);
         let blocks = &self.grids[of].blocks;
-        raise(self.commands, &self.kernels.greater, blocks, &other.samples, &field.samples)?;
+        raise(self.commands, &self.pipelines.greater, blocks, &other.samples, &field.samples)?;
         Ok(field)
     }
 
@@ -148,7 +148,7 @@ impl Fields for PaddedFields<'_> {
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
         let blocks = &self.grids[of].blocks;
         let views = [&narrow, &middle, &wide];
-        depths(self.commands, &self.kernels.distance, blocks, by, &self.constants.tables.depths, views)?;
+        depths(self.commands, &self.pipelines.distance, blocks, by, &self.constants.tables.depths, views)?;
         let padded = |samples| Rc::new(Padded { samples, margin, of });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }
@@ -165,7 +165,7 @@ impl Fields for PaddedFields<'_> {
         let views = [&calm.samples, &fine.samples, &apart.samples, &near.samples];
         let PaddedBlocks { blocks, marks, .. } = &self.grids[of];
         let marks = marks.as_ref().expect("blocks of the bulk have marks");
-        mixed(self.commands, &self.kernels.distance, blocks, by, marks, views)?;
+        mixed(self.commands, &self.pipelines.distance, blocks, by, marks, views)?;
         let (samples, margin) = (calm.samples.clone(), apart.margin.max(near.margin));
         self.give(fine);
         self.give(apart);
@@ -181,7 +181,7 @@ impl Fields for PaddedFields<'_> {
         let of = calm.of;
         self.stage("distances", 2, of);
         let views = [&calm.samples, &clouds.samples];
-        outlying(self.commands, &self.kernels.distance, &self.grids[of].blocks, least, views)?;
+        outlying(self.commands, &self.pipelines.distance, &self.grids[of].blocks, least, views)?;
         Ok(Rc::new(Padded { samples: clouds.samples.clone(), margin: calm.margin, of }))
     }
 
@@ -191,7 +191,7 @@ impl Fields for PaddedFields<'_> {
         let (to, through) = (self.take(of), self.take(of));
         let window = Window { reach, walls: self.walls(of), margin: field.margin };
         let views = [&field.samples, &through, &to];
-        spread(self.commands, &self.kernels.distance, &self.grids[of].blocks, window, views)?;
+        spread(self.commands, &self.pipelines.distance, &self.grids[of].blocks, window, views)?;
         self.grids[of].free.push(through);
         let margin = field.margin + reach;
         self.give(field);
@@ -210,7 +210,7 @@ impl Fields for PaddedFields<'_> {
         let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
         let (within, walls) = (self.within(of, wide.of), self.walls(of));
         let views = [&wide.samples, &to];
-        refine(self.commands, &self.kernels.distance, grids, &within, level, walls, views)?;
+        refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
         self.give(wide);
         Ok(Rc::new(Padded { samples: to, margin: 0, of }))
     }
@@ -230,7 +230,7 @@ impl Fields for PaddedFields<'_> {
         let of = clouds.of;
         self.stage("drops", 2, of);
         let views = [&clouds.samples, &around.samples];
-        quotient(self.commands, &self.kernels.distance, &self.grids[of].blocks, bits, views)?;
+        quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, bits, views)?;
         let margin = around.margin;
         let samples = clouds.samples.clone();
         self.give(around);
@@ -249,7 +249,7 @@ impl Fields for PaddedFields<'_> {
         let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);
         let homes = self.within(near.of, bulk.of);
         let away = &self.constants.tables.away;
-        join(self.commands, &self.kernels.distance, blocks, &homes, by, away, views)?;
+        join(self.commands, &self.pipelines.distance, blocks, &homes, by, away, views)?;
         Ok(bulk)
     }
 }

@@ -9,8 +9,8 @@ use crate::grid::MortonKey;
 use crate::vulkan::{Buffer, Device, Place, VulkanError};
 
 use super::constants::Constants;
-use super::kernels::{Kernels, page_bytes};
 use super::lane::{HEADROOM, Lane};
+use super::pipelines::{Pipelines, page_bytes};
 use super::resident::{Reader, Resident};
 
 /// Batches in flight.
@@ -31,7 +31,7 @@ pub(super) struct Kept {
 #[derive(Debug)]
 pub(super) struct DeviceFrame {
     pub(super) device: Device,
-    pub(super) kernels: Arc<Kernels>,
+    pub(super) pipelines: Arc<Pipelines>,
     pub(super) kept: Arc<Mutex<Kept>>,
     pub(super) state: Mutex<State>,
     /// Fields whose pages are on the device, by how often their cells were made twice as wide.
@@ -40,9 +40,14 @@ pub(super) struct DeviceFrame {
 }
 
 impl DeviceFrame {
-    pub(super) fn new(device: Device, kernels: Arc<Kernels>, kept: Arc<Mutex<Kept>>, state: State) -> Self {
+    pub(super) fn new(
+        device: Device,
+        pipelines: Arc<Pipelines>,
+        kept: Arc<Mutex<Kept>>,
+        state: State,
+    ) -> Self {
         let (residents, reader) = (Mutex::default(), Reader::default());
-        Self { device, kernels, kept, state: Mutex::new(state), residents, reader }
+        Self { device, pipelines, kept, state: Mutex::new(state), residents, reader }
     }
 
     pub(super) fn state(&self) -> MutexGuard<'_, State> {

@@ -13,8 +13,8 @@ use crate::grid::CellBox;
 use crate::vulkan::View;
 
 use super::constants::FrameConstants;
-use super::kernels::page_bytes;
 use super::lane::{Layout, part};
+use super::pipelines::page_bytes;
 use super::resident::Resident;
 
 /// Nothing of a block is meshed.
@@ -149,7 +149,7 @@ impl Grid {
         );
     }
 
-    /// The blocks, as kernels take them.
+    /// The blocks, as shaders take them.
     pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
         DeviceBlocks::new(part(inputs, &places.blocks), &self.blocks)
     }

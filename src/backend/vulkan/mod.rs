@@ -13,8 +13,8 @@ mod elsewhere;
 mod fields;
 mod frame;
 mod grids;
-mod kernels;
 mod lane;
+mod pipelines;
 mod resident;
 mod wide;
 
@@ -35,19 +35,19 @@ use super::{Backend, Cpu, Stages, Surfaces, Take, Work};
 use bins::{Fault, Made, bin_bytes};
 pub use blocks::DeviceSurfaces;
 use frame::{DeviceFrame, Kept, LANES, State};
-use kernels::{Kernels, page_bytes};
 use lane::HEADROOM;
+use pipelines::{Pipelines, page_bytes};
 
 /// Bytes of a batch at the most.
 const LARGEST_BATCH: u64 = 128 << 20;
 /// Bytes of the host's memory that a driver takes.
 const DRIVER: u64 = 96 << 20;
 
-/// A Vulkan device with all kernels ready.
+/// A Vulkan device with all shaders ready.
 #[derive(Debug)]
 pub struct Vulkan {
     device: Device,
-    kernels: Arc<Kernels>,
+    pipelines: Arc<Pipelines>,
     kept: Arc<Mutex<Kept>>,
 }
 
@@ -63,13 +63,13 @@ struct Shares {
 }
 
 impl Vulkan {
-    /// Compiles the kernels for a device.
+    /// Compiles the shaders for a device.
     ///
     /// # Errors
     /// [`VulkanError`] where the driver refuses one.
     pub fn new(device: Device) -> Result<Self, VulkanError> {
-        let kernels = Arc::new(Kernels::new(&device)?);
-        Ok(Self { device, kernels, kept: Arc::default() })
+        let pipelines = Arc::new(Pipelines::new(&device)?);
+        Ok(Self { device, pipelines, kept: Arc::default() })
     }
 
     /// The device.
@@ -108,9 +108,9 @@ impl Vulkan {
             warnings: Vec::new(),
             done: Work::default(),
         };
-        let (device, kernels, kept) =
-            (self.device.clone(), Arc::clone(&self.kernels), Arc::clone(&self.kept));
-        Arc::new(DeviceFrame::new(device, kernels, kept, state))
+        let (device, pipelines, kept) =
+            (self.device.clone(), Arc::clone(&self.pipelines), Arc::clone(&self.kept));
+        Arc::new(DeviceFrame::new(device, pipelines, kept, state))
     }
 
     /// A frame whose particles and whose surface stay on the device.

@@ -8,7 +8,7 @@ use hashbrown::HashMap;
 use crate::brick::{PageInfo, PageSamples, PageShape};
 use crate::vulkan::{Batch, Buffer, Device, Place, Queue, VulkanError};
 
-use super::kernels::page_bytes;
+use super::pipelines::page_bytes;
 
 /// The pages of a field's bins in one buffer.
 #[derive(Debug)]

@@ -16,8 +16,8 @@ use crate::vulkan::{Place, View, VulkanError};
 use super::contouring::{BlockBatch, Contouring, DROPS_FIELDS, Fielded, PART_FIELDS, WIDE_FIELDS, Wide};
 use super::fields::{Padded, PaddedBlocks};
 use super::grids::{Grid, NO_TILES};
-use super::kernels::page_bytes;
 use super::lane::{Lane, Layout, part};
+use super::pipelines::page_bytes;
 
 /// The numbers of blocks among those that are drawn of wide cells.
 const WIDE: usize = 0;
@@ -62,7 +62,7 @@ impl Contouring<'_> {
         regions: &[CellBox],
         distances: &Distances,
     ) -> Result<Wide, VulkanError> {
-        let (device, kernels) = (&self.frame.device, &self.frame.kernels.distance);
+        let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
         let (from, halo) = (self.samples(distances.level), distances.wide_halo());
         let wide = |region| distances.wide_cells(self.surfaces.normals.cells(region));
         let mut grid = Grid::default();
@@ -107,7 +107,7 @@ impl Contouring<'_> {
         let commands = &mut lane.compute;
         commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
         let by = (self.surfaces.recipe.iso, &distances.gate);
-        look(commands, kernels, &blocks, looks.len() as u32, by, views)?;
+        look(commands, pipelines, &blocks, looks.len() as u32, by, views)?;
         commands.copy(&seen, &read);
         commands.submit(&[uploaded])?;
         Ok(Wide { blocks, of_regions, looks, fields })

@@ -2,10 +2,10 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, SequenceError,
-    Setting, TooFine, Unfit, UnitError, Unread, WriteFault,
+    BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, Setting,
+    SimulationError, TooFine, Unfit, UnitError, Unread, WriteFault,
 };
-use meniscus::{Doubt, Dropped, Emptiness, Warning};
+use meniscus::{Doubt, Emptiness, TooSmall, Warning};
 
 use crate::method::MethodName;
 use crate::options::Options;
@@ -23,7 +23,7 @@ fn in_options(error: &Error) -> Option<String> {
         Error::Unit(UnitError::Isovalue(_)) => format!("--iso: {error}"),
         Error::Unit(UnitError::Tolerance(_)) => format!("--simplify: {error}"),
         Error::Unit(UnitError::Volume(value)) => {
-            format!("--drop-smaller must be a positive volume; {value} is not")
+            format!("--smallest-component must be a positive volume; {value} is not")
         }
         Error::Unit(UnitError::Length { what, value }) => {
             let option = match *what {
@@ -41,17 +41,17 @@ fn in_options(error: &Error) -> Option<String> {
             "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
             ByteSize(*least)
         ),
-        Error::Sequence(SequenceError::Rate(_)) => error.to_string().replace("frames a second", "--fps"),
-        Error::Sequence(SequenceError::Wait(seconds)) => {
+        Error::Simulation(SimulationError::Rate(_)) => error.to_string().replace("frames a second", "--fps"),
+        Error::Simulation(SimulationError::Wait(seconds)) => {
             format!("--watch takes seconds; {seconds} are none")
         }
-        Error::Sequence(SequenceError::Steps(inputs)) => {
+        Error::Simulation(SimulationError::Steps(inputs)) => {
             format!("{inputs}: --watch follows files, and not the steps of one")
         }
-        Error::Sequence(SequenceError::Range { first, last }) => {
+        Error::Simulation(SimulationError::Range { first, last }) => {
             format!("there are no frames from --start {first} to --end {last}")
         }
-        Error::Sequence(SequenceError::NoneWanted(inputs)) => {
+        Error::Simulation(SimulationError::NoneWanted(inputs)) => {
             format!("{inputs}: --frames names none of them")
         }
         _ => return None,
@@ -121,8 +121,8 @@ fn advice(error: &Error) -> String {
             _ => "",
         },
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",
-        Error::Sequence(SequenceError::State { .. }) => "; --overwrite begins anew",
-        Error::Sequence(SequenceError::Settings { .. }) => {
+        Error::Simulation(SimulationError::State { .. }) => "; --overwrite begins anew",
+        Error::Simulation(SimulationError::Settings { .. }) => {
             "; --resume makes them again, --overwrite begins anew"
         }
         Error::Frame {
@@ -146,9 +146,9 @@ fn advice(error: &Error) -> String {
 fn advice_on_frame(fault: &FrameError) -> &'static str {
     match fault {
         FrameError::Unread(Unread::Changed) => "; convert it once it is written",
-        FrameError::Bin(BinError::NotFinite { .. }) => "; --skip-invalid drops such particles",
+        FrameError::Bin(BinError::NotFinite { .. }) => "; --skip-invalid leaves out such particles",
         FrameError::Bin(BinError::TooFar { .. }) => {
-            "; use a larger cell size, move --origin, or drop such particles with --skip-invalid"
+            "; use a larger cell size, move --origin, or leave out such particles with --skip-invalid"
         }
         FrameError::OverBudget(_) => "; or allow more with --memory",
         FrameError::TooFine(TooFine::Finest { .. }) => " (--cell 0.1 or more); is their --spacing right?",
@@ -157,7 +157,7 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; --indicator cloud keeps drops and sheets that smoothing loses; else use smaller cells, a lower --iso or a smaller \
              --sigma; is the --spacing right?"
         }
-        FrameError::NothingLeft(_) => "; a smaller --drop-smaller or --smallest-drop leaves more",
+        FrameError::NothingLeft(_) => "; a smaller --smallest-component or --smallest-drop leaves more",
         FrameError::NoDistanceSurface => "; use smaller cells; is the --spacing right?",
         FrameError::NoKernelSurface => "; use smaller cells, or a lower --iso",
         FrameError::NoRoom { .. } => "; name another folder with --scratch, or allow more with --memory",
@@ -192,7 +192,7 @@ pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
         | Warning::Empty { why: Emptiness::Field, clouds, measured_on } => {
             format!("{warning}{}", on_shortfall(options, *clouds, *measured_on))
         }
-        Warning::Empty { why: Emptiness::Dropped(all), .. } => {
+        Warning::Empty { why: Emptiness::TooSmall(all), .. } => {
             format!("all components are below {}: an empty mesh", limits(*all))
         }
         _ => warning.to_string(),
@@ -215,10 +215,10 @@ fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<u64
 }
 
 /// The options that left out all components of a surface.
-fn limits(dropped: Dropped) -> &'static str {
-    match (dropped.components, dropped.drops) {
-        (_, 0) => "--drop-smaller",
+fn limits(too_small: TooSmall) -> &'static str {
+    match (too_small.components, too_small.drops) {
+        (_, 0) => "--smallest-component",
         (0, _) => "--smallest-drop",
-        _ => "--drop-smaller and --smallest-drop",
+        _ => "--smallest-component and --smallest-drop",
     }
 }

@@ -20,9 +20,9 @@ mod report;
 mod run;
 mod sampling;
 mod say;
-mod sequence;
-mod sequence_options;
 mod shells;
+mod simulation;
+mod simulation_options;
 mod stats;
 
 use std::process::ExitCode;

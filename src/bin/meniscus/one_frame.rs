@@ -32,8 +32,8 @@ pub struct Ready {
 pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let notes = options.run.notes();
     match options.parts.parts {
-        Some(_) => options.sequence.refuse_for_parts()?,
-        None => options.sequence.refuse_for_one_frame()?,
+        Some(_) => options.simulation.refuse_for_parts()?,
+        None => options.simulation.refuse_for_one_frame()?,
     }
     let request = options.request()?;
     request.check(input)?;

@@ -9,7 +9,7 @@ use crate::method::MethodName;
 use crate::parts_options::PartsOptions;
 use crate::run::RunOptions;
 use crate::sampling::SamplingOptions;
-use crate::sequence_options::SequenceOptions;
+use crate::simulation_options::SimulationOptions;
 
 #[derive(Args)]
 pub struct Options {
@@ -71,12 +71,13 @@ pub struct Options {
     /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
     #[arg(
         long,
+        alias = "drop-smaller",
         value_name = "CELLS3",
         allow_negative_numbers = true,
         help_heading = "Output",
         hide_short_help = true
     )]
-    pub drop_smaller: Option<f64>,
+    pub smallest_component: Option<f64>,
     /// Leave out drops of fewer particles, as told by their volume [default: 1, which leaves out none].
     #[arg(long, value_name = "PARTICLES", value_parser = value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
     pub smallest_drop: Option<u32>,
@@ -97,7 +98,7 @@ pub struct Options {
     #[arg(long, value_name = "FILE", help_heading = "Output", hide_short_help = true)]
     pub stats: Option<PathBuf>,
     #[command(flatten)]
-    pub sequence: SequenceOptions,
+    pub simulation: SimulationOptions,
     #[command(flatten)]
     pub parts: PartsOptions,
     #[command(flatten)]
@@ -191,8 +192,8 @@ impl Options {
         if let Some(cells) = self.simplify {
             request = request.simplify(cells);
         }
-        if let Some(cells) = self.drop_smaller {
-            request = request.drop_smaller(cells);
+        if let Some(cells) = self.smallest_component {
+            request = request.smallest_component(cells);
         }
         if let Some(particles) = self.smallest_drop {
             request = request.smallest_drop(particles);

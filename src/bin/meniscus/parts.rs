@@ -15,13 +15,13 @@ use crate::report::{report_cells, report_census, report_stages, warn_all};
 
 /// Runs the step that is asked for of so many parts.
 pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error> {
-    let step = options.parts.step(options.sequence.plan)?;
+    let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
         _ if options.dry_run => {
             Some("--dry-run has no meaning with --parts: --plan says what each part takes")
         }
         Step::Plan | Step::Part(_) if options.stats.is_some() => Some("--stats goes with --merge"),
-        Step::Merge if options.sequence.resume => {
+        Step::Merge if options.simulation.resume => {
             Some("--resume goes with --plan: a mesh is merged as a whole")
         }
         _ => None,
@@ -57,7 +57,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
 
 fn parts(options: &Options, request: &Reconstruction, input: &Path, count: u32) -> Parts {
     let parts = request.parts(input, &options.output, count);
-    match (replace(options), options.sequence.resume) {
+    match (replace(options), options.simulation.resume) {
         (Replace::Allow, _) => parts.overwrite(),
         (Replace::Refuse, true) => parts.resume(),
         (Replace::Refuse, false) => parts,

@@ -1,4 +1,4 @@
-//! How far a sequence is: bars on a terminal, a line for each frame elsewhere.
+//! How far a simulation is: bars on a terminal, a line for each frame elsewhere.
 
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
@@ -89,7 +89,7 @@ impl Progress {
     }
 }
 
-/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read is dropped.
+/// Standard error as if it were a terminal, for whoever passes it on to one. What nobody can read is thrown away.
 #[derive(Debug)]
 struct Pretended;
 

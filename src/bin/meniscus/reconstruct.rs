@@ -1,4 +1,4 @@
-//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see `sequence`.
+//! `meniscus reconstruct`: a frame of particles to a mesh; each frame of a simulation is one, see `simulation`.
 
 use std::path::Path;
 
@@ -12,16 +12,16 @@ use crate::options::Options;
 use crate::outcome::{Verdict, print};
 use crate::parts;
 use crate::report::report_opened;
-use crate::sequence;
+use crate::simulation;
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     match (Simulation::if_several(&options.inputs, &options.output)?, options.parts.parts) {
         (Some(_), Some(_)) => {
-            let what = "--parts is for one frame: jobs of a sequence take --frames of it each";
+            let what = "--parts is for one frame: jobs of a simulation take --frames of it each";
             Err(Error::Request(what.into()))
         }
-        (Some(simulation), None) => sequence::run(options, simulation),
+        (Some(simulation), None) => simulation::run(options, simulation),
         (None, Some(count)) => parts::run(options, &options.inputs[0], count),
         (None, None) => run_frame(options, &options.inputs[0]),
     }

@@ -46,12 +46,12 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
     warn_all(&report.warnings, Some(options), notes);
     report.measured.iter().for_each(|measured| report_calibration(report, measured, options, notes));
     report_census(&report.facts.census, notes);
-    let Some(left_out) = report.dropped else { return };
-    if let Some(volume) = options.drop_smaller {
+    let Some(left_out) = report.too_small else { return };
+    if let Some(volume) = options.smallest_component {
         notes.say(format!("{} components of less than {volume} cells left out", left_out.components));
     }
     if let Some(particles) = options.smallest_drop.filter(|&particles| particles > 1) {
-        notes.say(dropped(left_out.drops, particles));
+        notes.say(too_small(left_out.drops, particles));
     }
     if let Some(tolerance) = options.simplify {
         let whole = report.whole_triangles;
@@ -99,8 +99,8 @@ fn report_calibration(report: &Report, measured: &Calibrated, options: &Options,
 /// Says how many particles are left out, and why.
 pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
-        (census.not_finite, "dropped: a coordinate is not finite"),
-        (census.too_far, "dropped: beyond the addressable grid"),
+        (census.not_finite, "skipped: a coordinate is not finite"),
+        (census.too_far, "skipped: beyond the addressable grid"),
         (census.outside, "not counted: outside of the domain or the periodic box"),
     ] {
         if count > 0 {
@@ -110,7 +110,7 @@ pub fn report_census(census: &Census, notes: &Notes) {
 }
 
 /// The sentence about drops of few particles.
-pub fn dropped(drops: u64, particles: u32) -> String {
+pub fn too_small(drops: u64, particles: u32) -> String {
     format!("{drops} drops of fewer than {particles} particles left out")
 }
 

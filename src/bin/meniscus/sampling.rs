@@ -72,7 +72,7 @@ pub struct SamplingOptions {
         hide_short_help = true
     )]
     mu0: Option<f64>,
-    /// Drop particles that are not finite or too far away, and count them.
+    /// Leave out particles that are not finite or too far away, and count them.
     #[arg(long, help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 }

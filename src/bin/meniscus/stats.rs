@@ -87,7 +87,7 @@ pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
         "output": output,
         "method": options.method,
         "simplify": options.simplify,
-        "drop_smaller": options.drop_smaller,
+        "smallest_component": options.smallest_component,
         "smallest_drop": options.smallest_drop,
         "vertices": vertices,
         "triangles": triangles,

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use crate::grid::CellBox;
-use crate::vulkan::{Batch, Kernel, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, View, VulkanError, push_block};
 
 use super::{DeviceBlocks, wall_bounds};
 
@@ -44,7 +44,7 @@ pub struct Window {
 /// Those of the device.
 pub fn along_each_axis(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     Window { reach, walls, margin }: Window,
     [from, through, to]: [&View; 3],
@@ -59,7 +59,7 @@ pub fn along_each_axis(
         push.shift = shift(axis);
         push.margin[axis] += reach;
         let buffers: Vec<View> = [&blocks.blocks, from, to].into_iter().chain(further).cloned().collect();
-        batch.dispatch(kernel, &buffers, &push, blocks.run_groups())?;
+        batch.dispatch(pipeline, &buffers, &push, blocks.run_groups())?;
     }
     Ok(())
 }

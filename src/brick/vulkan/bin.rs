@@ -1,7 +1,7 @@
 //! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), by a hash table of bins.
 //!
 //! Positions are read once, in chunks: every particle is placed, in the f64 arithmetic of the host done by integers, finds or takes
-//! its bin's slot in the table, and is counted there. The host sorts the bins. Then every particle is dropped where its bin's
+//! its bin's slot in the table, and is counted there. The host sorts the bins. Then every particle is put where its bin's
 //! particles go.
 
 use std::ops::Range;
@@ -14,7 +14,8 @@ use crate::brick::place::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::vulkan::{
-    ALIGNMENT, Batch, Buffer, Device, Kernel, Limits, Place, Program, Queue, View, VulkanError, push_block,
+    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, Place, Queue, Shader, View, VulkanError,
+    push_block,
 };
 
 use super::{DeviceGrid, GROUP, flat_groups};
@@ -71,7 +72,7 @@ push_block! {
 }
 
 /// A chunk's particles, packed, and their bins.
-pub const PLACE: Program = Program {
+pub const PLACE: Shader = Shader {
     name: "place",
     code: include_bytes!("../../../spirv/place.spv"),
     buffers: &["grid", "positions", "keys", "packed", "census"],
@@ -80,7 +81,7 @@ pub const PLACE: Program = Program {
 };
 
 /// Counts by bin.
-pub const ENTER: Program = Program {
+pub const ENTER: Shader = Shader {
     name: "enter",
     code: include_bytes!("../../../spirv/enter.spv"),
     buffers: &["keys", "slots", "census", "homes"],
@@ -89,7 +90,7 @@ pub const ENTER: Program = Program {
 };
 
 /// Keys of new bins.
-pub const SETTLE: Program = Program {
+pub const SETTLE: Shader = Shader {
     name: "settle",
     code: include_bytes!("../../../spirv/settle.spv"),
     buffers: &["keys", "slots"],
@@ -98,7 +99,7 @@ pub const SETTLE: Program = Program {
 };
 
 /// Packed particles, bin by bin.
-pub const SORT: Program = Program {
+pub const SORT: Shader = Shader {
     name: "sort",
     code: include_bytes!("../../../spirv/sort.spv"),
     buffers: &["packed", "homes", "places", "records"],
@@ -106,22 +107,22 @@ pub const SORT: Program = Program {
     group: [GROUP, 1, 1],
 };
 
-/// The kernels of binning.
+/// The shaders of binning.
 #[derive(Debug)]
-pub struct BinKernels {
-    place: Arc<Kernel>,
-    enter: Arc<Kernel>,
-    settle: Arc<Kernel>,
-    sort: Arc<Kernel>,
+pub struct BinPipelines {
+    place: Arc<ComputePipeline>,
+    enter: Arc<ComputePipeline>,
+    settle: Arc<ComputePipeline>,
+    sort: Arc<ComputePipeline>,
 }
 
-impl BinKernels {
+impl BinPipelines {
     /// Compiles them.
     ///
     /// # Errors
     /// Those of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
-        let [place, enter, settle, sort] = device.kernels([&PLACE, &ENTER, &SETTLE, &SORT])?;
+        let [place, enter, settle, sort] = device.pipelines([&PLACE, &ENTER, &SETTLE, &SORT])?;
         Ok(Self { place, enter, settle, sort })
     }
 }
@@ -146,7 +147,7 @@ impl Coordinate {
     }
 }
 
-/// Positions on the device, x, y and z of one particle after the other. Kernels read them; so does a copy, where an
+/// Positions on the device, x, y and z of one particle after the other. Shaders read them; so does a copy, where an
 /// invalid particle is to be named.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
@@ -170,7 +171,7 @@ pub struct DeviceBins {
     pub first: Vec<usize>,
     /// The number of particles that were binned, and of those that were left out and why.
     pub census: Census,
-    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a kernel can see
+    /// Runs of bins, and the packed particles of each run, 8 bytes a particle: one run where a shader can see
     /// them all at once.
     pub runs: Vec<BinRun>,
 }
@@ -218,7 +219,7 @@ struct ChunkCensus {
     overflow: u32,
 }
 
-/// A slot of the table of bins, laid out as in `table.wgsl`.
+/// A slot of the table of bins, laid out as in `bin_table.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Slot {
@@ -274,14 +275,14 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<Chunk> {
 ///
 /// # Errors
 /// [`DeviceBinError::Bin`] as on the host. [`VulkanError::OutOfMemory`] where there are 2^32 particles or
-/// more, a bin has more than 2^24 of them or than a kernel can see at once, or the device has no room for 20 bytes a
+/// more, a bin has more than 2^24 of them or than a shader can see at once, or the device has no room for 20 bytes a
 /// particle, of which 8 stay.
 ///
 /// # Panics
 /// If a view ends before its positions do.
 pub fn bin(
     device: &Device,
-    kernels: &BinKernels,
+    pipelines: &BinPipelines,
     positions: &[DevicePositions],
     grid: &Grid,
     domain: Option<&Domain>,
@@ -299,7 +300,7 @@ pub fn bin(
     batch.submit(&[])?;
     batch.wait()?;
     let chunks = chunks(positions, device.limits());
-    let binning = Binning { device, kernels, grid: device_grid, chunks, limit };
+    let binning = Binning { device, pipelines, grid: device_grid, chunks, limit };
     let Counted { kept, table, census } = binning.count(total)?;
     let (census, first_invalid) = binning.sum(&census, total);
     if let (InvalidParticles::Refuse, Some(index)) = (invalid, first_invalid) {
@@ -348,7 +349,7 @@ struct Kept {
 
 struct Binning<'a> {
     device: &'a Device,
-    kernels: &'a BinKernels,
+    pipelines: &'a BinPipelines,
     grid: View,
     chunks: Vec<Chunk>,
     limit: usize,
@@ -419,18 +420,18 @@ impl Binning<'_> {
     ) -> Result<(), VulkanError> {
         let &Chunk { count, first, width, .. } = chunk;
         let [keys, slots, census] = buffers.map(Buffer::whole);
-        let kernels = self.kernels;
+        let pipelines = self.pipelines;
         batch.stage("place", chunk.bytes() + 16 * u64::from(count));
         let Kept { packed, homes } = kept;
         let buffers = [&self.grid, &chunk.positions, &keys, packed, &census].map(Clone::clone);
         let push = PlacePush { first, count, width, chunk: number };
-        batch.dispatch(&kernels.place, &buffers, &push, chunk.groups())?;
+        batch.dispatch(&pipelines.place, &buffers, &push, chunk.groups())?;
         batch.stage("count bins", 12 * u64::from(count));
         let buffers = [keys, slots, census, homes.clone()];
         let push = EnterPush { count, mask: slots_len - 1 };
-        batch.dispatch(&kernels.enter, &buffers, &push, chunk.groups())?;
+        batch.dispatch(&pipelines.enter, &buffers, &push, chunk.groups())?;
         let push = SettlePush { slots: slots_len };
-        batch.dispatch(&kernels.settle, &buffers[..2], &push, flat_groups(slots_len))
+        batch.dispatch(&pipelines.settle, &buffers[..2], &push, flat_groups(slots_len))
     }
 
     /// The census of all chunks, and the number of the first invalid particle.
@@ -475,7 +476,7 @@ impl Binning<'_> {
         Ok([values[0], values[1], values[2]])
     }
 
-    /// Drops all particles where they go, run by run.
+    /// Puts all particles where they go, run by run.
     fn sort(
         &self,
         kept: &[Kept],
@@ -506,7 +507,7 @@ impl Binning<'_> {
                 let buffers = [packed, homes, &places.whole(), &records.whole()].map(Clone::clone);
                 let push = SortPush { count: chunk.count };
                 batch.stage("sort", (2 * RECORD_BYTES + 4) * u64::from(chunk.count));
-                batch.dispatch(&self.kernels.sort, &buffers, &push, chunk.groups())?;
+                batch.dispatch(&self.pipelines.sort, &buffers, &push, chunk.groups())?;
             }
             batch.submit(&[])?;
             batch.wait()?;

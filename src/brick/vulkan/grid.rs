@@ -1,4 +1,4 @@
-//! The grid and its walls as kernels take them.
+//! The grid and its walls as shaders take them.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -23,7 +23,7 @@ pub struct DeviceGrid {
 }
 
 impl DeviceGrid {
-    /// Lays out a grid, and a domain on it, for kernels.
+    /// Lays out a grid, and a domain on it, for shaders.
     #[must_use]
     pub fn new(grid: &Grid, domain: Option<&Domain>) -> Self {
         let [lo, hi] = wall_bounds(domain.map(Domain::cells));

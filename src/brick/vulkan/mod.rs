@@ -8,7 +8,7 @@ mod pages;
 
 pub use axis::{AxisPush, Window, along_each_axis};
 pub use bin::{
-    BinKernels, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN,
+    BinPipelines, BinRun, Coordinate, DeviceBinError, DeviceBins, DevicePositions, ELSEWHERE, ENTER, NO_BIN,
     PLACE, PROBES, SETTLE, SETTLED, SORT, bin,
 };
 pub use grid::{DeviceGrid, reciprocal};
@@ -21,7 +21,7 @@ use glam::IVec3;
 
 use super::PageShape;
 use crate::grid::{BIN, CellBox};
-use crate::vulkan::{ALIGNMENT, Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
 /// Words of a page without ghost layers on the device: all cells of a bin, x fastest, two samples to a word.
 pub const PAGE_WORDS: u32 = (BIN * BIN * BIN) as u32 / 2;
@@ -170,7 +170,7 @@ push_block! {
 }
 
 /// Cuts blocks out of pages: the twin of [`DifField::gather`](super::DifField::gather).
-pub const GATHER: Program = Program {
+pub const GATHER: Shader = Shader {
     name: "gather",
     code: include_bytes!("../../../spirv/gather.spv"),
     buffers: &["blocks", "tables", "pages", "theta", "field"],
@@ -199,7 +199,7 @@ pub struct DevicePages {
 /// Those of the device.
 pub fn gather(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     pages: &DevicePages,
     field: &View,
@@ -211,10 +211,10 @@ pub fn gather(
     let push = GatherPush { decode, brick_bits: brick.ilog2(), ghost_layer, page_words };
     let DevicePages { tables, pages, theta, .. } = pages;
     let buffers = [&blocks.blocks, tables, pages, theta, field].map(Clone::clone);
-    batch.dispatch(kernel, &buffers, &push, blocks.run_groups())
+    batch.dispatch(pipeline, &buffers, &push, blocks.run_groups())
 }
 
-/// The cells within walls as kernels take them: the lowest and the highest; without walls, farther than any cell.
+/// The cells within walls as shaders take them: the lowest and the highest; without walls, farther than any cell.
 #[must_use]
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     const NOWHERE: i32 = 1 << 24;

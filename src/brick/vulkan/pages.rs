@@ -1,4 +1,4 @@
-//! Kernels on pages where they are: finding the full cells of each, and making pages of cells twice as wide.
+//! Shaders on pages where they are: finding the full cells of each, and making pages of cells twice as wide.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 
 use crate::brick::{Factor, PageInfo, PageShape};
 use crate::grid::{BIN, CellBox, MortonKey};
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
 use super::{DeviceBlocks, GROUP, PAGE_WORDS, page_words, wall_bounds};
 
@@ -30,7 +30,7 @@ push_block! {
 }
 
 /// The full cells of pages.
-pub const FULL_CELLS: Program = Program {
+pub const FULL_CELLS: Shader = Shader {
     name: "full_cells",
     code: include_bytes!("../../../spirv/full_cells.spv"),
     buffers: &["pages", "found"],
@@ -39,7 +39,7 @@ pub const FULL_CELLS: Program = Program {
 };
 
 /// Pages of cells twice as wide.
-pub const HALVE: Program = Program {
+pub const HALVE: Shader = Shader {
     name: "halve",
     code: include_bytes!("../../../spirv/halve.spv"),
     buffers: &["blocks", "field", "pages"],
@@ -72,7 +72,7 @@ impl FullCells {
 /// Those of the device.
 pub fn full_cells(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     count: u32,
     shape: PageShape,
     [pages, found]: [&View; 2],
@@ -86,7 +86,7 @@ pub fn full_cells(
         brick_bits: brick.ilog2(),
         page_words: page_words(shape),
     };
-    batch.dispatch(kernel, &[pages.clone(), found.clone()], &push, [1, count, 1])
+    batch.dispatch(pipeline, &[pages.clone(), found.clone()], &push, [1, count, 1])
 }
 
 /// Makes pages of cells twice as wide of `field`, by the twin of [`DifField::halved`](crate::brick::DifField::halved): of each
@@ -96,7 +96,7 @@ pub fn full_cells(
 /// Those of the device.
 pub fn halve(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     (walls, factor): (Option<CellBox>, Factor),
     [field, pages]: [&View; 2],
@@ -104,5 +104,5 @@ pub fn halve(
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let push = HalvePush { walls_lo, factor: factor.steps(), walls_hi };
     let views = [&blocks.blocks, field, pages].map(Clone::clone);
-    batch.dispatch(kernel, &views, &push, [PAGE_WORDS / GROUP, blocks.count, 1])
+    batch.dispatch(pipeline, &views, &push, [PAGE_WORDS / GROUP, blocks.count, 1])
 }

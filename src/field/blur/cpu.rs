@@ -5,25 +5,25 @@ use multiversion::multiversion;
 use crate::brick::Block;
 use crate::grid::CellBox;
 
-use super::{Kernel, UNIT};
+use super::{UNIT, Weights};
 
 /// A number that can be blurred.
 pub trait Sample: Copy + Default + PartialEq {
-    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the kernel's weights, along an axis.
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, axis: usize);
+    /// Fills `to[i]` from `taps[i]`, `taps[i + step]`, ..., one tap for each of the weights's weights, along an axis.
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `kernel` along x, then y, then z. The edge cells before `walls` are repeated beyond them in what is
+/// Blurs `block` with `weights` along x, then y, then z. The edge cells before `walls` are repeated beyond them in what is
 /// given, and so they are in the result, for the next filter.
 ///
-/// The result is smaller by the kernel's reach on every side: exactly the cells whose whole
+/// The result is smaller by the weights's reach on every side: exactly the cells whose whole
 /// neighbourhood was given.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain: recipe and gather disagree, which is our bug.
 #[must_use]
-pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
-    blur_while(block, kernel, walls, |_| true).expect("nothing stops it")
+pub fn blur<T: Sample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
+    blur_while(block, weights, walls, |_| true).expect("nothing stops it")
 }
 
 /// Blurs as [`blur`] does, as long as `goes_on` holds of the block after each axis; `None` once it does not.
@@ -34,14 +34,14 @@ pub fn blur<T: Sample>(block: Block<T>, kernel: &Kernel, walls: Option<CellBox>)
 #[must_use]
 pub fn blur_while<T: Sample>(
     mut block: Block<T>,
-    kernel: &Kernel,
+    weights: &Weights,
     walls: Option<CellBox>,
     goes_on: impl Fn(&Block<T>) -> bool,
 ) -> Option<Block<T>> {
     let mut spare = Vec::new();
     for axis in 0..3 {
-        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel, axis);
-        block.along(axis, kernel.reach(), &mut spare, &fill);
+        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, weights, axis);
+        block.along(axis, weights.reach(), &mut spare, &fill);
         if !goes_on(&block) {
             return None;
         }
@@ -57,9 +57,9 @@ pub fn blur_while<T: Sample>(
 /// # Panics
 /// As [`blur`].
 #[must_use]
-pub fn blur_of_few<T: Sample>(block: &Block<T>, kernel: &Kernel, walls: Option<CellBox>) -> Block<T> {
+pub fn blur_of_few<T: Sample>(block: &Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
     let full = block.box_of(|sample| sample != T::default());
-    let mut blurred = blurred_part(block, full, kernel);
+    let mut blurred = blurred_part(block, full, weights);
     if let Some(walls) = walls {
         blurred.repeat_edges(walls);
     }
@@ -67,8 +67,8 @@ pub fn blur_of_few<T: Sample>(block: &Block<T>, kernel: &Kernel, walls: Option<C
 }
 
 /// Blurs a block that is 0 but for the box `full`.
-fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, kernel: &Kernel) -> Block<T> {
-    let (cells, reach) = (block.cells(), kernel.reach());
+fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, weights: &Weights) -> Block<T> {
+    let (cells, reach) = (block.cells(), weights.reach());
     let mut blurred = Block::zero(cells.grown(-reach, -reach));
     let reached = full.grown(reach, reach).intersection(&blurred.cells());
     if full.is_empty() || reached.is_empty() {
@@ -82,7 +82,7 @@ fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, kernel: &Kernel) -> 
         let mut taps = Block::zero(from);
         let there = from.intersection(&part.cells());
         taps.put_part(there, part.cells(), part.samples(), |_, sample| sample);
-        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, kernel, axis);
+        let fill = |to: &mut [T], taps: &[T], step| T::blur_row(to, taps, step, weights, axis);
         taps.along(axis, reach, &mut spare, &fill);
         part = taps;
     }
@@ -92,9 +92,9 @@ fn blurred_part<T: Sample>(block: &Block<T>, full: CellBox, kernel: &Kernel) -> 
 
 /// Integers of the DIF, by the formula of `mod.rs`.
 impl Sample for u16 {
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, axis: usize) {
-        let shift = kernel.shift(axis);
-        match kernel.half() {
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize) {
+        let shift = weights.shift(axis);
+        match weights.half() {
             half if shift < UNIT.ilog2() => blur_wide(to, taps, step, half, shift),
             &[w0, w1] => blur_narrow(to, taps, step, &[w0, w1]),
             &[w0, w1, w2] => blur_narrow(to, taps, step, &[w0, w1, w2]),
@@ -108,12 +108,12 @@ impl Sample for u16 {
 
 /// Sums of attributes: the same weights as fractions of 1, taps added in order.
 impl Sample for f64 {
-    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, kernel: &Kernel, _: usize) {
-        blur_float(to, taps, step, kernel.half());
+    fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, _: usize) {
+        blur_float(to, taps, step, weights.half());
     }
 }
 
-/// For kernels narrow enough to stay in registers.
+/// For weights narrow enough to stay in registers.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, half: &[u32; HALF]) {
     let len = to.len();
@@ -129,12 +129,12 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
     }
 }
 
-/// For kernels of any width and gain.
+/// For weights of any width and gain.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
 fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
     // So many sums stay in registers.
     const LANES: usize = 32;
-    let (centre, pairs) = half.split_first().expect("a kernel has a centre");
+    let (centre, pairs) = half.split_first().expect("a weights has a centre");
     let reach = pairs.len();
     let (many, rest) = to.as_chunks_mut::<LANES>();
     let done = many.len() * LANES;

@@ -1,6 +1,6 @@
 //! A stage between the DIF and the field, as far as others have to know it.
 
-use super::Kernel;
+use super::Weights;
 
 /// A stage that states its reach, its weights and its memory.
 pub trait Filter {
@@ -13,7 +13,7 @@ pub trait Filter {
     }
 
     /// The weights that it needs.
-    fn kernels(&self) -> &[Kernel];
+    fn weights(&self) -> &[Weights];
 
     /// Fields of a block that are there at once while it runs, its input and its output among them.
     fn fields(&self) -> FieldCount;

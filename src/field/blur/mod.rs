@@ -4,7 +4,7 @@
 //! 65536. A result is never outside of the range of its samples. A filter with a gain of g bits shifts its last axis by 16 - g
 //! instead, and holds what exceeds 16 bits at 65535: wide filters leave little of samples, and that in fine steps.
 //!
-//! A filter reaches [`Kernel::reach`] cells along every axis, and the result is smaller by as much.
+//! A filter reaches [`Weights::reach`] cells along every axis, and the result is smaller by as much.
 
 mod cpu;
 mod filter;
@@ -22,14 +22,14 @@ const UNIT: u32 = 1 << 16;
 
 /// A symmetric filter: integer weights that sum to 65536.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct Kernel {
+pub struct Weights {
     /// The weight of the centre, then of the cells 1, 2, ... away on either side.
     half: Vec<u32>,
     /// Bits by which the result is larger than the samples.
     gain: u32,
 }
 
-impl Kernel {
+impl Weights {
     /// The Gaussian with max(3, 2 floor(3 sigma) - 1) taps.
     #[must_use]
     pub fn gaussian(sigma: Sigma) -> Self {
@@ -135,9 +135,9 @@ mod tests {
     fn a_gaussian_has_the_variance_that_it_is_made_for() {
         for variance in [0.3, 0.5, 1.0, 2.3, 5.5, 12.7, 40.0] {
             let reach = (2.6 * f64::sqrt(variance)).ceil() as i32;
-            let kernel = Kernel::of_variance(variance, reach);
-            assert_eq!(kernel.reach(), reach);
-            assert!((kernel.variance() / variance - 1.0).abs() < 1e-3, "{variance}: {}", kernel.variance());
+            let weights = Weights::of_variance(variance, reach);
+            assert_eq!(weights.reach(), reach);
+            assert!((weights.variance() / variance - 1.0).abs() < 1e-3, "{variance}: {}", weights.variance());
         }
         for x in [0.0, 0.1, 1.0, 4.5, 12.0] {
             assert!((exp_of_minus(x) / (-x).exp() - 1.0).abs() < 1e-12, "{x}");
@@ -147,16 +147,16 @@ mod tests {
     #[test]
     fn the_mask_has_as_many_taps_as_the_paper_says() {
         for (sigma, taps) in [(0.1, 3), (0.8, 3), (1.0, 5), (1.2, 5), (1.5, 7), (2.0, 11), (10.0, 59)] {
-            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
-            assert_eq!(2 * kernel.reach() + 1, taps, "sigma {sigma}");
+            let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
+            assert_eq!(2 * weights.reach() + 1, taps, "sigma {sigma}");
         }
     }
 
     #[test]
     fn the_variance_is_that_of_the_gaussian_but_for_what_is_cut_off() {
-        assert!((Kernel::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
+        assert!((Weights::box3().variance() - 2.0 / 3.0).abs() < 1e-4);
         for sigma in [2.0, 3.2, 6.4, 10.0] {
-            let ratio = Kernel::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);
+            let ratio = Weights::gaussian(Sigma::new(sigma).unwrap()).variance() / (sigma * sigma);
             assert!((0.85..1.0).contains(&ratio), "sigma {sigma}: {ratio}");
         }
     }
@@ -164,8 +164,8 @@ mod tests {
     #[test]
     fn weights_sum_to_one_and_fall_off() {
         for sigma in [0.01, 0.3, 0.5, 0.8, 1.0, 1.5, 3.3, 10.0] {
-            let kernel = Kernel::gaussian(Sigma::new(sigma).unwrap());
-            let half = kernel.half();
+            let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
+            let half = weights.half();
             assert_eq!(half[0] + 2 * half[1..].iter().sum::<u32>(), UNIT);
             assert!(half.is_sorted_by(|a, b| a >= b), "sigma {sigma}: {half:?}");
         }

@@ -5,22 +5,22 @@ use crate::field::indicator::IndicatorKind;
 use crate::grid::CellBox;
 use crate::grid::units::Sigma;
 
-use super::{FieldCount, Filter, Kernel, Sample, blur};
+use super::{FieldCount, Filter, Sample, Weights, blur};
 
 /// The smoothing of section 4.2: a Gaussian, and for counting a box after it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Smoothing {
-    filters: Vec<Kernel>,
+    filters: Vec<Weights>,
 }
 
 impl Smoothing {
     /// Makes the smoothing that the paper prescribes for an indicator.
     #[must_use]
     pub fn new(kind: IndicatorKind, sigma: Sigma) -> Self {
-        let gaussian = Kernel::gaussian(sigma);
+        let gaussian = Weights::gaussian(sigma);
         let filters = match kind {
             IndicatorKind::Symmetry | IndicatorKind::Cloud => vec![gaussian],
-            IndicatorKind::Counting => vec![gaussian, Kernel::box3()],
+            IndicatorKind::Counting => vec![gaussian, Weights::box3()],
         };
         Self { filters }
     }
@@ -28,23 +28,23 @@ impl Smoothing {
     /// The standard deviation of what becomes of a particle, which may be anywhere in its cell, along an axis, in cells.
     #[must_use]
     pub fn width(&self) -> f64 {
-        (1.0 / 12.0 + self.filters.iter().map(Kernel::variance).sum::<f64>()).sqrt()
+        (1.0 / 12.0 + self.filters.iter().map(Weights::variance).sum::<f64>()).sqrt()
     }
 
     /// Smooths a block; the result is smaller by its [`halo`](Filter::halo) on every side.
     #[must_use]
     pub fn apply<T: Sample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
-        self.filters.iter().fold(dif, |block, kernel| blur(block, kernel, walls))
+        self.filters.iter().fold(dif, |block, weights| blur(block, weights, walls))
     }
 }
 
 impl Filter for Smoothing {
     /// The filters reach one after the other.
     fn halo(&self) -> i32 {
-        self.filters.iter().map(Kernel::reach).sum()
+        self.filters.iter().map(Weights::reach).sum()
     }
 
-    fn kernels(&self) -> &[Kernel] {
+    fn weights(&self) -> &[Weights] {
         &self.filters
     }
 

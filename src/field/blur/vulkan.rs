@@ -4,15 +4,15 @@ use std::sync::Arc;
 
 use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis};
 use crate::grid::CellBox;
-use crate::vulkan::{Batch, Kernel as Pipeline, Program, View, VulkanError};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError};
 
-use super::Kernel;
+use super::Weights;
 
 /// One axis of a filter.
-pub const BLUR: Program = Program {
+pub const BLUR: Shader = Shader {
     name: "blur",
     code: include_bytes!("../../../spirv/blur.spv"),
-    buffers: &["blocks", "samples", "filtered", "half_kernel"],
+    buffers: &["blocks", "samples", "filtered", "half_pipeline"],
     push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };
@@ -26,14 +26,14 @@ pub const BLUR: Program = Program {
 /// Those of the device.
 pub fn blur(
     batch: &mut Batch,
-    pipeline: &Arc<Pipeline>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
-    (kernel, weights): (&Kernel, &View),
+    (weights, uploaded): (&Weights, &View),
     walls: Option<CellBox>,
     margin: i32,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let window = Window { reach: kernel.reach(), walls, margin };
-    let further = std::slice::from_ref(weights);
-    along_each_axis(batch, pipeline, blocks, window, views, further, |axis| kernel.shift(axis))
+    let window = Window { reach: weights.reach(), walls, margin };
+    let further = std::slice::from_ref(uploaded);
+    along_each_axis(batch, pipeline, blocks, window, views, further, |axis| weights.shift(axis))
 }

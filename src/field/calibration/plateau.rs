@@ -78,9 +78,9 @@ impl Plateau {
             own: walls_at(distances.level, frame.facts.own_cells()),
             walls: walls_at(distances.level, frame.facts.walls()),
             reach: GHOST_LAYER,
-            halo: narrowest.kernel.reach(),
+            halo: narrowest.weights.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
-            apply: &|block, walls| blur(block, &narrowest.kernel, walls),
+            apply: &|block, walls| blur(block, &narrowest.weights, walls),
         };
         let found = GAPS.into_iter().find_map(|(gap, share)| {
             let interior = Interior::new(&blurred, gap * spacing);

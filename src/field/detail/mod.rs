@@ -3,28 +3,28 @@
 //! theta_bar(K) = theta(K) where theta_smooth(K) <= c, else 0; then max(theta_smooth, blur(theta_bar))
 //! per cell, the second blur a Gaussian of sigma / 2.
 //!
-//! Reaches as far as that second kernel.
+//! Reaches as far as that second weights.
 
 mod cpu;
 pub mod vulkan;
 
 pub use cpu::{lost, raise};
 
-use crate::field::blur::{FieldCount, Filter, Kernel};
+use crate::field::blur::{FieldCount, Filter, Weights};
 use crate::grid::units::Sigma;
 
 /// The filter beside those of the smoothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recovery {
     /// The second Gaussian.
-    pub fine: Kernel,
+    pub fine: Weights,
 }
 
 impl Recovery {
     /// Beside a Gaussian of `sigma`.
     #[must_use]
     pub fn new(sigma: Sigma) -> Self {
-        Self { fine: Kernel::gaussian(sigma.half()) }
+        Self { fine: Weights::gaussian(sigma.half()) }
     }
 }
 
@@ -33,7 +33,7 @@ impl Filter for Recovery {
         self.fine.reach()
     }
 
-    fn kernels(&self) -> &[Kernel] {
+    fn weights(&self) -> &[Weights] {
         std::slice::from_ref(&self.fine)
     }
 

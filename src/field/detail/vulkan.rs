@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::brick::vulkan::DeviceBlocks;
 use crate::grid::units::Isovalue;
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
 push_block! {
     /// Push block of [`LOST`].
@@ -22,7 +22,7 @@ push_block! {
 }
 
 /// theta_bar.
-pub const LOST: Program = Program {
+pub const LOST: Shader = Shader {
     name: "lost",
     code: include_bytes!("../../../spirv/lost.spv"),
     buffers: &["dif", "smoothed", "kept"],
@@ -31,7 +31,7 @@ pub const LOST: Program = Program {
 };
 
 /// The greater of two fields.
-pub const GREATER: Program = Program {
+pub const GREATER: Shader = Shader {
     name: "greater",
     code: include_bytes!("../../../spirv/greater.spv"),
     buffers: &["other", "field"],
@@ -45,13 +45,13 @@ pub const GREATER: Program = Program {
 /// Those of the device.
 pub fn lost(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     iso: Isovalue,
     [dif, smooth, kept]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = LostPush { words: blocks.words, threshold: iso.threshold().into() };
-    batch.dispatch(kernel, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(pipeline, &[dif, smooth, kept].map(Clone::clone), &push, blocks.flat_groups())
 }
 
 /// Raises `field` to `other`.
@@ -60,11 +60,11 @@ pub fn lost(
 /// Those of the device.
 pub fn raise(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     other: &View,
     field: &View,
 ) -> Result<(), VulkanError> {
     let push = GreaterPush { words: blocks.words };
-    batch.dispatch(kernel, &[other, field].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(pipeline, &[other, field].map(Clone::clone), &push, blocks.flat_groups())
 }

@@ -6,7 +6,7 @@ use multiversion::multiversion;
 use crate::brick::Block;
 use crate::grid::CellBox;
 
-use super::table::{AWAY, DEPTHS};
+use super::inverse_normal::{AWAY, DEPTHS};
 use super::{Bulk, Depths, Drops, Gate, MOST_APART, NONE, ZERO, spline, spline_bits, wide_cells};
 
 /// Bits of a share that lie between two entries of a table of 1024 steps.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::IVec3;
 
 use crate::brick::halved_from_box;
-use crate::field::blur::Kernel;
+use crate::field::blur::Weights;
 use crate::field::indicator::{Amount, GHOST_LAYER, WideCells};
 use crate::grid::units::Smooth;
 use crate::grid::{BLOCK, CellBox};
@@ -78,11 +78,11 @@ pub struct Distances {
 pub const BULK_GAIN: u32 = 2;
 
 /// A Gaussian that, with the clouds' own quarter of a squared cell, has a standard deviation of so many cells, if it can.
-fn gaussian(cells: f64, least: f64, cut: f64) -> (Kernel, f64) {
+fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
-    let kernel = Kernel::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
-    let width = (kernel.variance() + 0.25).sqrt();
-    (kernel, width)
+    let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
+    let width = (weights.variance() + 0.25).sqrt();
+    (weights, width)
 }
 
 /// From one distance to another, in spacings, over a value that stands for 0.
@@ -98,9 +98,9 @@ impl Distances {
         let wide = WideCells::of_spacing(spacing);
         let widths = [0, 1, 2].map(|i: usize| {
             let cells = WIDTHS[i] * smooth.spacings() / wide.edge;
-            let (kernel, width) = gaussian(cells, LEAST_VARIANCES[i], CUT);
+            let (weights, width) = gaussian(cells, LEAST_VARIANCES[i], CUT);
             let spacings = (width * wide.edge * 4096.0).round() as i32;
-            Width { kernel: kernel.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
+            Width { weights: weights.gaining(BULK_GAIN), spacings, most: (FARTHEST << 14) / spacings }
         });
         // Beyond a width of 0 by half of what the spline takes off that makes cells of wide ones: of balls of a few spacings, whose
         // extrapolation goes somewhat too far, no more than that is missing.
@@ -110,7 +110,7 @@ impl Distances {
             ((a + spline) / (b - a) * 4096.0).round() as i32
         };
         let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
-        let around = Kernel::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
+        let around = Weights::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
         let amount = f64::from(wide.amount().steps());
         let bulk = Bulk {
             shares: [share(0), share(1)],
@@ -163,7 +163,7 @@ impl Distances {
     /// The widest filter of the calm surface reaches so many wide cells.
     #[must_use]
     pub fn bulk_reach(&self) -> i32 {
-        self.bulk.widths.iter().map(|width| width.kernel.reach()).max().unwrap_or(0)
+        self.bulk.widths.iter().map(|width| width.weights.reach()).max().unwrap_or(0)
     }
 
     /// The wide cells on which the calm surface is needed for a field on `cells`.
@@ -214,8 +214,8 @@ impl Distances {
     }
 
     /// Every filter.
-    pub fn kernels(&self) -> impl Iterator<Item = &Kernel> {
-        let widths = self.bulk.widths.iter().map(|width| &width.kernel);
+    pub fn weights(&self) -> impl Iterator<Item = &Weights> {
+        let widths = self.bulk.widths.iter().map(|width| &width.weights);
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread])
     }
 
@@ -258,7 +258,7 @@ impl Drops {
     fn new(spacing: f64, level: u32) -> Self {
         let spacing = spacing / f64::from(1 << level);
         let cells = DROP_WIDTH * spacing;
-        let (kernel, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
+        let (weights, width) = gaussian(cells, LEAST_VARIANCE, DROP_CUT);
         let spline = if level > 0 { SPLINE } else { 0.0 };
         let (spread, _) = gaussian((cells * cells - spline).sqrt(), LEAST_VARIANCE, DROP_CUT);
         let less = LESS_RADIUS[usize::from(level > 0)];
@@ -274,7 +274,7 @@ impl Drops {
         let share = 27.0 / 64.0 * amount / (alone * f64::from(1_u32 << gain));
         let bits = bits_between(share, 49152.0);
         Self {
-            around: kernel.gaining(gain),
+            around: weights.gaining(gain),
             // 1 becomes 32768.
             spread: spread.gaining((15 + gain).saturating_sub(bits).min(15)),
             bits,

@@ -23,15 +23,15 @@
 mod cpu;
 mod filters;
 mod inside;
-mod table;
+mod inverse_normal;
 pub mod vulkan;
 
 pub use cpu::{depths, joined, mixed, outlying, outlying_part, quotient, refined, spread};
 pub use filters::{BULK_GAIN, Distances};
 pub use inside::{BRICK, Inside};
-pub use table::{AWAY, DEPTHS};
+pub use inverse_normal::{AWAY, DEPTHS};
 
-use crate::field::blur::Kernel;
+use crate::field::blur::Weights;
 use crate::grid::CellBox;
 
 /// Units of distance in a spacing.
@@ -74,7 +74,7 @@ pub fn spline(level: u32, place: u32) -> [u32; 3] {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Width {
     /// The filter, in wide cells.
-    pub kernel: Kernel,
+    pub weights: Weights,
     /// The standard deviation of what it makes of a particle, in 4096ths of a spacing.
     pub spacings: i32,
     /// The standard deviations of the greatest distance that it tells, in 32768ths.
@@ -92,7 +92,7 @@ pub struct Bulk {
     /// The factor from samples to shares of the plateau, in 16384ths of 32768ths.
     pub scale: u32,
     /// Averages by how much the two surfaces are apart.
-    pub around: Kernel,
+    pub around: Weights,
     /// From where to where that makes the fine surface of the calm one, in units.
     pub apart: Gate,
     /// From which sample of the calm surface to which it stays what it is.
@@ -141,9 +141,9 @@ pub struct Depths<T> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drops {
     /// Makes what is around a cloud.
-    pub around: Kernel,
+    pub around: Weights,
     /// Spreads shares of it.
-    pub spread: Kernel,
+    pub spread: Weights,
     /// Fraction bits of a share, before it is spread.
     pub bits: u32,
     /// The radius of a particle alone, in units.

@@ -8,7 +8,7 @@ use glam::{IVec3, UVec3};
 use crate::brick::vulkan::{AxisPush, DeviceBlocks, Window, along_each_axis, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BIN, CellBox};
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
 use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, Gate};
@@ -104,7 +104,7 @@ pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
 /// The bricks that are full.
-pub const FULL_BRICKS: Program = Program {
+pub const FULL_BRICKS: Shader = Shader {
     name: "full_bricks",
     code: include_bytes!("../../../spirv/full_bricks.spv"),
     buffers: &["blocks", "field", "bricks"],
@@ -113,7 +113,7 @@ pub const FULL_BRICKS: Program = Program {
 };
 
 /// The calm surface and the fine one.
-pub const DEPTHS_OF: Program = Program {
+pub const DEPTHS_OF: Shader = Shader {
     name: "depths_of",
     code: include_bytes!("../../../spirv/depths_of.spv"),
     buffers: &["narrow", "middle", "wide", "depths"],
@@ -122,7 +122,7 @@ pub const DEPTHS_OF: Program = Program {
 };
 
 /// The one that is drawn of both.
-pub const MIX: Program = Program {
+pub const MIX: Shader = Shader {
     name: "mix_both",
     code: include_bytes!("../../../spirv/mix_both.spv"),
     buffers: &["blocks", "calm", "fine", "apart", "near", "marks"],
@@ -131,7 +131,7 @@ pub const MIX: Program = Program {
 };
 
 /// By how much particles lie outside of it.
-pub const OUTLYING: Program = Program {
+pub const OUTLYING: Shader = Shader {
     name: "outlying",
     code: include_bytes!("../../../spirv/outlying.spv"),
     buffers: &["calm", "field"],
@@ -140,7 +140,7 @@ pub const OUTLYING: Program = Program {
 };
 
 /// One axis of the greatest near by.
-pub const SPREAD: Program = Program {
+pub const SPREAD: Shader = Shader {
     name: "spread",
     code: include_bytes!("../../../spirv/spread.spv"),
     buffers: &["blocks", "samples", "filtered"],
@@ -149,7 +149,7 @@ pub const SPREAD: Program = Program {
 };
 
 /// Wide cells to cells.
-pub const REFINE: Program = Program {
+pub const REFINE: Shader = Shader {
     name: "refine",
     code: include_bytes!("../../../spirv/refine.spv"),
     buffers: &["blocks", "wide_blocks", "within", "wide", "field"],
@@ -158,7 +158,7 @@ pub const REFINE: Program = Program {
 };
 
 /// The search of the wide cells around each region for a surface, and for particles that stand out.
-pub const LOOK: Program = Program {
+pub const LOOK: Shader = Shader {
     name: "look",
     code: include_bytes!("../../../spirv/look.spv"),
     buffers: &["blocks", "looks", "bulk", "outlying", "seen"],
@@ -167,7 +167,7 @@ pub const LOOK: Program = Program {
 };
 
 /// Shares of clouds in what is around them.
-pub const QUOTIENT: Program = Program {
+pub const QUOTIENT: Shader = Shader {
     name: "quotient",
     code: include_bytes!("../../../spirv/quotient.spv"),
     buffers: &["around", "field"],
@@ -176,7 +176,7 @@ pub const QUOTIENT: Program = Program {
 };
 
 /// The calm surface and drops.
-pub const JOIN: Program = Program {
+pub const JOIN: Shader = Shader {
     name: "join",
     code: include_bytes!("../../../spirv/join.spv"),
     buffers: &["parts", "blocks", "homes", "near", "shares", "away", "field"],
@@ -184,27 +184,27 @@ pub const JOIN: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Kernels that make distances.
+/// Shaders that make distances.
 #[derive(Debug)]
-pub struct Kernels {
+pub struct Pipelines {
     /// Two surfaces of the bulk: [`DEPTHS_OF`].
-    pub depths: Arc<Kernel>,
+    pub depths: Arc<ComputePipeline>,
     /// The one that is drawn: [`MIX`].
-    pub mix: Arc<Kernel>,
+    pub mix: Arc<ComputePipeline>,
     /// By how much particles lie outside of the calm surface: [`OUTLYING`].
-    pub outlying: Arc<Kernel>,
+    pub outlying: Arc<ComputePipeline>,
     /// The greatest near by: [`SPREAD`].
-    pub spread: Arc<Kernel>,
+    pub spread: Arc<ComputePipeline>,
     /// Wide cells to cells: [`REFINE`].
-    pub refine: Arc<Kernel>,
+    pub refine: Arc<ComputePipeline>,
     /// The search of wide cells for a surface, and for particles that stand out: [`LOOK`].
-    pub look: Arc<Kernel>,
+    pub look: Arc<ComputePipeline>,
     /// Shares: [`QUOTIENT`].
-    pub quotient: Arc<Kernel>,
+    pub quotient: Arc<ComputePipeline>,
     /// Both surfaces: [`JOIN`].
-    pub join: Arc<Kernel>,
+    pub join: Arc<ComputePipeline>,
     /// The bricks that are full, from which the deep inside is found: [`FULL_BRICKS`].
-    pub full_bricks: Arc<Kernel>,
+    pub full_bricks: Arc<ComputePipeline>,
 }
 
 /// The wide cells of a bin and around it that [`full_bricks`] looks at; `None` where cubes are too wide for that.
@@ -220,16 +220,16 @@ pub fn full_bricks_of(bin: IVec3, width: u32) -> Option<CellBox> {
 /// Those of the device.
 pub fn full_bricks(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     (width, least): (u32, u32),
     [field, bricks]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let views = [&blocks.blocks, field, bricks].map(Clone::clone);
-    batch.dispatch(&kernels.full_bricks, &views, &FullPush { width, least }, [1, blocks.count, 1])
+    batch.dispatch(&pipelines.full_bricks, &views, &FullPush { width, least }, [1, blocks.count, 1])
 }
 
-/// The committed tables as kernels take them: of depths, and of how far away shares are.
+/// The committed tables as shaders take them: of depths, and of how far away shares are.
 #[must_use]
 pub fn tables() -> [Vec<i32>; 2] {
     [DEPTHS.map(i32::from).to_vec(), AWAY.map(i32::from).to_vec()]
@@ -242,7 +242,7 @@ pub fn tables() -> [Vec<i32>; 2] {
 /// Those of the device.
 pub fn depths(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     by: &Bulk,
     table: &View,
@@ -262,7 +262,7 @@ pub fn depths(
         calm_share: shares[1],
     };
     let views = [narrow, middle, wide, table].map(Clone::clone);
-    batch.dispatch(&kernels.depths, &views, &push, blocks.flat_groups())
+    batch.dispatch(&pipelines.depths, &views, &push, blocks.flat_groups())
 }
 
 /// Makes the surface of the bulk in place of the calm one, where anything is near; `marks` are the bricks that are inside, by block.
@@ -271,7 +271,7 @@ pub fn depths(
 /// Those of the device.
 pub fn mixed(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     by: &Bulk,
     marks: &View,
@@ -286,7 +286,7 @@ pub fn mixed(
         deep_slope: by.deep.slope,
     };
     let views = [&blocks.blocks, calm, fine, apart, near, marks].map(Clone::clone);
-    batch.dispatch(&kernels.mix, &views, &push, blocks.groups())
+    batch.dispatch(&pipelines.mix, &views, &push, blocks.groups())
 }
 
 /// Makes of clouds by how much those that hold a particle lie outside of the calm surface.
@@ -295,13 +295,13 @@ pub fn mixed(
 /// Those of the device.
 pub fn outlying(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     least: u16,
     [calm, clouds]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let push = OutlyingPush { words: blocks.words, least: least.into() };
-    batch.dispatch(&kernels.outlying, &[calm, clouds].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(&pipelines.outlying, &[calm, clouds].map(Clone::clone), &push, blocks.flat_groups())
 }
 
 /// The greatest sample within the window along x, then y, then z: from `from` through `to` and `through` into `to`.
@@ -310,12 +310,12 @@ pub fn outlying(
 /// Those of the device.
 pub fn spread(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     window: Window,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    along_each_axis(batch, &kernels.spread, blocks, window, views, &[], |_| 0)
+    along_each_axis(batch, &pipelines.spread, blocks, window, views, &[], |_| 0)
 }
 
 /// The wide cells around a region, as `look.wgsl` has them.
@@ -362,7 +362,7 @@ pub struct Seen {
 /// Those of the device.
 pub fn look(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     count: u32,
     (iso, gate): (Isovalue, &Gate),
@@ -370,7 +370,7 @@ pub fn look(
 ) -> Result<(), VulkanError> {
     let push = LookPush { threshold: iso.threshold().into(), begin: gate.begin.into() };
     let views = [&blocks.blocks, looks, bulk, outlying, seen].map(Clone::clone);
-    batch.dispatch(&kernels.look, &views, &push, [1, count, 1])
+    batch.dispatch(&pipelines.look, &views, &push, [1, count, 1])
 }
 
 /// The samples of `wide` blocks at the middles of the cells of `blocks`, each of which lies in the one whose number is in `within`.
@@ -379,7 +379,7 @@ pub fn look(
 /// Those of the device.
 pub fn refine(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     [wide, blocks]: [&DeviceBlocks; 2],
     within: &View,
     level: u32,
@@ -389,7 +389,7 @@ pub fn refine(
     let [walls_lo, walls_hi] = wall_bounds(walls);
     let push = RefinePush { walls_lo, level, walls_hi };
     let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
-    batch.dispatch(&kernels.refine, &views, &push, blocks.run_groups())
+    batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups())
 }
 
 /// Makes shares of clouds in what is around them.
@@ -398,13 +398,13 @@ pub fn refine(
 /// Those of the device.
 pub fn quotient(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     bits: u32,
     [clouds, around]: [&View; 2],
 ) -> Result<(), VulkanError> {
     let push = QuotientPush { words: blocks.words, bits };
-    batch.dispatch(&kernels.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
+    batch.dispatch(&pipelines.quotient, &[around, clouds].map(Clone::clone), &push, blocks.flat_groups())
 }
 
 /// Makes the field of the bulk's surface, in its place, in `parts` of `blocks`; `homes` holds the number of the block that each part is
@@ -414,7 +414,7 @@ pub fn quotient(
 /// Those of the device.
 pub fn join(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     [parts, blocks]: [&DeviceBlocks; 2],
     homes: &View,
     (drops, gate): (&Drops, &Gate),
@@ -429,5 +429,5 @@ pub fn join(
         width: drops.width,
     };
     let views = [&parts.blocks, &blocks.blocks, homes, near, shares, table, bulk].map(Clone::clone);
-    batch.dispatch(&kernels.join, &views, &push, parts.groups())
+    batch.dispatch(&pipelines.join, &views, &push, parts.groups())
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::vulkan::{page_words, wall_bounds};
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
 use super::{Amount, Content, PageRule};
 
@@ -46,7 +46,7 @@ push_block! {
 }
 
 /// Cell sums and the indicator, octant by octant of a bin.
-pub const INDICATE: Program = Program {
+pub const INDICATE: Shader = Shader {
     name: "indicate",
     code: include_bytes!("../../../spirv/indicate.spv"),
     buffers: &["bins", "records", "pages"],
@@ -55,7 +55,7 @@ pub const INDICATE: Program = Program {
 };
 
 /// Clouds, part by part of a bin's samples.
-pub const CLOUDS: Program = Program {
+pub const CLOUDS: Shader = Shader {
     name: "clouds",
     code: include_bytes!("../../../spirv/clouds.spv"),
     buffers: &["bins", "records", "pages"],
@@ -63,13 +63,13 @@ pub const CLOUDS: Program = Program {
     group: [256, 1, 1],
 };
 
-/// Kernels that make pages.
+/// Shaders that make pages.
 #[derive(Debug)]
-pub struct Kernels {
+pub struct Pipelines {
     /// Sums and the DIF: [`INDICATE`].
-    pub indicate: Arc<Kernel>,
+    pub indicate: Arc<ComputePipeline>,
     /// Clouds: [`CLOUDS`].
-    pub clouds: Arc<Kernel>,
+    pub clouds: Arc<ComputePipeline>,
 }
 
 /// Writes the pages of `count` bins, dense.
@@ -78,26 +78,26 @@ pub struct Kernels {
 /// Those of the device.
 pub fn indicate(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     count: u32,
     rule: &PageRule,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
     let views = views.map(Clone::clone);
     let sums = |batch: &mut Batch, counting: bool| {
-        batch.dispatch(&kernels.indicate, &views, &Push { counting: counting.into() }, [8, count, 1])
+        batch.dispatch(&pipelines.indicate, &views, &Push { counting: counting.into() }, [8, count, 1])
     };
     match rule.content {
         Content::Symmetry => sums(batch, false),
         Content::Counts => sums(batch, true),
-        Content::Clouds(amount) => clouds(batch, &kernels.clouds, count, (rule, amount), &views),
+        Content::Clouds(amount) => clouds(batch, &pipelines.clouds, count, (rule, amount), &views),
     }
 }
 
 /// Writes what the clouds of the particles of `count` bins leave.
 fn clouds(
     batch: &mut Batch,
-    kernel: &Arc<Kernel>,
+    pipeline: &Arc<ComputePipeline>,
     count: u32,
     (rule, amount): (&PageRule, Amount),
     views: &[View; 3],
@@ -113,5 +113,5 @@ fn clouds(
         group_samples: samples / groups,
         page_words: page_words(rule.shape()),
     };
-    batch.dispatch(kernel, views, &push, [groups, count, 1])
+    batch.dispatch(pipeline, views, &push, [groups, count, 1])
 }

@@ -41,7 +41,8 @@ pub fn read_particles(
 
 /// Refuses to take several steps for one frame.
 pub fn a_sequence(first: u64, last: u64) -> ReadFault {
-    let what = format!("steps {first} to {last}: a sequence; append #{first} to the name for one of them");
+    let what =
+        format!("steps {first} to {last}: several frames; append #{first} to the name for one of them");
     ReadFault::Unsupported(what)
 }
 

@@ -143,6 +143,6 @@ fn drawn(
     resources.control.begins(Stage::Simplifying);
     let simplified = simplified(surface, &checked.reduction, &report.facts, share, resources, timings)?;
     resources.control.ends(Stage::Simplifying);
-    report.dropped = Some(simplified.dropped());
+    report.too_small = Some(simplified.too_small());
     Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
 }

@@ -7,7 +7,7 @@ use crate::brick::Block;
 use crate::grid::{BLOCK, CellBox, TILE, local_morton};
 use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 
-use super::table::TABLE;
+use super::cases::TABLE;
 use super::{Crossings, Level, Normals};
 
 /// The surface through the tiles of `region`, a part of one block, and the dual edges it crosses.

@@ -9,9 +9,9 @@
 //!
 //! Needs the field on the block and one cell beyond its upper faces; normals need one cell more all round.
 
+pub mod cases;
 mod cpu;
 mod level;
-pub mod table;
 pub mod vulkan;
 
 pub use cpu::{block_mesh, contour, normal};

@@ -8,9 +8,9 @@ use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, wall_bounds};
 use crate::grid::units::Isovalue;
 use crate::grid::{BLOCK, CellBox, TILE};
 use crate::surface::mesh::Tile;
-use crate::vulkan::{Batch, Kernel, Program, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Shader, View, VulkanError, push_block};
 
-use super::table::TABLE;
+use super::cases::TABLE;
 
 /// Tiles of a block and one layer of its upper neighbours: those whose signs are needed.
 pub const SIGN_TILES: u32 = ((BLOCK / TILE + 1) * (BLOCK / TILE + 1) * (BLOCK / TILE + 1)) as u32;
@@ -46,7 +46,7 @@ push_block! {
 }
 
 /// Signs of all cells, tile by tile.
-pub const SIGNS: Program = Program {
+pub const SIGNS: Shader = Shader {
     name: "signs",
     code: include_bytes!("../../../spirv/signs.spv"),
     buffers: &["blocks", "field", "masks"],
@@ -55,7 +55,7 @@ pub const SIGNS: Program = Program {
 };
 
 /// The tally of what each block will have, and where each of its tiles begins.
-pub const TILES: Program = Program {
+pub const TILES: Shader = Shader {
     name: "tiles",
     code: include_bytes!("../../../spirv/tiles.spv"),
     buffers: &["blocks", "signs", "lengths", "slots", "tallies"],
@@ -64,7 +64,7 @@ pub const TILES: Program = Program {
 };
 
 /// Where each block begins, and how many work groups write all of them.
-pub const BASES: Program = Program {
+pub const BASES: Shader = Shader {
     name: "bases",
     code: include_bytes!("../../../spirv/bases.spv"),
     buffers: &["tallies", "groups"],
@@ -73,7 +73,7 @@ pub const BASES: Program = Program {
 };
 
 /// Tiles and vertices.
-pub const EMIT: Program = Program {
+pub const EMIT: Shader = Shader {
     name: "emit",
     code: include_bytes!("../../../spirv/emit.spv"),
     buffers: &["blocks", "field", "signs", "slots", "tallies", "tiles", "ends", "falls"],
@@ -120,17 +120,17 @@ pub struct Slot {
     spare: u32,
 }
 
-/// The kernels of this stage.
+/// The shaders of this stage.
 #[derive(Debug)]
-pub struct Kernels {
+pub struct Pipelines {
     /// [`SIGNS`].
-    pub signs: Arc<Kernel>,
+    pub signs: Arc<ComputePipeline>,
     /// [`TILES`].
-    pub tiles: Arc<Kernel>,
+    pub tiles: Arc<ComputePipeline>,
     /// [`BASES`].
-    pub bases: Arc<Kernel>,
+    pub bases: Arc<ComputePipeline>,
     /// [`EMIT`].
-    pub emit: Arc<Kernel>,
+    pub emit: Arc<ComputePipeline>,
 }
 
 /// The buffers that the stage writes.
@@ -160,7 +160,7 @@ pub struct Outputs {
 /// end of a vertex's edge.
 pub type Falls = [[i32; 3]; 2];
 
-/// Triangles by case, as the kernels take them.
+/// Triangles by case, as the shaders take them.
 #[must_use]
 pub fn lengths() -> Vec<u32> {
     TABLE.iter().map(|triangles| triangles.len() as u32).collect()
@@ -173,7 +173,7 @@ pub fn lengths() -> Vec<u32> {
 #[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
 pub fn contour(
     batch: &mut Batch,
-    kernels: &Kernels,
+    pipelines: &Pipelines,
     blocks: &DeviceBlocks,
     field: &View,
     iso: Isovalue,
@@ -185,21 +185,21 @@ pub fn contour(
     let Outputs { signs, lengths, slots, tallies, groups, tiles, ends, falls, room } = outputs;
     let all = |views: &[&View]| views.iter().copied().cloned().collect::<Vec<_>>();
     batch.dispatch(
-        &kernels.signs,
+        &pipelines.signs,
         &all(&[&blocks.blocks, field, signs]),
         &SignsPush { walls_lo, threshold: iso.threshold().into(), walls_hi },
         [SIGN_TILES.div_ceil(SIGNS.group[0]), blocks.count, 1],
     )?;
     batch.dispatch(
-        &kernels.tiles,
+        &pipelines.tiles,
         &all(&[&blocks.blocks, signs, lengths, slots, tallies]),
         &(),
         [blocks.count, 1, 1],
     )?;
     let push = BasesPush { blocks: blocks.count, room: *room, width: GROUP_ROW };
-    batch.dispatch(&kernels.bases, &all(&[tallies, groups]), &push, [1, 1, 1])?;
+    batch.dispatch(&pipelines.bases, &all(&[tallies, groups]), &push, [1, 1, 1])?;
     batch.dispatch_as(
-        &kernels.emit,
+        &pipelines.emit,
         &all(&[&blocks.blocks, field, signs, slots, tallies, tiles, ends, falls]),
         &EmitPush { walls_lo, blocks: blocks.count, walls_hi, normals: normals.into() },
         groups,

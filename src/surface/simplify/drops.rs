@@ -18,16 +18,16 @@ use crate::surface::stitch::Stitched;
 
 use super::vertex_set::VertexSet;
 
-/// How many components are left out of a surface.
+/// How many components are left out of a surface because they are too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Dropped {
+pub struct TooSmall {
     /// Components of too little volume, fluid or air.
     pub components: u64,
     /// Drops of too few particles, and not of too little volume.
     pub drops: u64,
 }
 
-impl Dropped {
+impl TooSmall {
     /// All components that are left out.
     #[must_use]
     pub fn total(self) -> u64 {
@@ -38,9 +38,9 @@ impl Dropped {
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
-            (_, 0) => "the least volume",
+            (_, 0) => "the smallest component",
             (0, _) => "the smallest drop",
-            _ => "the least volume and the smallest drop",
+            _ => "the smallest component and the smallest drop",
         }
     }
 }
@@ -50,7 +50,7 @@ impl Dropped {
 ///
 /// # Errors
 /// Where scratch files cannot be read.
-pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(VertexSet, Dropped)> {
+pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(VertexSet, TooSmall)> {
     let pieces = surface.pieces();
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
@@ -80,15 +80,15 @@ pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(V
             }
         },
     )?;
-    let mut dropped = Dropped::default();
+    let mut found = TooSmall::default();
     let mut small = Vec::with_capacity(firsts.len());
     for part in 0..components.parents.len() as u32 {
         let own = components.volume(part);
         let (too_small, drop) = (own.abs() < volume, (0.0..drop).contains(&own));
         small.push(too_small || drop);
         if components.parents[part as usize] == part {
-            dropped.components += u64::from(too_small);
-            dropped.drops += u64::from(drop && !too_small);
+            found.components += u64::from(too_small);
+            found.drops += u64::from(drop && !too_small);
         }
     }
     let mut vertices = VertexSet::none_of(surface.vertex_count());
@@ -103,7 +103,7 @@ pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(V
             }
         },
     )?;
-    Ok((vertices, dropped))
+    Ok((vertices, found))
 }
 
 /// Makes something of all pieces on all threads, and takes it in order.

@@ -32,7 +32,7 @@ use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 use crate::surface::stitch::Stitched;
 use crate::system::scratch::Lists;
 
-pub use drops::Dropped;
+pub use drops::TooSmall;
 use drops::smaller_than;
 use patch::Patch;
 use surface::NONE;
@@ -64,7 +64,7 @@ pub struct Simplified {
     /// For each piece of `whole` the new number of its first vertex that is kept.
     firsts: Vec<u64>,
     counts: [u64; 2],
-    dropped: Dropped,
+    too_small: TooSmall,
 }
 
 /// Memory that chunks in work take for each thread, at the most: 2^3 blocks full of wrinkled surface.
@@ -76,7 +76,7 @@ pub struct Reduction {
     /// Triangles, as long as the surface stays this near.
     pub tolerance: Option<Tolerance>,
     /// Components that enclose less, fluid or air.
-    pub least_volume_cells: Option<f64>,
+    pub smallest_component: Option<f64>,
     /// Drops of fewer particles, as told by their volume.
     pub smallest_drop: Option<u32>,
 }
@@ -104,16 +104,16 @@ pub fn simplify(
     bytes: u64,
     folder: &Path,
 ) -> io::Result<Simplified> {
-    let Reduction { least_volume_cells, smallest_drop, .. } = *reduction;
-    let (left_out, dropped) = if least_volume_cells.is_some() || smallest_drop.is_some() {
+    let Reduction { smallest_component, smallest_drop, .. } = *reduction;
+    let (left_out, too_small) = if smallest_component.is_some() || smallest_drop.is_some() {
         let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
-        let volume = least_volume_cells.unwrap_or(0.0);
-        let (vertices, dropped) = smaller_than(&surface, volume, particles * particle_cells)?;
-        (Some(vertices), dropped)
+        let volume = smallest_component.unwrap_or(0.0);
+        let (vertices, too_small) = smaller_than(&surface, volume, particles * particle_cells)?;
+        (Some(vertices), too_small)
     } else {
-        (None, Dropped::default())
+        (None, TooSmall::default())
     };
-    let passes = Passes { surface: &surface, dropped: left_out, tolerance: reduction.tolerance };
+    let passes = Passes { surface: &surface, left_out, tolerance: reduction.tolerance };
     let blocks: Vec<IVec3> = surface.blocks().collect();
     let aligned = grouped(&blocks, aligned_chunk);
     let shifted = grouped(&blocks, shifted_chunk);
@@ -172,7 +172,7 @@ pub fn simplify(
         chunks,
         firsts,
         counts: [vertex_count, triangle_count],
-        dropped,
+        too_small,
     })
 }
 
@@ -203,16 +203,16 @@ enum Fate {
 
 struct Passes<'a> {
     surface: &'a Stitched,
-    dropped: Option<VertexSet>,
+    left_out: Option<VertexSet>,
     /// Where there is none, all triangles stay.
     tolerance: Option<Tolerance>,
 }
 
 impl Passes<'_> {
-    /// Calls `put` with each triangle of a piece that is not dropped, and its dual cell.
+    /// Calls `put` with each triangle of a piece that is not left out, and its dual cell.
     fn triangles(&self, piece: usize, mut put: impl FnMut(IVec3, [u64; 3])) -> io::Result<()> {
         self.surface.cell_triangles(piece, |cell, triangle| {
-            if self.dropped.as_ref().is_none_or(|dropped| !dropped.contains(triangle[0])) {
+            if self.left_out.as_ref().is_none_or(|left_out| !left_out.contains(triangle[0])) {
                 put(cell, triangle);
             }
         })
@@ -481,8 +481,8 @@ impl Simplified {
 
     /// Returns how many components and drops were left out.
     #[must_use]
-    pub fn dropped(&self) -> Dropped {
-        self.dropped
+    pub fn too_small(&self) -> TooSmall {
+        self.too_small
     }
 
     fn renumbered(&self, vertex: u64) -> u64 {

@@ -6,7 +6,7 @@ use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::grid::BLOCK;
-use crate::surface::dual_mc::table::{Edge, TABLE};
+use crate::surface::dual_mc::cases::{Edge, TABLE};
 use crate::surface::mesh::{Tile, bits, cell_of_bit};
 
 /// Cells along each axis: a block's, and one layer of the blocks above.

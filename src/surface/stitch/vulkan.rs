@@ -9,9 +9,9 @@ use glam::IVec3;
 
 use crate::grid::units::Isovalue;
 use crate::grid::{BLOCK, MortonKey, TILE};
-use crate::surface::dual_mc::table::{Edge, TABLE};
+use crate::surface::dual_mc::cases::{Edge, TABLE};
 use crate::surface::dual_mc::vulkan::{TILE_WORDS, Tally};
-use crate::vulkan::{Batch, Device, Kernel, Program, Ticket, View, VulkanError, push_block};
+use crate::vulkan::{Batch, ComputePipeline, Device, Shader, Ticket, View, VulkanError, push_block};
 
 /// Tiles along a block's edge.
 pub const BLOCK_EDGE_TILES: u32 = (BLOCK / TILE) as u32;
@@ -55,7 +55,7 @@ push_block! {
 }
 
 /// Where each tile's triangles begin.
-pub const STARTS: Program = Program {
+pub const STARTS: Shader = Shader {
     name: "starts",
     code: include_bytes!("../../../spirv/starts.spv"),
     buffers: &["blocks", "tiles", "table", "begins"],
@@ -64,7 +64,7 @@ pub const STARTS: Program = Program {
 };
 
 /// Positions.
-pub const VERTICES: Program = Program {
+pub const VERTICES: Shader = Shader {
     name: "vertices",
     code: include_bytes!("../../../spirv/vertices.spv"),
     buffers: &["grid", "blocks", "tiles", "begins", "ends", "positions"],
@@ -73,7 +73,7 @@ pub const VERTICES: Program = Program {
 };
 
 /// Triangles.
-pub const TRIANGLES: Program = Program {
+pub const TRIANGLES: Shader = Shader {
     name: "triangles",
     code: include_bytes!("../../../spirv/triangles.spv"),
     buffers: &["blocks", "tiles", "begins", "table", "indices"],
@@ -81,21 +81,21 @@ pub const TRIANGLES: Program = Program {
     group: [64, 1, 1],
 };
 
-/// The kernels of stitching.
+/// The shaders of stitching.
 #[derive(Debug)]
-pub struct StitchKernels {
-    starts: Arc<Kernel>,
-    vertices: Arc<Kernel>,
-    triangles: Arc<Kernel>,
+pub struct StitchPipelines {
+    starts: Arc<ComputePipeline>,
+    vertices: Arc<ComputePipeline>,
+    triangles: Arc<ComputePipeline>,
 }
 
-impl StitchKernels {
+impl StitchPipelines {
     /// Compiles them.
     ///
     /// # Errors
     /// Those of the device.
     pub fn new(device: &Device) -> Result<Self, VulkanError> {
-        let [starts, vertices, triangles] = device.kernels([&STARTS, &VERTICES, &TRIANGLES])?;
+        let [starts, vertices, triangles] = device.pipelines([&STARTS, &VERTICES, &TRIANGLES])?;
         Ok(Self { starts, vertices, triangles })
     }
 }
@@ -153,7 +153,7 @@ impl MeshLayout {
         Some(layout)
     }
 
-    /// Returns the blocks as kernels take them.
+    /// Returns the blocks as shaders take them.
     #[must_use]
     pub fn blocks(&self) -> &[MeshBlock] {
         &self.blocks
@@ -177,7 +177,7 @@ impl MeshLayout {
         self.triangles
     }
 
-    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a kernel can see at once.
+    /// Cuts the blocks into runs whose rows, which begin at `first` of each block, a shader can see at once.
     fn runs(&self, first: impl Fn(&MeshBlock) -> u32, total: u32, range: u64) -> Vec<Run> {
         let begin = |i: usize| self.blocks.get(i).map_or((self.tiles, total), |b| (b.first_tile, first(b)));
         let mut runs: Vec<Run> = Vec::new();
@@ -216,7 +216,7 @@ impl Run {
     }
 }
 
-/// The table of marching cubes as kernels take it: [`CASE_WORDS`] for each combination of signs.
+/// The table of marching cubes as shaders take it: [`CASE_WORDS`] for each combination of signs.
 #[must_use]
 pub fn table() -> Vec<u32> {
     let bits = |edge: Edge| u32::from(edge.corner) | u32::from(edge.axis) << 3;
@@ -254,7 +254,7 @@ pub struct StitchBuffers {
 /// driver; the last is left for the caller to submit.
 ///
 /// # Errors
-/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a kernel can see
+/// Those of the device; [`VulkanError::OutOfMemory`] where all tiles, or all ends, are more than a shader can see
 /// at once.
 ///
 /// # Panics
@@ -262,7 +262,7 @@ pub struct StitchBuffers {
 pub fn stitch(
     device: &Device,
     (batch, after): (&mut Batch, &[Ticket]),
-    kernels: &StitchKernels,
+    pipelines: &StitchPipelines,
     layout: &MeshLayout,
     iso: Isovalue,
     buffers: &StitchBuffers,
@@ -277,7 +277,7 @@ pub fn stitch(
     let count = layout.blocks.len() as u32;
     let width = count.clamp(1, 1 << 15);
     batch.dispatch(
-        &kernels.starts,
+        &pipelines.starts,
         &all(&[blocks, tiles, table, begins]),
         &StartsPush { blocks: count },
         [width, count.div_ceil(width), 1],
@@ -295,7 +295,7 @@ pub fn stitch(
             threshold: iso.threshold().into(),
         };
         let views = all(&[grid, blocks, tiles, begins, ends, &positions]);
-        batch.dispatch(&kernels.vertices, &views, &push, run.groups())?;
+        batch.dispatch(&pipelines.vertices, &views, &push, run.groups())?;
         batch.submit(after)?;
         batch.begin()?;
         batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
@@ -309,7 +309,7 @@ pub fn stitch(
             first_word,
         };
         batch.dispatch(
-            &kernels.triangles,
+            &pipelines.triangles,
             &all(&[blocks, tiles, begins, table, &indices]),
             &push,
             run.groups(),

@@ -8,8 +8,8 @@ use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::compare::compare;
 use rayon::prelude::*;
 
+use super::components::{Count, components};
 use super::lines::{Board, Line, Points, cell_name};
-use super::pieces::{Count, pieces};
 use super::programs::{Method, Program};
 use crate::meshes::{sphere, torus};
 use crate::sample::{Lattice, fill, place};
@@ -123,7 +123,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         cell: None,
         scenes: vec![balls(&ball, jitter)],
         read: Box::new(|meshes| {
-            let volume = Count::of(&pieces(&meshes[0]).0).volume;
+            let volume = Count::of(&components(&meshes[0]).0).volume;
             let truth = 4.0 / 3.0 * std::f64::consts::PI * RADIUS.powi(3) * BALLS as f64;
             Ok(vec![figure(volume / truth)])
         }),

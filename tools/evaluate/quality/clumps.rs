@@ -1,13 +1,13 @@
-//! Sheets, chains, drops and bubbles: what is kept of them, in how many pieces.
+//! Sheets, chains, drops and bubbles: what is kept of them, in how many components.
 
 use glam::{DVec2, DVec3, IVec3};
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::measure::measure;
 
 use super::bodies::JITTER;
+use super::components::{Component, Count, components};
 use super::heights::Columns;
 use super::lines::{Board, Line, Points, cell_name};
-use super::pieces::{Count, Piece, pieces};
 use crate::sample::{cuboid, place};
 use crate::scene::Random;
 use crate::tables::mean;
@@ -43,7 +43,7 @@ const EDGE: i32 = 24;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let sheet_rows =
-        |(what, ..): (&str, i32, f64)| [format!("{what}: pieces, holes"), format!("{what}: volume")];
+        |(what, ..): (&str, i32, f64)| [format!("{what}: components, holes"), format!("{what}: volume")];
     let sheets = Line {
         rows: SHEETS.into_iter().flat_map(sheet_rows).collect(),
         cell: None,
@@ -55,14 +55,15 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     board.table("sheets above a bulk, jittered by 0.3: volume is over the particles'", vec![sheets])?;
 
     let chain_rows =
-        |gap: f64| [format!("{gap} apart: pieces of a chain"), format!("{gap} apart: share covered")];
+        |gap: f64| [format!("{gap} apart: components of a chain"), format!("{gap} apart: share covered")];
     let chains = Line {
         rows: GAPS.into_iter().flat_map(chain_rows).collect(),
         cell: None,
         scenes: vec![chains()],
         read: Box::new(|meshes| Ok((0..GAPS.len()).flat_map(|gap| chain_texts(&meshes[0], gap)).collect())),
     };
-    board.table("chains of 8 single particles out of a bulk: 1 piece is whole, mean of 6", vec![chains])?;
+    board
+        .table("chains of 8 single particles out of a bulk: 1 component is whole, mean of 6", vec![chains])?;
 
     let cells: Vec<Option<f64>> =
         options.choose(&CELLS[..], &CELLS[2..3]).iter().copied().map(Some).collect();
@@ -74,14 +75,14 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             cell,
             scenes: vec![drops(bulk)],
             read: Box::new(|meshes| {
-                let (found, _) = pieces(&meshes[0]);
+                let (found, _) = components(&meshes[0]);
                 Ok((0..SIZES.len()).map(|size| drop_text(&found, size)).collect())
             }),
         }
     };
     let beside = cells.iter().map(|&cell| of_drops(true, cell));
     let lines = [None].map(|cell| of_drops(false, cell)).into_iter().chain(beside).collect();
-    board.table("49 drops of 1, 2 and 8 particles: pieces; a drop's volume over its particles': least, mean, greatest", lines)?;
+    board.table("49 drops of 1, 2 and 8 particles: components; a drop's volume over its particles': least, mean, greatest", lines)?;
 
     let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, volume over theirs");
     let air = Line {
@@ -89,20 +90,24 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         cell: None,
         scenes: vec![air()],
         read: Box::new(|meshes| {
-            let (found, _) = pieces(&meshes[0]);
+            let (found, _) = components(&meshes[0]);
             Ok((0..AIR.len()).map(|radius| air_text(&found, radius)).collect())
         }),
     };
     let disorder = Line {
-        rows: ["jittered by 0.5", "uniformly random"].map(|what| format!("{what}: pieces, bubbles")).into(),
+        rows: ["jittered by 0.5", "uniformly random"]
+            .map(|what| format!("{what}: components, bubbles"))
+            .into(),
         cell: None,
         scenes: vec![disorder()],
         read: Box::new(|meshes| {
-            let (found, _) = pieces(&meshes[0]);
+            let (found, _) = components(&meshes[0]);
             let half = 1.5 * f64::from(EDGE);
             let [left, right] = [0, 1].map(|side| {
-                Count::of(found.iter().filter(move |piece| usize::from(piece.centre().x > half) == side))
-                    .text()
+                Count::of(
+                    found.iter().filter(move |component| usize::from(component.centre().x > half) == side),
+                )
+                .text()
             });
             Ok(vec![left, right])
         }),
@@ -134,7 +139,7 @@ fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -
     let sheet = Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() };
     let measures = measure(&sheet);
     let holes = measures.components as i64 - measures.euler_characteristic.div_euclid(2);
-    let volume = Count::of(&pieces(&sheet).0).volume / f64::from(WIDTH * WIDTH * layers);
+    let volume = Count::of(&components(&sheet).0).volume / f64::from(WIDTH * WIDTH * layers);
     if sheet.triangles.is_empty() {
         return [(); 2].map(|()| "lost".into());
     }
@@ -163,9 +168,9 @@ fn chains() -> Points {
     particles
 }
 
-/// How many pieces reach higher than the bulk near a chain, and how many of its particles are inside.
+/// How many components reach higher than the bulk near a chain, and how many of its particles are inside.
 fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
-    let (found, of_vertices) = pieces(mesh);
+    let (found, of_vertices) = components(mesh);
     let of = |chain: usize| {
         let foot = foot(gap, chain);
         let near = |p: &[f64; 3]| p[1] > 1.0 && DVec2::new(p[0] - foot.x, p[2] - foot.z).length() < 3.0;
@@ -173,7 +178,9 @@ fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
             .positions
             .iter()
             .zip(&of_vertices)
-            .filter_map(|(p, piece)| piece.filter(|&piece| near(p) && found[piece].volume > 0.0))
+            .filter_map(|(p, component)| {
+                component.filter(|&component| near(p) && found[component].volume > 0.0)
+            })
             .collect();
         reaching.sort_unstable();
         reaching.dedup();
@@ -215,15 +222,15 @@ fn drops(bulk: bool) -> Points {
     particles
 }
 
-fn drop_text(found: &[Piece], size: usize) -> String {
+fn drop_text(found: &[Component], size: usize) -> String {
     let count = f64::from(SIZES[size].element_product());
-    let near = |piece: &&Piece, number: usize| {
-        (piece.centre() - drop_place(size, number)).abs().max_element() < STEP / 2.0
+    let near = |component: &&Component, number: usize| {
+        (component.centre() - drop_place(size, number)).abs().max_element() < STEP / 2.0
     };
     let of: Vec<Count> = (0..DROPS * DROPS)
-        .map(|number| Count::of(found.iter().filter(|piece| near(piece, number))))
+        .map(|number| Count::of(found.iter().filter(|component| near(component, number))))
         .collect();
-    let kept: usize = of.iter().map(|drop| drop.pieces).sum();
+    let kept: usize = of.iter().map(|drop| drop.components).sum();
     let volumes = || of.iter().map(|drop| drop.volume / count);
     let (least, greatest) = (volumes().fold(f64::INFINITY, f64::min), volumes().fold(0.0, f64::max));
     format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
@@ -245,10 +252,10 @@ fn air() -> Points {
     particles
 }
 
-fn air_text(found: &[Piece], radius: usize) -> String {
+fn air_text(found: &[Component], radius: usize) -> String {
     let of = (0..BALLS).map(|ball| {
-        let near = |piece: &&Piece| {
-            piece.volume < 0.0 && piece.centre().distance(air_place(radius, ball)) < AIR[radius]
+        let near = |component: &&Component| {
+            component.volume < 0.0 && component.centre().distance(air_place(radius, ball)) < AIR[radius]
         };
         -Count::of(found.iter().filter(near)).volume
     });

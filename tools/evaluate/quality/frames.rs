@@ -1,4 +1,4 @@
-//! Frames of simulations: how rough calm water is, in how many pieces all is, and what volume it holds.
+//! Frames of simulations: how rough calm water is, in how many components all is, and what volume it holds.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -12,9 +12,9 @@ use meniscus::internals::particles::{Particles, velocity_attribute};
 use meniscus::internals::surface::mesh::Mesh;
 
 use super::clumps::CELLS;
+use super::components::{Count, components};
 use super::heights::Columns;
 use super::lines::{Board, Line, Points, cell_name};
-use super::pieces::{Count, pieces};
 use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
 
@@ -133,13 +133,13 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
             rows: vec![
                 format!("{}: roughness of {area} calm square spacings, RMS", frame.name),
                 format!("{}: its slope in degrees, RMS", frame.name),
-                format!("{}: pieces, bubbles", frame.name),
+                format!("{}: components, bubbles", frame.name),
                 format!("{}: volume over the particles'", frame.name),
             ],
             cell: None,
             scenes: vec![frame.points.clone()],
             read: Box::new(move |meshes| {
-                let all = Count::of(&pieces(&meshes[0]).0);
+                let all = Count::of(&components(&meshes[0]).0);
                 let [height, slope] = roughness(&columns, &calm, &meshes[0]);
                 let volume = figure(all.volume / count as f64);
                 Ok(vec![figure(height), format!("{slope:.2}"), all.text(), volume])
@@ -152,10 +152,10 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     if let Some(last) = dam.last() {
         for &cell in options.choose(&CELLS[..], &CELLS[2..3]) {
             lines.push(Line {
-                rows: vec![format!("{}, {}: pieces, bubbles", last.name, cell_name(Some(cell)))],
+                rows: vec![format!("{}, {}: components, bubbles", last.name, cell_name(Some(cell)))],
                 cell: Some(cell),
                 scenes: vec![last.points.clone()],
-                read: Box::new(|meshes| Ok(vec![Count::of(&pieces(&meshes[0]).0).text()])),
+                read: Box::new(|meshes| Ok(vec![Count::of(&components(&meshes[0]).0).text()])),
             });
         }
     }
@@ -166,7 +166,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         scenes: dam.iter().map(|frame| frame.points.clone()).collect(),
         read: Box::new(move |meshes| {
             let volumes =
-                meshes.iter().zip(&counts).map(|(mesh, count)| Count::of(&pieces(mesh).0).volume / count);
+                meshes.iter().zip(&counts).map(|(mesh, count)| Count::of(&components(mesh).0).volume / count);
             let (least, greatest) =
                 volumes.fold((f64::INFINITY, 0.0_f64), |(lo, hi), volume| (lo.min(volume), hi.max(volume)));
             Ok(vec![format!("{least:.3}, {greatest:.3}")])

@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3, IVec3};
 
 use super::bodies::JITTER;
+use super::components::{Count, components};
 use super::heights::{Columns, Top};
 use super::lines::{Board, Line, Points, cell_name};
-use super::pieces::{Count, pieces};
 use crate::sample::{cuboid, place};
 use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
@@ -54,7 +54,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
                     });
                     let of: Vec<[f64; 3]> = of.collect();
                     let [bias, rms, slope] = [0, 1, 2].map(|n| mean(of.iter().map(|figures| figures[n])));
-                    let bubbles: usize = meshes.iter().map(|mesh| Count::of(&pieces(mesh).0).bubbles).sum();
+                    let bubbles: usize =
+                        meshes.iter().map(|mesh| Count::of(&components(mesh).0).bubbles).sum();
                     Ok(vec![signed(bias), figure(rms), format!("{slope:.2}"), bubbles.to_string()])
                 }),
             });

@@ -5,11 +5,11 @@
 
 mod bodies;
 mod clumps;
+mod components;
 mod frames;
 mod heights;
 mod level;
 mod lines;
-mod pieces;
 mod programs;
 mod rest;
 mod speed;

@@ -249,10 +249,10 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
     let before = tree(folder.path());
     for (arguments, code, says) in [
         (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
-        (vec!["in", "-o", "out_{}.ply"], 2, "several sequences: f_{}.xyz (3), g_{}.xyz (1); name one"),
-        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several sequences"),
-        (vec!["in", "-o", "out/", "--watch"], 2, "several sequences"),
-        (vec!["in", "-o", "out/", "--plan"], 2, "several sequences"),
+        (vec!["in", "-o", "out_{}.ply"], 2, "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one"),
+        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
+        (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
+        (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress goes with .glb"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
         (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"], 2, "--simplify"),
@@ -596,8 +596,8 @@ fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will
     ] {
         fs::copy(data.join(name), folder.path().join(name)).unwrap();
     }
-    let frozen = |sequence: &str| -> Value {
-        let text = fs::read(folder.path().join(sequence).join("state.json")).unwrap();
+    let frozen = |simulation: &str| -> Value {
+        let text = fs::read(folder.path().join(simulation).join("state.json")).unwrap();
         serde_json::from_slice::<Value>(&text).unwrap()["frozen"].clone()
     };
     let number = |value: &Value| value.as_f64().unwrap();
@@ -775,7 +775,7 @@ fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame()
     assert!(meshes(&folder) == meshes(&plain), "{errors}");
 }
 
-/// The listings of a sequence, by their names.
+/// The listings of a simulation, by their names.
 fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = tree(out);
     files.retain(|name, _| !name.contains('_') && !name.contains('/'));
@@ -839,8 +839,8 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
     for (extension, options) in [
         ("ply", &[][..]),
         ("ply", &["--simplify", "0.25"]),
-        ("ply", &["--drop-smaller", "150"]),
-        ("ply", &["--simplify", "0.25", "--drop-smaller", "150", "--up", "z", "--normals"]),
+        ("ply", &["--smallest-component", "150"]),
+        ("ply", &["--simplify", "0.25", "--smallest-component", "150", "--up", "z", "--normals"]),
         ("glb", &["--simplify", "0.1", "--compress", "--particles-up", "z"]),
         ("usdc", &["--up", "z"]),
     ] {
@@ -855,16 +855,16 @@ fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequen
             assert!(many == one, "{options:?}: {name}");
             sizes.push(one.len());
         }
-        // Each is one of the settings that a sequence keeps to.
+        // Each is one of the settings that a simulation keeps to.
         let refused = [&["f_{}.xyz", "-o", &many], &frozen[..], &["--simplify", "0.3"]].concat();
         let errors = run(folder.path(), &refused, 2);
         assert!(errors.contains("simplify"), "{errors}");
     }
     assert!(sizes[3] < sizes[0] / 2 && sizes[6] < sizes[0], "{sizes:?}");
 
-    let all = ["f_{}.xyz", "-o", "none_{}.ply", "--drop-smaller", "1e9"];
+    let all = ["f_{}.xyz", "-o", "none_{}.ply", "--smallest-component", "1e9"];
     let said = run(folder.path(), &all, 0);
-    assert!(said.contains("all components are below --drop-smaller"), "{said}");
+    assert!(said.contains("all components are below --smallest-component"), "{said}");
     assert_eq!(read_mesh(&folder.path().join("none_2.ply")).unwrap().triangles.len(), 0);
 }
 
@@ -943,7 +943,7 @@ fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
     run(folder.path(), &["in", "-o", "again/"], 1);
     let again = tree(&folder.path().join("again"));
     assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
-    // The same fluid in two formats would be two sequences of one name.
+    // The same fluid in two formats would be two simulations of one name.
     fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
     let errors = run(folder.path(), &["in", "-o", "other/"], 2);
     assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");

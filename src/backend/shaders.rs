@@ -19,10 +19,10 @@ use crate::surface::dual_mc::vulkan::{BASES, EMIT, SIGN_TILES, SIGNS, TILE_WORDS
 use crate::surface::stitch::vulkan::{
     BLOCK_EDGE_TILES, CASE_WORDS, EDGE_BITS, NO_BLOCK, STARTS, TRIANGLES, VERTICES,
 };
-use crate::vulkan::Program;
+use crate::vulkan::Shader;
 
 /// All programs, in the order in which a frame needs them.
-pub const PROGRAMS: [&Program; 28] = [
+pub const SHADERS: [&Shader; 28] = [
     &PLACE,
     &ENTER,
     &SETTLE,

@@ -1,4 +1,4 @@
-//! The kernels from particles to surfaces, and what they take a page to be.
+//! The shaders from particles to surfaces, and what they take a page to be.
 
 use std::sync::Arc;
 
@@ -7,27 +7,27 @@ use crate::brick::vulkan::{FULL_CELLS, GATHER, HALVE, page_words};
 use crate::field::blur::vulkan::BLUR;
 use crate::field::detail::vulkan::{GREATER, LOST};
 use crate::field::distance::vulkan::{
-    DEPTHS_OF, FULL_BRICKS, JOIN, Kernels as Distance, LOOK, MIX, OUTLYING, QUOTIENT, REFINE, SPREAD,
+    DEPTHS_OF, FULL_BRICKS, JOIN, LOOK, MIX, OUTLYING, Pipelines as Distance, QUOTIENT, REFINE, SPREAD,
 };
-use crate::field::indicator::vulkan::{CLOUDS, INDICATE, Kernels as Indicators};
-use crate::surface::dual_mc::vulkan::{BASES, EMIT, Kernels as DualMc, SIGNS, TILES};
-use crate::vulkan::{Device, Kernel, VulkanError};
+use crate::field::indicator::vulkan::{CLOUDS, INDICATE, Pipelines as Indicators};
+use crate::surface::dual_mc::vulkan::{BASES, EMIT, Pipelines as DualMc, SIGNS, TILES};
+use crate::vulkan::{ComputePipeline, Device, VulkanError};
 
 /// All of them.
 #[derive(Debug)]
-pub(super) struct Kernels {
+pub(super) struct Pipelines {
     pub(super) indicate: Indicators,
-    pub(super) full_cells: Arc<Kernel>,
-    pub(super) halve: Arc<Kernel>,
-    pub(super) gather: Arc<Kernel>,
-    pub(super) blur: Arc<Kernel>,
-    pub(super) lost: Arc<Kernel>,
-    pub(super) greater: Arc<Kernel>,
+    pub(super) full_cells: Arc<ComputePipeline>,
+    pub(super) halve: Arc<ComputePipeline>,
+    pub(super) gather: Arc<ComputePipeline>,
+    pub(super) blur: Arc<ComputePipeline>,
+    pub(super) lost: Arc<ComputePipeline>,
+    pub(super) greater: Arc<ComputePipeline>,
     pub(super) distance: Distance,
     pub(super) dual_mc: DualMc,
 }
 
-impl Kernels {
+impl Pipelines {
     /// Compiles them for a device.
     pub(super) fn new(device: &Device) -> Result<Self, VulkanError> {
         #[rustfmt::skip]
@@ -35,7 +35,7 @@ impl Kernels {
             indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
             depths, mix, outlying, spread, look, refine, quotient, join,
             signs, tiles, bases, emit,
-        ] = device.kernels([
+        ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
             &DEPTHS_OF, &MIX, &OUTLYING, &SPREAD, &LOOK, &REFINE, &QUOTIENT, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,

@@ -11,7 +11,7 @@ use super::{Device, VulkanError};
 
 /// A compute shader, and what Rust believes of its interface.
 #[derive(Debug, Clone, Copy)]
-pub struct Program {
+pub struct Shader {
     /// The name of the shader's source, without extension, and of its entry point.
     pub name: &'static str,
     /// The SPIR-V binary of the shader.
@@ -24,7 +24,7 @@ pub struct Program {
     pub group: [u32; 3],
 }
 
-impl Program {
+impl Shader {
     /// Bytes of the push block.
     #[must_use]
     pub fn push_bytes(&self) -> u32 {
@@ -43,7 +43,7 @@ pub struct Field {
     pub bytes: u32,
 }
 
-/// Declares a push block: a plain structure, and the list of its fields as [`Program::push`] wants it.
+/// Declares a push block: a plain structure, and the list of its fields as [`Shader::push`] wants it.
 macro_rules! push_block {
     ($(#[$meta:meta])* $visibility:vis struct $name:ident { $($(#[$about:meta])* $field:ident: $kind:ty,)* }) => {
         $(#[$meta])*
@@ -64,17 +64,17 @@ macro_rules! push_block {
 pub(crate) use push_block;
 
 /// A program ready to run on a device.
-pub struct Kernel {
+pub struct ComputePipeline {
     pub(super) device: Arc<Shared>,
-    pub(super) program: &'static Program,
+    pub(super) shader: &'static Shader,
     pub(super) sets: vk::DescriptorSetLayout,
     pub(super) layout: vk::PipelineLayout,
     pub(super) pipeline: vk::Pipeline,
 }
 
-impl fmt::Debug for Kernel {
+impl fmt::Debug for ComputePipeline {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Kernel").field(&self.program.name).finish()
+        f.debug_tuple("ComputePipeline").field(&self.shader.name).finish()
     }
 }
 
@@ -82,12 +82,12 @@ impl Device {
     /// Compiles several programs side by side.
     ///
     /// # Errors
-    /// Those of [`kernel`](Self::kernel).
-    pub fn kernels<const N: usize>(
+    /// Those of [`shader`](Self::shader).
+    pub fn pipelines<const N: usize>(
         &self,
-        programs: [&'static Program; N],
-    ) -> Result<[Arc<Kernel>; N], VulkanError> {
-        let compiled = programs.par_iter().map(|program| self.kernel(program).map(Arc::new));
+        shaders: [&'static Shader; N],
+    ) -> Result<[Arc<ComputePipeline>; N], VulkanError> {
+        let compiled = shaders.par_iter().map(|shader| self.pipeline(shader).map(Arc::new));
         let compiled: Vec<_> = compiled.collect::<Result<_, _>>()?;
         Ok(compiled.try_into().expect("there are as many"))
     }
@@ -96,7 +96,7 @@ impl Device {
     ///
     /// # Errors
     /// [`VulkanError`] where the driver refuses it.
-    pub fn kernel(&self, program: &'static Program) -> Result<Kernel, VulkanError> {
+    pub fn pipeline(&self, shader: &'static Shader) -> Result<ComputePipeline, VulkanError> {
         let raw = &self.shared.raw;
         let binding = |i| {
             vk::DescriptorSetLayoutBinding::default()
@@ -105,57 +105,57 @@ impl Device {
                 .descriptor_count(1)
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
-        let bindings: Vec<_> = (0..program.buffers.len() as u32).map(binding).collect();
+        let bindings: Vec<_> = (0..shader.buffers.len() as u32).map(binding).collect();
         let push = [vk::PushConstantRange::default()
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
-            .size(program.push_bytes())];
-        let binary = self.shared.binaries.get(program.name).map_or(program.code, Vec::as_slice);
+            .size(shader.push_bytes())];
+        let binary = self.shared.binaries.get(shader.name).map_or(shader.code, Vec::as_slice);
         let code = read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
-        // From here on what is made is dropped with `kernel` if a later step fails.
-        let mut kernel = Kernel {
+        // From here on what is made is dropped with `shader` if a later step fails.
+        let mut pipeline = ComputePipeline {
             device: Arc::clone(&self.shared),
-            program,
+            shader,
             sets: vk::DescriptorSetLayout::null(),
             layout: vk::PipelineLayout::null(),
             pipeline: vk::Pipeline::null(),
         };
         // SAFETY: all handles are this device's, and everything that is pointed to outlives each call.
         unsafe {
-            kernel.sets = raw
+            pipeline.sets = raw
                 .create_descriptor_set_layout(
                     &vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings),
                     None,
                 )
                 .map_err(self.shared.noting("vkCreateDescriptorSetLayout"))?;
-            let sets = [kernel.sets];
+            let sets = [pipeline.sets];
             let mut layout = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
-            if !program.push.is_empty() {
+            if !shader.push.is_empty() {
                 layout = layout.push_constant_ranges(&push);
             }
-            kernel.layout = raw
+            pipeline.layout = raw
                 .create_pipeline_layout(&layout, None)
                 .map_err(self.shared.noting("vkCreatePipelineLayout"))?;
             let module = raw
                 .create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None)
                 .map_err(self.shared.noting("vkCreateShaderModule"))?;
-            let entry = std::ffi::CString::new(program.name).expect("a plain name");
+            let entry = std::ffi::CString::new(shader.name).expect("a plain name");
             let stage = vk::PipelineShaderStageCreateInfo::default()
                 .stage(vk::ShaderStageFlags::COMPUTE)
                 .module(module)
                 .name(&entry);
-            let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(kernel.layout)];
+            let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
             let made = raw.create_compute_pipelines(self.shared.pipeline_cache, &info, None);
             raw.destroy_shader_module(module, None);
-            kernel.pipeline =
+            pipeline.pipeline =
                 made.map_err(|(_, result)| self.shared.noting("vkCreateComputePipelines")(result))?[0];
         }
-        Ok(kernel)
+        Ok(pipeline)
     }
 }
 
-impl Drop for Kernel {
+impl Drop for ComputePipeline {
     fn drop(&mut self) {
-        // SAFETY: batches hold the kernels that they run, so none of them is in use.
+        // SAFETY: batches hold the shaders that they run, so none of them is in use.
         unsafe {
             self.device.raw.destroy_pipeline(self.pipeline, None);
             self.device.raw.destroy_pipeline_layout(self.layout, None);

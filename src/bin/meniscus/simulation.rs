@@ -11,12 +11,12 @@ use crate::notes::Notes;
 use crate::options::Options;
 use crate::outcome::{Verdict, print};
 use crate::progress::{Progress, ProgressMode};
-use crate::report::{dropped, report_census, report_device, warn_all};
+use crate::report::{report_census, report_device, too_small, warn_all};
 use crate::stats::{of_failed, of_frame};
 
-/// Runs the command, for each sequence that is there.
+/// Runs the command, for each simulation that is there.
 pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> {
-    let mut simulation = options.sequence.of(simulation);
+    let mut simulation = options.simulation.of(simulation);
     if options.run.overwrite {
         simulation = simulation.overwrite();
     }
@@ -51,7 +51,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
         return Ok(teller.verdict());
     }
     interrupt::resumable();
-    if options.sequence.plan {
+    if options.simulation.plan {
         let numbers: Vec<String> = simulation.plan(hear)?.iter().map(u64::to_string).collect();
         print(&numbers.join("\n"))?;
         return Ok(teller.verdict());
@@ -68,7 +68,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
 struct Teller<'a> {
     options: &'a Options,
     notes: Notes,
-    /// Bars of the sequence that is under way, with the notes that go above them.
+    /// Bars of the simulation that is under way, with the notes that go above them.
     bars: Mutex<Option<Arc<(Progress, Notes)>>>,
     /// Why frames are not there.
     failed: Mutex<BTreeMap<u64, String>>,
@@ -104,7 +104,7 @@ impl Teller<'_> {
                     notes.say(event.to_string());
                 }
                 let idle = frames == done && !followed;
-                let mode = if idle { ProgressMode::Never } else { self.options.sequence.progress };
+                let mode = if idle { ProgressMode::Never } else { self.options.simulation.progress };
                 *lock(&self.bars) = Some(Arc::new(Progress::start(mode, bytes, lanes, self.notes.clone())));
             }
             Event::Came { bytes } => progress.into_iter().for_each(|progress| progress.lengthen(bytes)),
@@ -166,7 +166,7 @@ impl Teller<'_> {
         notes.say(event.to_string());
         let left_out = &summary.left_out;
         if let Some(particles) = self.options.smallest_drop.filter(|&particles| particles > 1) {
-            notes.say(dropped(left_out.drops, particles));
+            notes.say(too_small(left_out.drops, particles));
         }
         report_census(&left_out.census, notes);
         warn_all(summary.lost().as_slice(), None, notes);
