@@ -2,13 +2,13 @@
 // One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, at most 65535.
 
 // The weight of the centre, then of the cells 1, 2, ... away on either side.
-@group(0) @binding(3) var<storage, read> half_kernel: array<u32>;
+@group(0) @binding(3) var<storage, read> half_weights: array<u32>;
 
 fn weight_of(k: i32) -> u32 {
     if k > i32(push.reach) {
         return 0u;
     }
-    return half_kernel[abs(k)];
+    return half_weights[abs(k)];
 }
 
 fn first_sum() -> u32 {

@@ -1,5 +1,5 @@
 // Where a particle is, in f64 as the host has it: floor((x - origin) / cell). Uses `grid`, `positions` and `push` of the
-// kernel.
+// shader.
 
 // What becomes of a particle.
 const BINNED: u32 = 0u;

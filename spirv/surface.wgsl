@@ -1,4 +1,4 @@
-// The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the kernel.
+// The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader.
 
 struct Block {
     // In blocks.

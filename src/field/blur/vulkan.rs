@@ -12,7 +12,7 @@ use super::Weights;
 pub const BLUR: Shader = Shader {
     name: "blur",
     code: include_bytes!("../../../spirv/blur.spv"),
-    buffers: &["blocks", "samples", "filtered", "half_pipeline"],
+    buffers: &["blocks", "samples", "filtered", "half_weights"],
     push: AxisPush::FIELDS,
     group: [256, 1, 1],
 };
