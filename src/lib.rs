@@ -89,6 +89,15 @@ pub mod mesh {
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 
+/// Pictures of meshes, as files or in memory.
+#[cfg(feature = "pictures")]
+pub mod picture {
+    pub use crate::simulation::{PictureDone, Pictures};
+    pub use crate::surface::picture::{
+        Animation, Colour, ColourMap, Image, Picture, PictureError, Scope, View,
+    };
+}
+
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
     pub use crate::io::UpAxis;

@@ -5,9 +5,9 @@ use std::path::Path;
 use crate::io::UpAxis;
 use crate::io::glb::{Compression, Layout};
 use crate::io::output::MeshFormat;
-use crate::io::up::Turned;
 use crate::surface::mesh::bounds::Bounds;
 use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::up::Turned;
 
 use super::asked::Asked;
 

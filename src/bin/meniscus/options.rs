@@ -119,7 +119,7 @@ fn isovalue(text: &str) -> Result<IsoOption, String> {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Axis {
+pub enum Axis {
     Y,
     Z,
 }
