@@ -325,6 +325,60 @@ fn a_cancel_and_a_bad_mesh_end_an_animation_without_a_file() {
     assert!(left.is_empty(), "{left:?}");
 }
 
+#[test]
+fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let run = |arguments: &[&str], code: i32| {
+        let program = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+            .current_dir(folder.path())
+            .arg("reconstruct")
+            .args(arguments)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&program.stderr).into_owned();
+        assert_eq!(program.status.code(), Some(code), "{arguments:?}: {said}");
+        said
+    };
+    let frame = data.join("ParticleData_Fluid_10.bgeo");
+    let frame = frame.to_str().unwrap();
+    run(&[frame, "-o", "plain.ply"], 0);
+    run(&[frame, "-o", "seen.ply", "--preview"], 0);
+    assert_eq!(fs::read(at("plain.ply")).unwrap(), fs::read(at("seen.ply")).unwrap());
+    assert_eq!(png_size(&at("seen.png")), [640, 360]);
+    // The mesh's file gives the same picture: what was drawn is what was written.
+    fs::rename(at("seen.png"), at("first.png")).unwrap();
+    let drawn = render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
+    assert!(drawn.status.success());
+    let near =
+        |a: &[u8], b: &[u8]| a.iter().zip(b).filter(|(a, b)| a.abs_diff(**b) > 8).count() * 100 < a.len();
+    let pixels = |name: &str| {
+        let mut reader =
+            png::Decoder::new(BufReader::new(File::open(at(name)).unwrap())).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        bytes
+    };
+    assert!(near(&pixels("seen.png"), &pixels("first.png")));
+    // A picture that is there is not replaced, and no mesh is made then.
+    fs::write(at("other.png"), "mine").unwrap();
+    let said = run(&[frame, "-o", "other.ply", "--preview"], 2);
+    assert!(said.contains("other.png: exists") && !at("other.ply").exists(), "{said}");
+    run(&[frame, "-o", "p.ply", "--parts", "2", "--plan", "--preview"], 2);
+
+    let frames = data.join("ParticleData_Fluid_{}.bgeo");
+    let frames = frames.to_str().unwrap();
+    run(&[frames, "-o", "mesh_{}.ply", "--preview"], 0);
+    assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
+    let said = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
+    assert!(said.contains("mesh.png: exists"), "{said}");
+    let sheet = fs::read(at("mesh.png")).unwrap();
+    fs::write(at("mesh.png"), "old").unwrap();
+    run(&[frames, "-o", "mesh_{}.ply", "--preview", "--resume"], 0);
+    assert_eq!(fs::read(at("mesh.png")).unwrap(), sheet);
+}
+
 fn listing(folder: &Path) -> Vec<String> {
     let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     let mut names: Vec<String> = names.collect();

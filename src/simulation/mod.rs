@@ -35,4 +35,4 @@ pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallie
 pub use forecast::{Forecast, Largest};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
-pub use pictures::{PictureDone, Pictures};
+pub use pictures::{PictureDone, PictureFile, Pictures};

@@ -46,6 +46,33 @@ pub struct Pictures {
     cancel: Cancel,
 }
 
+/// A file that is ready to take a picture: a `.png` that appears whole or not at all.
+#[derive(Debug)]
+pub struct PictureFile(WholeFile);
+
+impl PictureFile {
+    /// Makes sure, before the work, that a picture can be written.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn prepare(path: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
+        let path = path.as_ref();
+        let file = WholeFile::prepare(path, replace)?;
+        match extension(path) == PNG || file.is_direct() {
+            true => Ok(Self(file)),
+            false => Err(WriteError::new(path, WriteFault::UnknownExtension { known: ".png" }).into()),
+        }
+    }
+
+    /// Writes the picture. Returns the file's size in bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(self, image: &Image) -> Result<u64, Error> {
+        Ok(self.0.write(|out| image.write_png(out))?)
+    }
+}
+
 /// A picture that is done.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
@@ -62,7 +89,7 @@ pub struct PictureDone<'a> {
 
 /// Where pictures go.
 enum Target {
-    One(WholeFile),
+    One(PictureFile),
     Each(Vec<PathBuf>),
     Sheet(WholeFile),
     Animation(WholeFile),
@@ -206,7 +233,7 @@ impl Pictures {
             for file in &files {
                 self.refuse_inputs(frames, file)?;
                 // Not kept: it is there to see that it can be.
-                drop(WholeFile::prepare(file, self.replace)?);
+                drop(PictureFile::prepare(file, self.replace)?);
             }
             return Ok(Target::Each(files));
         }
@@ -219,7 +246,7 @@ impl Pictures {
                 Err(fail(output, WriteFault::UnknownExtension { known: KNOWN }))
             }
             _ if frames.len() > 1 => Ok(Target::Sheet(file)),
-            _ => Ok(Target::One(file)),
+            _ => Ok(Target::One(PictureFile(file))),
         }
     }
 
@@ -251,7 +278,7 @@ impl Pictures {
             Target::One(file) => {
                 for next in drawn {
                     let (n, frame, image) = next?;
-                    file.write(|out| image.write_png(out))?;
+                    file.write(&image)?;
                     done(n, frame, &output);
                     break;
                 }
@@ -259,7 +286,7 @@ impl Pictures {
             Target::Each(files) => {
                 for next in drawn {
                     let (n, frame, image) = next?;
-                    WholeFile::prepare(&files[n], self.replace)?.write(|out| image.write_png(out))?;
+                    PictureFile::prepare(&files[n], self.replace)?.write(&image)?;
                     done(n, frame, &files[n]);
                 }
             }
