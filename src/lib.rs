@@ -51,7 +51,7 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, periodic boxes, what to choose, how accurate and how fast it is, GPUs, and limits.
+/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, and limits.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -69,6 +69,8 @@ pub mod guide {
     pub mod packed {}
     #[doc = include_str!("reconstruction/periodic.md")]
     pub mod periodic {}
+    #[doc = include_str!("surface/picture/guide.md")]
+    pub mod pictures {}
     #[doc = include_str!("surface/simplify/guide.md")]
     pub mod simplifying {}
     #[doc = include_str!("frame/scale.md")]
@@ -89,6 +91,15 @@ pub mod mesh {
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 
+/// Pictures of meshes, as files or in memory.
+#[cfg(feature = "pictures")]
+pub mod picture {
+    pub use crate::simulation::{PictureDone, PictureFile, Pictures};
+    pub use crate::surface::picture::{
+        Animation, Colour, ColourMap, Image, Picture, PictureError, Scope, View,
+    };
+}
+
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
     pub use crate::io::UpAxis;
@@ -98,7 +109,7 @@ pub mod files {
     pub use crate::io::whole::Replace;
     pub use crate::particles::AttributeInfo;
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type,
+        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type, usual_up,
     };
 }
 

@@ -19,6 +19,8 @@ pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
 pub use crate::surface::mesh::compare::CompareError;
+#[cfg(feature = "pictures")]
+pub use crate::surface::picture::PictureError;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
@@ -87,6 +89,16 @@ pub enum Error {
         /// The fault.
         #[source]
         fault: CompareError,
+    },
+    /// A mesh of which no picture can be drawn.
+    #[cfg(feature = "pictures")]
+    #[error("{}{fault}", file(path.as_deref()))]
+    Picture {
+        /// The file, if it is one.
+        path: Option<PathBuf>,
+        /// The fault.
+        #[source]
+        fault: PictureError,
     },
     /// An attribute that the particles do not have.
     #[error("{}no attribute {name:?}; there are: {}", file(path.as_deref()), listed(known))]
@@ -182,6 +194,10 @@ impl Error {
             | Self::NoAttribute { .. }
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
+            #[cfg(feature = "pictures")]
+            Self::Picture { fault: PictureError::Io(_), .. } => Cause::Input,
+            #[cfg(feature = "pictures")]
+            Self::Picture { .. } => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame {

@@ -46,7 +46,6 @@ pub mod series;
 pub mod stamp;
 pub mod stl;
 mod text;
-pub mod up;
 pub mod usd;
 mod vertices;
 pub mod vtk;
@@ -59,10 +58,10 @@ pub mod xyz;
 
 use crate::particles::AttributeInfo;
 
+pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
 pub use error::{ReadError, ReadFault, WriteError, WriteFault};
 pub use pieces::Pieces;
-pub use up::UpAxis;
 
 /// A particle file, its header understood and its counts checked against its size.
 #[derive(Debug)]

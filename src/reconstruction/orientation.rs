@@ -5,9 +5,9 @@ use std::path::Path;
 use crate::io::UpAxis;
 use crate::io::glb::{Compression, Layout};
 use crate::io::output::MeshFormat;
-use crate::io::up::Turned;
 use crate::surface::mesh::bounds::Bounds;
 use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::up::Turned;
 
 use super::asked::Asked;
 
@@ -22,7 +22,8 @@ pub(crate) struct Orientation {
 }
 
 /// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point up, other simulators mostly y.
-pub(crate) fn usual_up(input: &Path) -> UpAxis {
+#[must_use]
+pub fn usual_up(input: &Path) -> UpAxis {
     let name = input.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if name.trim_end_matches(".gz").ends_with(".bi4") { UpAxis::Z } else { UpAxis::Y }
 }

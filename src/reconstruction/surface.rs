@@ -13,6 +13,8 @@ use crate::io::{UpAxis, WriteError, stl};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
+#[cfg(feature = "pictures")]
+use crate::surface::picture::{Image, Picture};
 use crate::surface::stitch::WholeMeshError;
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Stage};
@@ -57,6 +59,17 @@ impl Surface {
     #[must_use]
     pub fn report(&self) -> &Report {
         &self.drawn.report
+    }
+
+    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in its particles.
+    ///
+    /// # Errors
+    /// [`Error::Picture`].
+    #[cfg(feature = "pictures")]
+    pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
+        let picture = picture.clone().up(self.asked.particles_up.unwrap_or(self.particles_up));
+        let drawn = self.threads.install(|| picture.draw(self.mesh()));
+        drawn.map_err(|fault| Error::Picture { path: None, fault })
     }
 
     /// Finds what a format makes of the mesh that is worth a warning.

@@ -19,6 +19,8 @@ mod lanes;
 mod live;
 pub mod naming;
 mod one_frame;
+#[cfg(feature = "pictures")]
+mod pictures;
 mod pieces;
 pub mod records;
 mod run;
@@ -32,3 +34,5 @@ pub use builder::Simulation;
 pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
 pub use forecast::{Forecast, Largest};
 pub use live::LiveSimulation;
+#[cfg(feature = "pictures")]
+pub use pictures::{PictureDone, PictureFile, Pictures};

@@ -26,7 +26,7 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     let mut mesh = cone(&[[1., 0., 0.], [0., 1., 0.], [-1., 0., 0.], [0., -1., 0.]], [0., 0., 1.]);
     let below = cone(&[[0., -1., 0.], [-1., 0., 0.], [0., 1., 0.], [1., 0., 0.]], [0., 0., -1.]);
     mesh.positions.push([0., 0., -1.]);
-    // The lower ghost layer runs the other way round: its vertices 0, 1, 2, 3 are the upper ghost layer's 3, 2, 1, 0.
+    // The lower rim runs the other way round: its vertices 0, 1, 2, 3 are the upper rim's 3, 2, 1, 0.
     mesh.triangles.extend(below.triangles.iter().map(|t| t.map(|v| if v < 4 { 3 - v } else { 5 })));
     for _ in 0..depth {
         mesh = split(&mesh);
@@ -38,11 +38,11 @@ pub fn sphere(radius: f64, depth: u32) -> Mesh {
     mesh
 }
 
-/// Triangles from every edge of a closed ghost layer to an apex, the last vertex; open below.
-pub fn cone(ghost_layer: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
-    let n = ghost_layer.len() as u32;
+/// Triangles from every edge of a closed rim to an apex, the last vertex; open below.
+pub fn cone(rim: &[[f64; 3]], apex: [f64; 3]) -> Mesh {
+    let n = rim.len() as u32;
     Mesh {
-        positions: ghost_layer.iter().copied().chain([apex]).collect(),
+        positions: rim.iter().copied().chain([apex]).collect(),
         triangles: (0..n).map(|i| [i, (i + 1) % n, n]).collect(),
         ..Mesh::default()
     }

@@ -16,6 +16,7 @@ mod parts;
 mod parts_options;
 mod progress;
 mod reconstruct;
+mod render;
 mod report;
 mod run;
 mod sampling;
@@ -54,6 +55,8 @@ enum Command {
     Devices(devices::Options),
     /// Measure how far a mesh lies from a reference.
     Compare(inspect::CompareOptions),
+    /// Draw pictures of meshes.
+    Render(render::Options),
     /// Print what a shell needs to complete options.
     Completions(shells::CompletionOptions),
     /// Write the manual's pages, for man.
@@ -70,6 +73,7 @@ fn main() -> ExitCode {
         Command::Devices(options) => devices::run(&options),
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),
+        Command::Render(options) => render::run(&options),
         Command::Completions(options) => shells::completions(&options, Arguments::command()),
         Command::Manual(options) => shells::manual(&options, Arguments::command()),
     };

@@ -1,9 +1,10 @@
 //! One frame's mesh: what is checked before the work, and what is said and written after it, however it is made.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use meniscus::files::{Output, Replace, file_and_step, is_same_file};
+use meniscus::picture::{Picture, PictureFile};
 use meniscus::{Error, Reconstruction, Surface};
 
 use crate::interrupt;
@@ -12,6 +13,9 @@ use crate::options::Options;
 use crate::report::{report, report_device, report_stages, warn_all};
 use crate::run::bytes_of;
 use crate::stats::{Made, record};
+
+/// Pixels of the picture beside a mesh.
+const PREVIEW: [usize; 2] = [640, 360];
 
 /// Refuses a file that is to be read or written and written again, which is a slip of the hand.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
@@ -25,6 +29,7 @@ pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
 pub struct Ready {
     pub request: Reconstruction,
     pub output: Output,
+    pub preview: Option<PictureFile>,
     pub notes: Notes,
 }
 
@@ -48,20 +53,37 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
+    let preview = preview_path(options).map(|path| PictureFile::prepare(path, replace)).transpose()?;
 
     // What the file cannot hold need not be carried.
     let carries = options.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
-    Ok(Ready { request, output, notes })
+    Ok(Ready { request, output, preview, notes })
 }
 
-/// Says what there is to know of a surface, and writes it.
+/// The picture beside a mesh, if one is asked for.
+fn preview_path(options: &Options) -> Option<PathBuf> {
+    options.preview.then(|| options.output.with_extension("png"))
+}
+
+/// Draws the picture beside a mesh.
+fn draw_preview(options: &Options, surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
+    let [width, height] = PREVIEW;
+    let image = surface.picture(&Picture::new().size(width, height).ground(true))?;
+    file.write(&image)?;
+    if let Some(path) = preview_path(options) {
+        notes.say(format!("{}: {width} x {height} pixels", path.display()));
+    }
+    Ok(())
+}
+
+/// Says what there is to know of a surface, and writes it, and its picture.
 pub fn write(
     options: &Options,
     input: &Path,
     surface: &Surface,
     request: &Reconstruction,
-    output: Output,
+    (output, preview): (Output, Option<PictureFile>),
     notes: &Notes,
 ) -> Result<(), Error> {
     let format = output.format();
@@ -71,6 +93,10 @@ pub fn write(
     stages.skip();
     let bytes = surface.write_to(output)?;
     stages.done("write");
+    if let Some(file) = preview {
+        draw_preview(options, surface, file, notes)?;
+        stages.done("picture");
+    }
     let (mesh, report) = (surface.mesh(), surface.report());
     notes.say(format!(
         "{}: {} vertices, {} triangles, {} in {:.2} s",

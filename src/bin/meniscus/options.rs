@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
+use meniscus::files::usual_up;
 use meniscus::{Error, Method, PeriodicMesh, Reconstruction, UpAxis};
 
 use crate::method::MethodName;
@@ -81,6 +82,9 @@ pub struct Options {
     /// Leave out drops of fewer particles, as told by their volume [default: 1, which leaves out none].
     #[arg(long, value_name = "PARTICLES", value_parser = value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
     pub smallest_drop: Option<u32>,
+    /// Draw a picture beside the mesh, as .png; of a simulation a sheet of its frames.
+    #[arg(long, help_heading = "Output")]
+    pub preview: bool,
     /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
     #[arg(long, help_heading = "Output", hide_short_help = true)]
     pub compress: bool,
@@ -119,7 +123,7 @@ fn isovalue(text: &str) -> Result<IsoOption, String> {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Axis {
+pub enum Axis {
     Y,
     Z,
 }
@@ -208,6 +212,12 @@ impl Options {
             request = request.particles_up(axis.into());
         }
         Ok(request)
+    }
+
+    /// The axis that points up in the meshes.
+    pub fn mesh_up(&self) -> UpAxis {
+        let usual = || self.inputs.first().map_or(UpAxis::Y, |input| usual_up(input));
+        self.up.or(self.particles_up).map_or_else(usual, Into::into)
     }
 
     /// Whether the isovalue was given.

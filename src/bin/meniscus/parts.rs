@@ -21,6 +21,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
             Some("--dry-run has no meaning with --parts: --plan says what each part takes")
         }
         Step::Plan | Step::Part(_) if options.stats.is_some() => Some("--stats goes with --merge"),
+        Step::Plan | Step::Part(_) if options.preview => Some("--preview goes with --merge"),
         Step::Merge if options.simulation.resume => {
             Some("--resume goes with --plan: a mesh is merged as a whole")
         }
@@ -29,7 +30,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
     if let Some(what) = refused {
         return Err(Error::Request(what.into()));
     }
-    let Ready { request, output, notes } = ready(options, input)?;
+    let Ready { request, output, preview, notes } = ready(options, input)?;
     let parts = parts(options, &request, input, count);
     match step {
         Step::Plan => {
@@ -48,7 +49,7 @@ pub fn run(options: &Options, input: &Path, count: u32) -> Result<Verdict, Error
                 let moved_to = made.moved.then(|| made.facts.grid.origin().to_array());
                 report_cells(cells, made.indicator.map(Indicator::kind), moved_to, &notes);
             }
-            write(options, input, &surface, &request, output, &notes)?;
+            write(options, input, &surface, &request, (output, preview), &notes)?;
             notes.say(format!("{}: of no use any more, and can go", parts.folder().display()));
             Ok(Verdict::Good)
         }

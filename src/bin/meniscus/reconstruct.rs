@@ -28,7 +28,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
 }
 
 fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
-    let Ready { request, output, notes } = ready(options, input)?;
+    let Ready { request, output, preview, notes } = ready(options, input)?;
     let opened = request.open(input)?;
     report_opened(input, &opened, &notes);
     if options.dry_run {
@@ -38,7 +38,7 @@ fn run_frame(options: &Options, input: &Path) -> Result<Verdict, Error> {
     let frame = opened.sample()?;
     let surface = frame.surface()?;
     drop(frame);
-    write(options, input, &surface, &request, output, &notes)?;
+    write(options, input, &surface, &request, (output, preview), &notes)?;
     Ok(Verdict::Good)
 }
 

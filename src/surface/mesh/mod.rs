@@ -9,6 +9,7 @@ pub mod ordered;
 pub mod source;
 pub mod spool;
 pub mod stars;
+pub mod up;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};
 

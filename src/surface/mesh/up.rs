@@ -5,8 +5,8 @@ use std::fmt;
 use std::io;
 use std::ops::Sub;
 
+use super::source::{MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
-use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 
 /// Names of colours, in lower case: of all that have three components they alone have no direction.
 const COLOURS: [&str; 5] = ["cd", "color", "colour", "colors", "rgb"];

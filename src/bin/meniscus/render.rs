@@ -1,0 +1,129 @@
+//! `meniscus render`: pictures of meshes.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use bytesize::ByteSize;
+use clap::Args;
+use meniscus::files::Replace;
+use meniscus::picture::{Colour, ColourMap, Picture, Pictures, View};
+use meniscus::{Error, default_memory};
+
+use crate::interrupt;
+use crate::notes::Notes;
+use crate::options::Axis;
+use crate::outcome::Verdict;
+
+#[derive(Args)]
+pub struct Options {
+    /// The mesh; or those of a simulation: files, a folder, a glob, or a name with {} for the number.
+    #[arg(required = true, value_name = "MESH")]
+    meshes: Vec<PathBuf>,
+    /// The picture: .png. Of several meshes a folder, or a name with {}, takes one of each, .apng an animation, and .png a sheet of all.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Width and height in pixels [default: 1920x1080; 960x540 in an animation, 640x360 on a sheet].
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[usize; 2]>,
+    /// Where it is seen from [default: from the front and above, whole].
+    ///
+    /// Two or three numbers: degrees around and above what is seen, and how much larger than whole. Six: the eye, and what it looks at.
+    #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
+    camera: Option<Vec<f64>>,
+    /// The axis that points up.
+    #[arg(long, value_enum, default_value_t = Axis::Y)]
+    up: Axis,
+    /// Show the floor of the box, and the shadow on it.
+    #[arg(long)]
+    ground: bool,
+    /// water, a colour as ff8800, or an attribute as velocity or velocity:turbo, by its length.
+    #[arg(long, value_name = "COLOUR", default_value = "water", value_parser = colour)]
+    colour: Colour,
+    /// Pictures of an animation a second.
+    #[arg(long, value_name = "RATE")]
+    fps: Option<f64>,
+    /// Threads to use [default: all cores].
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Memory for a picture beside its mesh, as 512MiB [default: three quarters of what is available].
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<ByteSize>,
+    /// Replace a picture that exists.
+    #[arg(long)]
+    overwrite: bool,
+    /// Say nothing but errors.
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<Verdict, Error> {
+    let notes = Notes::new(options.quiet, false);
+    let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
+    let mut picture = Picture::new()
+        .up(options.up.into())
+        .ground(options.ground)
+        .colour(options.colour.clone())
+        .memory(memory);
+    if let Some(numbers) = &options.camera {
+        picture = picture.view(view(numbers)?);
+    }
+    let mut pictures = Pictures::new(picture, &options.meshes, &options.output)
+        .replace(if options.overwrite { Replace::Allow } else { Replace::Refuse })
+        .cancel(interrupt::handle());
+    if let Some([width, height]) = options.size {
+        pictures = pictures.size(width, height);
+    }
+    if let Some(fps) = options.fps {
+        pictures = pictures.fps(fps);
+    }
+    if let Some(threads) = options.threads {
+        pictures = pictures.threads(threads);
+    }
+    pictures.run(|done| {
+        notes.say(format!(
+            "{}: {} ({} of {})",
+            done.output.display(),
+            done.mesh.display(),
+            done.done,
+            done.all
+        ));
+    })?;
+    Ok(Verdict::Good)
+}
+
+fn size(text: &str) -> Result<[usize; 2], String> {
+    let both = text
+        .split_once(['x', 'X'])
+        .and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
+    both.ok_or_else(|| "a width and a height, as 1920x1080".to_owned())
+}
+
+fn view(numbers: &[f64]) -> Result<View, Error> {
+    match *numbers {
+        [azimuth, elevation] => Ok(View::From { azimuth, elevation, zoom: 1.0 }),
+        [azimuth, elevation, zoom] => Ok(View::From { azimuth, elevation, zoom }),
+        [a, b, c, d, e, f] => Ok(View::At { eye: [a, b, c], target: [d, e, f] }),
+        _ => {
+            let what = "--camera takes degrees around and above, and perhaps a zoom; or six numbers: the eye, and what it looks at";
+            Err(Error::Request(what.to_owned()))
+        }
+    }
+}
+
+fn colour(text: &str) -> Result<Colour, String> {
+    if text == "water" {
+        return Ok(Colour::Water);
+    }
+    let digits = text.strip_prefix('#').unwrap_or(text);
+    if digits.len() == 6
+        && let Ok(rgb) = u32::from_str_radix(digits, 16)
+    {
+        return Ok(Colour::Solid([rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8)));
+    }
+    let (name, map) = match text.rsplit_once(':') {
+        Some((name, map)) => (name, ColourMap::from_str(map).map_err(|error| error.to_string())?),
+        None => (text, ColourMap::default()),
+    };
+    Ok(Colour::Attribute { name: name.to_owned(), map })
+}

@@ -1,0 +1,376 @@
+//! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an animation; through one camera.
+
+use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
+
+use rayon::ThreadPoolBuilder;
+
+use crate::error::{Error, SimulationError};
+use crate::io::identity::is_same_file;
+use crate::io::output::{MeshFormat, read_mesh};
+use crate::io::whole::{Replace, WholeFile};
+use crate::io::{WriteError, WriteFault};
+use crate::surface::mesh::Mesh;
+use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
+use crate::system::cancel::Cancel;
+
+use super::inputs::{FrameFile, Inputs};
+use super::naming::Naming;
+
+const PNG: &str = "png";
+const APNG: &str = "apng";
+const KNOWN: &str = ".png, and .apng for an animation";
+/// Pixels of a picture on a sheet, and in an animation.
+const ON_SHEET: [usize; 2] = [640, 360];
+const IN_ANIMATION: [usize; 2] = [960, 540];
+/// Pictures on a sheet, at the most: of more meshes, as many are drawn at even distances.
+const MOST_ON_SHEET: usize = 24;
+const COLUMNS: usize = 4;
+/// Pictures of an animation a second, where nothing else is asked for.
+const FPS: f64 = 24.0;
+
+/// A request for pictures of meshes in files.
+///
+/// One mesh gives one picture. Of several, a folder or a name with `{}` for the number takes a picture of each, `.apng` an animation,
+/// and `.png` a sheet of all. All are seen from one place, which sees all of them, with one range of values.
+#[derive(Debug, Clone)]
+#[must_use]
+pub struct Pictures {
+    picture: Picture,
+    meshes: Vec<PathBuf>,
+    output: PathBuf,
+    sized: bool,
+    fps: f64,
+    replace: Replace,
+    threads: Option<usize>,
+    cancel: Cancel,
+}
+
+/// A file that is ready to take a picture: a `.png` that appears whole or not at all.
+#[derive(Debug)]
+pub struct PictureFile(WholeFile);
+
+impl PictureFile {
+    /// Makes sure, before the work, that a picture can be written.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn prepare(path: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
+        let path = path.as_ref();
+        let file = WholeFile::prepare(path, replace)?;
+        match extension(path) == PNG || file.is_direct() {
+            true => Ok(Self(file)),
+            false => Err(WriteError::new(path, WriteFault::UnknownExtension { known: ".png" }).into()),
+        }
+    }
+
+    /// Writes the picture. Returns the file's size in bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(self, image: &Image) -> Result<u64, Error> {
+        Ok(self.0.write(|out| image.write_png(out))?)
+    }
+}
+
+/// A picture that is done.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct PictureDone<'a> {
+    /// The mesh.
+    pub mesh: &'a Path,
+    /// The file that holds the picture, or will once all are done.
+    pub output: &'a Path,
+    /// How many are done.
+    pub done: usize,
+    /// How many there will be.
+    pub all: usize,
+}
+
+/// Where pictures go.
+enum Target {
+    One(PictureFile),
+    Each(Vec<PathBuf>),
+    Sheet(WholeFile),
+    Animation(WholeFile),
+}
+
+impl Pictures {
+    /// Pictures of a file, several, a folder, a glob, or a name with `{}` for the number.
+    pub fn new<I: Into<PathBuf>>(
+        picture: Picture,
+        meshes: impl IntoIterator<Item = I>,
+        output: impl Into<PathBuf>,
+    ) -> Self {
+        Self {
+            picture,
+            meshes: meshes.into_iter().map(Into::into).collect(),
+            output: output.into(),
+            sized: false,
+            fps: FPS,
+            replace: Replace::Refuse,
+            threads: None,
+            cancel: Cancel::new(),
+        }
+    }
+
+    /// Sets the width and height in pixels: 1920 x 1080 otherwise, 960 x 540 in an animation, 640 x 360 on a sheet.
+    pub fn size(mut self, width: usize, height: usize) -> Self {
+        self.picture = self.picture.size(width, height);
+        self.sized = true;
+        self
+    }
+
+    /// Sets how many pictures of an animation are shown a second: 24 otherwise.
+    pub fn fps(mut self, rate: f64) -> Self {
+        self.fps = rate;
+        self
+    }
+
+    /// Sets whether files may be replaced.
+    pub fn replace(mut self, replace: Replace) -> Self {
+        self.replace = replace;
+        self
+    }
+
+    /// Sets the number of threads: one for each core otherwise.
+    pub fn threads(mut self, count: usize) -> Self {
+        self.threads = Some(count);
+        self
+    }
+
+    /// Sets a handle that ends the work early.
+    pub fn cancel(mut self, cancel: Cancel) -> Self {
+        self.cancel = cancel;
+        self
+    }
+
+    /// Draws and writes them, and tells of each.
+    ///
+    /// # Errors
+    /// [`Error::Request`], [`Error::Simulation`], [`Error::Read`], [`Error::Picture`], [`Error::Write`], [`Error::TwoPurposes`],
+    /// [`Error::Threads`] and [`Error::Cancelled`].
+    pub fn run(mut self, tell: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
+        self.picture.check().map_err(|fault| Error::Picture { path: None, fault })?;
+        if !(self.fps.is_finite() && (0.1..=1000.0).contains(&self.fps)) {
+            return Err(SimulationError::Rate(self.fps).into());
+        }
+        let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = pool.map_err(|fault| Error::Threads(fault.to_string()))?;
+        let mut frames = self.frames()?;
+        let target = self.target(&frames)?;
+        let size = match target {
+            Target::Sheet(_) => {
+                let all = frames.len();
+                if all > MOST_ON_SHEET {
+                    let chosen = (0..MOST_ON_SHEET).map(|n| n * (all - 1) / (MOST_ON_SHEET - 1));
+                    frames = chosen.map(|n| frames[n].clone()).collect();
+                }
+                Some(ON_SHEET)
+            }
+            Target::Animation(_) => Some(IN_ANIMATION),
+            Target::One(_) | Target::Each(_) => None,
+        };
+        if let Some([width, height]) = size.filter(|_| !self.sized) {
+            self.picture = self.picture.size(width, height);
+        }
+        pool.install(|| self.draw(&frames, target, tell))
+    }
+
+    /// The meshes in order.
+    fn frames(&self) -> Result<Vec<FrameFile>, Error> {
+        if let [mesh] = &self.meshes[..]
+            && mesh.is_dir()
+            && MeshFormat::of(mesh).is_none()
+        {
+            // Beside meshes lie other files.
+            let fail = |fault| SimulationError::Io { path: mesh.clone(), fault };
+            let entries = std::fs::read_dir(mesh).map_err(fail)?;
+            let mut files = entries
+                .map(|entry| entry.map(|entry| entry.path()))
+                .collect::<Result<Vec<_>, _>>()
+                .map_err(fail)?;
+            files.retain(|file| MeshFormat::of(file).is_some());
+            files.sort();
+            return Ok(match &files[..] {
+                [] => return Err(SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()),
+                [file] => vec![alone(file)],
+                _ => Inputs::Files(files).list()?,
+            });
+        }
+        let frames = match Inputs::of(&self.meshes)? {
+            Some(inputs) => inputs.list()?,
+            None => self.meshes.iter().map(|mesh| alone(mesh)).collect(),
+        };
+        match frames.is_empty() {
+            true => {
+                let given = self.meshes.first().map_or(String::new(), |mesh| format!("{}: ", mesh.display()));
+                Err(SimulationError::NoFrames(format!("{given}no mesh")).into())
+            }
+            false => Ok(frames),
+        }
+    }
+
+    /// Makes sure that the pictures can be written.
+    fn target(&self, frames: &[FrameFile]) -> Result<Target, Error> {
+        let fail = |path: &Path, fault| Error::from(WriteError::new(path, fault));
+        let output = &self.output;
+        if let Some(naming) = Naming::of(output)? {
+            if let Naming::Pattern(pattern) = &naming
+                && extension(Path::new(&pattern.suffix)) != PNG
+            {
+                return Err(fail(output, WriteFault::UnknownExtension { known: ".png" }));
+            }
+            let single = matches!(frames, [frame] if frame.digits.is_empty());
+            let named = |frame: &FrameFile| match (&naming, single) {
+                (Naming::Folder(folder), true) => {
+                    folder.join(frame.path.file_name().unwrap_or_default()).with_extension(PNG)
+                }
+                _ => naming.path(frame).with_extension(PNG),
+            };
+            let files: Vec<PathBuf> = frames.iter().map(named).collect();
+            for file in &files {
+                self.refuse_inputs(frames, file)?;
+                // Not kept: it is there to see that it can be.
+                drop(PictureFile::prepare(file, self.replace)?);
+            }
+            return Ok(Target::Each(files));
+        }
+        self.refuse_inputs(frames, output)?;
+        let file = WholeFile::prepare(output, self.replace)?;
+        match extension(output) {
+            APNG if frames.len() > 1 => Ok(Target::Animation(file)),
+            APNG => Err(Error::Request(format!("{}: an animation takes several meshes", output.display()))),
+            _ if extension(output) != PNG && !file.is_direct() => {
+                Err(fail(output, WriteFault::UnknownExtension { known: KNOWN }))
+            }
+            _ if frames.len() > 1 => Ok(Target::Sheet(file)),
+            _ => Ok(Target::One(PictureFile(file))),
+        }
+    }
+
+    fn refuse_inputs(&self, frames: &[FrameFile], output: &Path) -> Result<(), Error> {
+        match frames.iter().find(|frame| is_same_file(&frame.path, output)) {
+            Some(frame) => Err(Error::TwoPurposes { path: output.to_owned(), other: frame.path.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    fn draw(
+        mut self,
+        frames: &[FrameFile],
+        target: Target,
+        mut tell: impl FnMut(PictureDone<'_>) + Send,
+    ) -> Result<(), Error> {
+        if frames.len() > 1 {
+            self.picture = self.picture.clone().scope(self.scope(frames)?);
+        }
+        let output = self.output.clone();
+        let mut drawn = frames.iter().enumerate().map(|(n, frame)| {
+            let image = self.image(frame)?;
+            Ok::<_, Error>((n, frame, image))
+        });
+        let mut done = |n: usize, frame: &FrameFile, output: &Path| {
+            tell(PictureDone { mesh: &frame.path, output, done: n + 1, all: frames.len() });
+        };
+        match target {
+            Target::One(file) => {
+                for next in drawn {
+                    let (n, frame, image) = next?;
+                    file.write(&image)?;
+                    done(n, frame, &output);
+                    break;
+                }
+            }
+            Target::Each(files) => {
+                for next in drawn {
+                    let (n, frame, image) = next?;
+                    PictureFile::prepare(&files[n], self.replace)?.write(&image)?;
+                    done(n, frame, &files[n]);
+                }
+            }
+            Target::Sheet(file) => {
+                let mut images = Vec::with_capacity(frames.len());
+                for next in drawn {
+                    let (n, frame, image) = next?;
+                    images.push(image.labelled(&frame.digits));
+                    done(n, frame, &output);
+                }
+                let sheet = Image::sheet(&images, COLUMNS);
+                file.write(|out| sheet.as_ref().map_or(Ok(()), |sheet| sheet.write_png(out)))?;
+            }
+            Target::Animation(file) => {
+                // What fails in a picture is told of as itself, and not as a fault of the file.
+                let mut fault = None;
+                let written = file.write(|out| {
+                    let mut animation: Option<Animation<'_>> = None;
+                    let mut out = Some(out);
+                    for next in drawn.by_ref() {
+                        let (n, frame, image) = match next {
+                            Ok(next) => next,
+                            Err(error) => {
+                                fault = Some(error);
+                                return Err(std::io::ErrorKind::Interrupted.into());
+                            }
+                        };
+                        let begun = match (animation.take(), out.take()) {
+                            (Some(animation), _) => Some(animation),
+                            (None, Some(out)) => {
+                                Some(Animation::begin(out, &image, frames.len() as u32, self.fps)?)
+                            }
+                            (None, None) => None,
+                        };
+                        animation = begun;
+                        if let Some(animation) = &mut animation {
+                            animation.push(&image)?;
+                        }
+                        done(n, frame, &output);
+                    }
+                    animation.map_or(Ok(()), Animation::end)
+                });
+                match fault {
+                    Some(fault) => return Err(fault),
+                    None => written.map(drop)?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The box and the values of all meshes.
+    fn scope(&self, frames: &[FrameFile]) -> Result<Scope, Error> {
+        let mut scope = Scope::default();
+        for frame in frames {
+            let mesh = self.read(frame)?;
+            scope = scope.joined(self.picture.scope_of(&mesh).map_err(|fault| of_file(frame, fault))?);
+        }
+        Ok(scope)
+    }
+
+    fn image(&self, frame: &FrameFile) -> Result<Image, Error> {
+        let mesh = self.read(frame)?;
+        self.picture.draw(&mesh).map_err(|fault| of_file(frame, fault))
+    }
+
+    fn read(&self, frame: &FrameFile) -> Result<Mesh, Error> {
+        if self.cancel.is_cancelled() {
+            return Err(Error::Cancelled);
+        }
+        Ok(read_mesh(&frame.path)?)
+    }
+}
+
+/// A mesh whose name need not have a number.
+fn alone(path: &Path) -> FrameFile {
+    FrameFile { number: 0, digits: String::new(), path: path.to_owned() }
+}
+
+fn of_file(frame: &FrameFile, fault: PictureError) -> Error {
+    Error::Picture { path: Some(frame.path.clone()), fault }
+}
+
+fn extension(path: &Path) -> &'static str {
+    let name = path.to_string_lossy().to_ascii_lowercase();
+    [PNG, APNG].into_iter().find(|known| name.ends_with(&format!(".{known}"))).unwrap_or("")
+}

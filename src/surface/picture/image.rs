@@ -1,0 +1,178 @@
+//! Images of 8 bits a channel: text on them, sheets of several, and files.
+
+use std::convert::Infallible;
+use std::io::{self, Write};
+
+use embedded_graphics::Pixel;
+use embedded_graphics::draw_target::DrawTarget;
+use embedded_graphics::geometry::{OriginDimensions, Point, Size};
+use embedded_graphics::mono_font::MonoTextStyle;
+use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_10X20};
+use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
+use embedded_graphics::prelude::Drawable;
+use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
+
+/// Images higher than this are labelled in a larger type.
+const HIGH: usize = 540;
+const INK: Rgb888 = Rgb888::new(28, 32, 36);
+/// Between images of a sheet, in pixels.
+const GAP: usize = 4;
+const PAPER: u8 = 255;
+
+/// Rows of pixels from the top: red, green and blue, 8 bits each, as screens show them (sRGB).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Image {
+    width: usize,
+    height: usize,
+    rgb: Vec<u8>,
+}
+
+impl Image {
+    pub(super) fn new(width: usize, height: usize, rgb: Vec<u8>) -> Self {
+        assert_eq!(rgb.len(), 3 * width * height, "three bytes a pixel");
+        Self { width, height, rgb }
+    }
+
+    /// Returns the width in pixels.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Returns the height in pixels.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Returns the bytes: rows from the top, three a pixel.
+    #[must_use]
+    pub fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+
+    /// Adds a line of text in the upper left corner.
+    #[must_use]
+    pub fn labelled(mut self, text: &str) -> Self {
+        self.text(text, [10, 8], Alignment::Left);
+        self
+    }
+
+    /// Writes text whose first, middle or last character's top is at a place.
+    pub(super) fn text(&mut self, text: &str, [x, y]: [i32; 2], alignment: Alignment) {
+        let font = if self.height > HIGH { &FONT_10X20 } else { &FONT_6X10 };
+        let layout = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
+        let text = Text::with_text_style(text, Point::new(x, y), MonoTextStyle::new(font, INK), layout);
+        let Ok(_) = text.draw(self);
+    }
+
+    /// The height of a line of text.
+    pub(super) fn line(&self) -> i32 {
+        if self.height > HIGH { 20 } else { 10 }
+    }
+
+    pub(super) fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
+        if x < self.width && y < self.height {
+            self.rgb[3 * (y * self.width + x)..][..3].copy_from_slice(&colour);
+        }
+    }
+
+    /// Images of one size side by side, in rows of so many; `None` of none.
+    ///
+    /// # Panics
+    /// If their sizes differ.
+    #[must_use]
+    pub fn sheet(images: &[Self], columns: usize) -> Option<Self> {
+        let Self { width, height, .. } = *images.first()?;
+        let columns = columns.clamp(1, images.len());
+        let rows = images.len().div_ceil(columns);
+        let (full_width, full_height) = (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP);
+        let mut rgb = vec![PAPER; 3 * full_width * full_height];
+        for (n, image) in images.iter().enumerate() {
+            assert_eq!((image.width, image.height), (width, height), "images of one size");
+            let (left, top) = (n % columns * (width + GAP), n / columns * (height + GAP));
+            for (y, row) in image.rgb.chunks(3 * width).enumerate() {
+                rgb[3 * ((top + y) * full_width + left)..][..3 * width].copy_from_slice(row);
+            }
+        }
+        Some(Self { width: full_width, height: full_height, rgb })
+    }
+
+    /// Writes a `.png` file.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_png(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut encoder = self.encoder(out);
+        encoder.set_compression(png::Compression::Fast);
+        encoder.write_header()?.write_image_data(&self.rgb)?;
+        Ok(())
+    }
+
+    fn encoder<'a>(&self, out: &'a mut dyn Write) -> png::Encoder<'static, &'a mut dyn Write> {
+        let mut encoder = png::Encoder::new(out, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        encoder
+    }
+}
+
+/// An animated `.png` file that is written image by image.
+pub struct Animation<'a> {
+    writer: png::Writer<&'a mut dyn Write>,
+    size: [usize; 2],
+}
+
+impl<'a> Animation<'a> {
+    /// Begins a file of `images` images like the first, so many of them a second, shown over and over.
+    ///
+    /// # Errors
+    /// Those of `out`, and [`io::ErrorKind::InvalidInput`] for no image.
+    pub fn begin(out: &'a mut dyn Write, first: &Image, images: u32, fps: f64) -> io::Result<Self> {
+        let mut encoder = first.encoder(out);
+        encoder.set_animated(images, 0)?;
+        // In a thousandth of a second, of which any rate has whole ones nearly.
+        encoder.set_frame_delay((1000.0 / fps).round().clamp(1.0, 65_535.0) as u16, 1000)?;
+        Ok(Self { writer: encoder.write_header()?, size: [first.width, first.height] })
+    }
+
+    /// Adds an image.
+    ///
+    /// # Errors
+    /// Those of the file.
+    ///
+    /// # Panics
+    /// If its size is another.
+    pub fn push(&mut self, image: &Image) -> io::Result<()> {
+        assert_eq!([image.width, image.height], self.size, "images of one size");
+        Ok(self.writer.write_image_data(&image.rgb)?)
+    }
+
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// Those of the file, and where images are missing.
+    pub fn end(self) -> io::Result<()> {
+        Ok(self.writer.finish()?)
+    }
+}
+
+impl OriginDimensions for Image {
+    fn size(&self) -> Size {
+        Size::new(self.width as u32, self.height as u32)
+    }
+}
+
+impl DrawTarget for Image {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(Point { x, y }, colour) in pixels {
+            if let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y)) {
+                self.set(x, y, [colour.r(), colour.g(), colour.b()]);
+            }
+        }
+        Ok(())
+    }
+}

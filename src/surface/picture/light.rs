@@ -1,0 +1,116 @@
+//! Light: a soft sky, a sun, the ground below, and what water, a solid colour or a colour map make of them. Colours are linear.
+
+use glam::Vec3;
+
+/// Where the sun stands, in the axes right, up and towards the viewer's side of the world.
+pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
+const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
+/// How much light there is from above, and from the ground.
+const ABOVE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
+const BELOW: Vec3 = Vec3::new(0.34, 0.33, 0.31);
+/// The sky that water mirrors: at the horizon, and overhead.
+const HORIZON: Vec3 = Vec3::new(0.92, 0.95, 0.97);
+const ZENITH: Vec3 = Vec3::new(0.30, 0.50, 0.80);
+/// The ground, and the backdrop: overhead, at the horizon, and straight below.
+pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
+const BACKDROP: [Vec3; 3] =
+    [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
+/// The share of light that a surface of water mirrors, seen straight on (Schlick 1994, index of refraction 1.33).
+const MIRRORED: f32 = 0.02;
+const REFRACTION: f32 = 1.0 / 1.33;
+/// Light that water takes from a ray, and gives to it, over the radius of the scene.
+const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
+const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
+const CLOUDED: f32 = 6.0;
+/// How much of light that falls on water comes back as from milk: without any, no shape would be seen in it.
+const MILK: f32 = 0.34;
+const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
+
+/// A place on a surface, and the line on which it is seen.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seen {
+    /// From the eye; of unit length, and so are all directions here.
+    pub(super) towards: Vec3,
+    /// Outward, to the eye's side.
+    pub(super) normal: Vec3,
+    /// The way through the fluid behind it, in radii of the scene.
+    pub(super) through: f32,
+    /// The share of the sun's light that arrives.
+    pub(super) lit: f32,
+}
+
+/// The light behind all things in a direction.
+pub(super) fn backdrop(towards: Vec3) -> Vec3 {
+    let [above, level, below] = BACKDROP;
+    let up = towards.y;
+    if up >= 0.0 {
+        level.lerp(above, up.powf(0.6).min(1.0))
+    } else {
+        level.lerp(below, (-up).powf(0.6).min(1.0))
+    }
+}
+
+/// The light of the sky from a direction, the sun's glow in it.
+fn sky(towards: Vec3) -> Vec3 {
+    let up = towards.y;
+    let sky =
+        if up >= 0.0 { HORIZON.lerp(ZENITH, up.sqrt()) } else { HORIZON.lerp(BELOW, (-up * 3.0).min(1.0)) };
+    let near = towards.dot(SUN.normalize()).max(0.0);
+    sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
+}
+
+/// The light that falls on a surface which scatters it evenly.
+fn fallen(normal: Vec3, lit: f32) -> Vec3 {
+    let ambient = BELOW.lerp(ABOVE, 0.5 + 0.5 * normal.y);
+    ambient * 0.75 + SUNLIGHT * (0.65 * lit * normal.dot(SUN.normalize()).max(0.0))
+}
+
+/// Ground that is flat, of which the sun reaches so much.
+pub(super) fn ground(lit: f32) -> Vec3 {
+    GROUND * fallen(Vec3::Y, lit)
+}
+
+/// A surface of one colour.
+pub(super) fn solid(colour: Vec3, seen: Seen) -> Vec3 {
+    let half = (SUN.normalize() - seen.towards).normalize();
+    let gloss = seen.normal.dot(half).max(0.0).powi(60);
+    colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
+}
+
+/// Water, in front of what `behind` says of a direction.
+pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
+    let Seen { towards, normal, through, lit } = seen;
+    let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
+    let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
+    let mirror = sky(towards + 2.0 * facing * normal);
+    // Through the surface by Snell's law; what comes out on the other side goes on as it went in.
+    let along = towards + facing * normal;
+    let bent = towards.lerp((towards - along * (1.0 - REFRACTION)).normalize(), 0.7).normalize();
+    let left = Vec3::new((-TAKEN.x * through).exp(), (-TAKEN.y * through).exp(), (-TAKEN.z * through).exp());
+    let cloud = 1.0 - (-CLOUDED * through).exp();
+    let light = fallen(normal, lit);
+    let inside = behind(bent) * left + GIVEN * cloud * (0.35 + 0.65 * light);
+    let milk = MILK * (0.4 + 0.6 * cloud);
+    let body = inside.lerp(MILK_COLOUR * light, milk);
+    let half = (SUN.normalize() - towards).normalize();
+    let glint = normal.dot(half).max(0.0).powi(240);
+    body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
+}
+
+/// The byte of a channel on screens: light that is too bright is taken back softly, then sRGB.
+pub(super) fn byte(light: f32) -> u8 {
+    let x = light.max(0.0);
+    // Straight up to 0.8, then towards 1.
+    let x = if x <= 0.8 { x } else { 1.0 - 0.2 * (-(x - 0.8) / 0.2).exp() };
+    let srgb = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
+    (srgb * 255.0 + 0.5) as u8
+}
+
+/// The light of a colour as screens name it.
+pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
+    let light = |byte: u8| {
+        let x = f32::from(byte) / 255.0;
+        if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
+    };
+    Vec3::new(light(r), light(g), light(b))
+}

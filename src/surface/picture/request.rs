@@ -1,0 +1,172 @@
+//! A request for pictures: how large, from where, in which colours.
+
+use glam::{DMat3, DVec3};
+
+use crate::surface::mesh::bounds::{Bounds, bounds_of, joined};
+use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::up::UpAxis;
+
+use super::camera::View;
+use super::colour::{Colour, values_of};
+use super::error::{MOST_PIXELS, PictureError};
+
+const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
+
+/// A box and a range of values that pictures have in common, so that those of a simulation can be compared.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct Scope {
+    /// The box that is seen whole; `None` where there is no vertex.
+    pub bounds: Option<Bounds>,
+    /// The least and the greatest value of the attribute that is shown.
+    pub range: Option<[f32; 2]>,
+}
+
+impl Scope {
+    /// The scope of two meshes.
+    #[must_use]
+    pub fn joined(self, other: Self) -> Self {
+        let ranges = [self.range, other.range].into_iter().flatten();
+        Self {
+            bounds: [self.bounds, other.bounds].into_iter().flatten().reduce(joined),
+            range: ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]),
+        }
+    }
+}
+
+/// A request for pictures of meshes: how large, from where, in which colours.
+///
+/// ```
+/// use meniscus::{Reconstruction, picture::Picture};
+///
+/// let drop = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+/// let surface = Reconstruction::new().spacing(1.0).run(&drop)?;
+/// let image = Picture::new().size(64, 48).draw(surface.mesh())?;
+/// assert_eq!((image.width(), image.height()), (64, 48));
+/// let mut png = Vec::new();
+/// image.write_png(&mut png)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Picture {
+    pub(super) size: Option<[usize; 2]>,
+    pub(super) view: Option<View>,
+    up: Option<UpAxis>,
+    pub(super) ground: bool,
+    pub(super) colour: Colour,
+    pub(super) scope: Option<Scope>,
+    pub(super) memory: Option<u64>,
+}
+
+impl Picture {
+    /// The default: 1920 x 1080 pixels of water, seen whole from the front, to the right and above.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Sets the width and height in pixels.
+    #[must_use]
+    pub fn size(mut self, width: usize, height: usize) -> Self {
+        self.size = Some([width, height]);
+        self
+    }
+
+    /// Sets where it is seen from.
+    #[must_use]
+    pub fn view(mut self, view: View) -> Self {
+        self.view = Some(view);
+        self
+    }
+
+    /// Sets the axis that points up: y by default.
+    #[must_use]
+    pub fn up(mut self, axis: UpAxis) -> Self {
+        self.up = Some(axis);
+        self
+    }
+
+    /// Puts a floor under the box, with the shadow that the fluid casts.
+    #[must_use]
+    pub fn ground(mut self, shown: bool) -> Self {
+        self.ground = shown;
+        self
+    }
+
+    /// Sets the colours.
+    #[must_use]
+    pub fn colour(mut self, colour: Colour) -> Self {
+        self.colour = colour;
+        self
+    }
+
+    /// Sets the box that is seen and the range of values, in place of the mesh's own.
+    #[must_use]
+    pub fn scope(mut self, scope: Scope) -> Self {
+        self.scope = Some(scope);
+        self
+    }
+
+    /// Sets the bytes of memory that a picture may take, beside its mesh.
+    #[must_use]
+    pub fn memory(mut self, bytes: u64) -> Self {
+        self.memory = Some(bytes);
+        self
+    }
+
+    /// Refuses what no mesh can be drawn with.
+    ///
+    /// # Errors
+    /// [`PictureError::Size`] and [`PictureError::View`].
+    pub fn check(&self) -> Result<(), PictureError> {
+        let [width, height] = self.pixels();
+        if [width, height].iter().any(|side| !(1..=MOST_PIXELS).contains(side)) {
+            return Err(PictureError::Size(width, height));
+        }
+        let finite = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
+        match self.view {
+            Some(View::From { azimuth, elevation, zoom }) => {
+                if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 {
+                    return Err(PictureError::View("angles must be finite, and a zoom positive"));
+                }
+            }
+            Some(View::At { eye, target }) => {
+                if !finite(&[eye, target].concat()) || eye == target {
+                    return Err(PictureError::View("the eye and what it looks at must be two places"));
+                }
+            }
+            None => {}
+        }
+        Ok(())
+    }
+
+    /// The box of a mesh, and the range of the values that it would be coloured by.
+    ///
+    /// # Errors
+    /// [`PictureError::NoAttribute`] and [`PictureError::Io`].
+    pub fn scope_of(&self, mesh: &dyn MeshSource) -> Result<Scope, PictureError> {
+        let mut scope = Scope::default();
+        let mut values = Vec::new();
+        for piece in 0..mesh.outline().pieces {
+            let vertices = mesh.vertices(piece)?;
+            values.clear();
+            values_of(&self.colour, mesh, &vertices, &mut values)?;
+            let finite = values.iter().copied().filter(|value| value.is_finite());
+            let range = finite.map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
+            scope = scope.joined(Scope { bounds: bounds_of(&vertices.positions), range });
+        }
+        Ok(scope)
+    }
+
+    pub(super) fn pixels(&self) -> [usize; 2] {
+        self.size.unwrap_or(DEFAULT_SIZE)
+    }
+
+    /// The axes of the world: to the right, up, and towards the viewer.
+    pub(super) fn world(&self) -> DMat3 {
+        match self.up.unwrap_or(UpAxis::Y) {
+            UpAxis::Y => DMat3::IDENTITY,
+            UpAxis::Z => DMat3::from_cols(DVec3::X, DVec3::Z, -DVec3::Y),
+        }
+    }
+}

@@ -1,0 +1,387 @@
+//! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures, whole or not at all.
+#![allow(clippy::unwrap_used)]
+
+mod common {
+    #[path = "../../tools/bench/scene.rs"]
+    #[allow(dead_code)]
+    pub mod scene;
+    pub mod shapes;
+}
+
+use std::f64::consts::PI;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use common::scene::Random;
+use common::shapes::{cuboid, sphere, torus};
+use meniscus::files::Replace;
+use meniscus::mesh::{Mesh, VertexAttribute};
+use meniscus::picture::{Colour, Image, Picture, PictureError, Pictures, Scope, View};
+use meniscus::{Cancel, Cause, Error, UpAxis};
+use rayon::ThreadPoolBuilder;
+use tempfile::TempDir;
+
+const RED: Colour = Colour::Solid([255, 0, 0]);
+
+fn small() -> Picture {
+    Picture::new().size(160, 120)
+}
+
+/// Whether a pixel shows red and not the backdrop, which is grey or blue.
+fn is_red(pixel: &[u8]) -> bool {
+    i32::from(pixel[0]) > i32::from(pixel[2]) + 40
+}
+
+fn red(image: &Image) -> usize {
+    image.rgb().chunks(3).filter(|pixel| is_red(pixel)).count()
+}
+
+/// Rows and columns of the red pixels, from the first to the last.
+fn red_box(image: &Image) -> [usize; 4] {
+    let places = || {
+        let pixels = image.rgb().chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel));
+        pixels.map(|(n, _)| [n % image.width(), n / image.width()])
+    };
+    let [left, right] = [places().map(|p| p[0]).min().unwrap(), places().map(|p| p[0]).max().unwrap()];
+    let [top, bottom] = [places().map(|p| p[1]).min().unwrap(), places().map(|p| p[1]).max().unwrap()];
+    [left, right, top, bottom]
+}
+
+fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+#[test]
+fn a_picture_has_the_same_bytes_for_any_number_of_threads() {
+    let mesh = torus(60, 40);
+    let picture = small().ground(true);
+    let draw = |threads| on_threads(threads, || picture.draw(&mesh).unwrap());
+    let one = draw(1);
+    assert!([2, 3, 7].into_iter().all(|threads| draw(threads) == one));
+    let mut png = Vec::new();
+    one.write_png(&mut png).unwrap();
+    let mut again = Vec::new();
+    draw(2).write_png(&mut again).unwrap();
+    assert_eq!(png, again);
+}
+
+#[test]
+fn a_ball_covers_as_many_pixels_as_its_cone_of_sight_does() {
+    let (radius, distance) = (1.0, 6.0_f64);
+    let ball = sphere(radius, 6);
+    let size = 300.0;
+    for eye in [[0.0, 0.0, 1.0], [0.6, 0.8, 0.0], [0.0, 1.0, 0.0], [-0.48, -0.6, 0.64]] {
+        let view = View::At { eye: eye.map(|x: f64| x * distance), target: [0.0; 3] };
+        let image = Picture::new().size(300, 300).colour(RED).view(view).draw(&ball).unwrap();
+        // Half of what is seen upright is 14 degrees.
+        let tangent = radius / (distance * distance - radius * radius).sqrt();
+        let radius_seen = tangent / 14.0_f64.to_radians().tan() * size / 2.0;
+        let (found, expected) = (red(&image) as f64, PI * radius_seen * radius_seen);
+        assert!((found / expected - 1.0).abs() < 0.01, "{eye:?}: {found} pixels for {expected}");
+    }
+}
+
+#[test]
+fn every_box_is_seen_whole_and_nearly_fills_the_picture_from_anywhere() {
+    let mut random = Random::new(3);
+    for n in 0..60 {
+        let size = [(); 3].map(|()| 10.0_f64.powf(2.0 * random.unit() - 1.0));
+        let low = [(); 3].map(|()| 100.0 * (random.unit() - 0.5));
+        let mesh = cuboid(low, std::array::from_fn(|i| low[i] + size[i]));
+        let pixels = [[200, 100], [100, 200], [150, 150]][n % 3];
+        let mut picture = Picture::new().size(pixels[0], pixels[1]).colour(RED);
+        picture = picture.up([UpAxis::Y, UpAxis::Z][n % 2]);
+        if n % 4 != 0 {
+            let (azimuth, elevation) = (360.0 * random.unit(), 80.0 * random.unit());
+            picture = picture.view(View::From { azimuth, elevation, zoom: 1.0 });
+        }
+        let image = picture.draw(&mesh).unwrap();
+        let [left, right, top, bottom] = red_box(&image);
+        assert!(left > 0 && top > 0 && right < pixels[0] - 1 && bottom < pixels[1] - 1, "{n}: {size:?}");
+        let filled = [(right - left + 1, pixels[0]), (bottom - top + 1, pixels[1])];
+        let filled = filled.map(|(seen, all)| seen as f64 / all as f64);
+        assert!(filled[0].max(filled[1]) > 0.85, "{n}: {size:?} fills {filled:?}");
+    }
+}
+
+#[test]
+fn the_axis_that_points_up_does_so_in_the_picture() {
+    // High along y, flat along the others.
+    let tower = cuboid([0.0; 3], [1.0, 10.0, 1.0]);
+    let draw = |up| red_box(&small().up(up).colour(RED).draw(&tower).unwrap());
+    let [left, right, top, bottom] = draw(UpAxis::Y);
+    assert!(bottom - top > 3 * (right - left), "y is up");
+    let [left, right, top, bottom] = draw(UpAxis::Z);
+    assert!(right - left > bottom - top, "the tower lies");
+}
+
+#[test]
+fn deeper_water_is_bluer_and_no_water_is_the_backdrop() {
+    let depth = |thick: f64| {
+        let slab = cuboid([-1.0, -1.0, -thick], [1.0, 1.0, 0.0]);
+        let scope = Scope::default();
+        let _ = scope;
+        let view = View::At { eye: [0.0, 0.0, 8.0], target: [0.0; 3] };
+        let mut whole = Scope::default();
+        whole.bounds = Some([[-1.0; 3], [1.0; 3]]);
+        let image = small().view(view).scope(whole).draw(&slab).unwrap();
+        let middle = 3 * (60 * 160 + 80);
+        [image.rgb()[middle], image.rgb()[middle + 2]].map(i32::from)
+    };
+    let shades = [0.02, 0.1, 0.4, 1.0].map(depth);
+    // Less and less red is left of the light from behind.
+    assert!(shades.is_sorted_by(|a, b| a[0] > b[0]), "{shades:?}");
+    assert!(shades.iter().all(|[red, blue]| blue > red), "{shades:?}");
+    let nothing = small().draw(&Mesh::default()).unwrap();
+    let [first, .., last] = [0, 1, 2].map(|n| &nothing.rgb()[3 * (119 * 160 * n / 2)..][..3]);
+    assert_ne!(first, last, "a backdrop has a gradient");
+}
+
+#[test]
+fn values_are_coloured_from_the_least_to_the_greatest_and_named() {
+    let mut mesh = sphere(1.0, 5);
+    let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
+    let velocities = mesh.positions.iter().flat_map(|_| [3.0, 0.0, 4.0]).collect();
+    mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
+    mesh.attributes.push(VertexAttribute { name: "velocity".into(), components: 3, values: velocities });
+    let by = |name: &str, map: &str| {
+        small().colour(Colour::Attribute { name: name.into(), map: map.parse().unwrap() })
+    };
+    assert_eq!(by("height", "viridis").scope_of(&mesh).unwrap().range, Some([-1.0, 1.0]));
+    assert_eq!(by("velocity", "viridis").scope_of(&mesh).unwrap().range, Some([5.0, 5.0]));
+    // Red above, blue below: the map's ends, turned.
+    let image = by("height", "red-blue").draw(&mesh).unwrap();
+    let at = |x: usize, y: usize| &image.rgb()[3 * (y * 160 + x)..][..3];
+    let [bottom, top] = [at(80, 80), at(80, 40)];
+    assert!(bottom[0] > bottom[2] && top[2] > top[0], "{bottom:?} {top:?}");
+    // The legend is at the right edge, where otherwise the backdrop is.
+    let plain = small().draw(&mesh).unwrap();
+    let edge =
+        |image: &Image| image.rgb().chunks(3 * 160).map(|row| row[3 * 135..].to_vec()).collect::<Vec<_>>();
+    assert_ne!(edge(&image), edge(&plain));
+    let missing = by("pressure", "magma").draw(&mesh).unwrap_err();
+    assert_eq!(missing.to_string(), "no attribute \"pressure\" on the vertices; there are: height, velocity");
+    let unknown = "rainbow".parse::<meniscus::picture::ColourMap>().unwrap_err();
+    assert!(unknown.to_string().starts_with("no colour map \"rainbow\"; there are: viridis, "), "{unknown}");
+}
+
+#[test]
+fn what_lies_behind_before_and_beside_the_eye_is_cut_off() {
+    let mesh = torus(40, 30);
+    let mut random = Random::new(11);
+    for n in 0..150 {
+        let mut place = || [(); 3].map(|()| 4.0 * (random.unit() - 0.5));
+        let view = View::At { eye: place(), target: place() };
+        let picture = Picture::new().size(64, 48).view(view).ground(n % 2 == 0);
+        assert_eq!(picture.draw(&mesh).unwrap().rgb().len(), 3 * 64 * 48);
+    }
+    // From inside of the fluid there is nothing but it.
+    let ball = sphere(1.0, 4);
+    let inside = View::At { eye: [0.0; 3], target: [0.0, 0.0, 1.0] };
+    assert_eq!(red(&Picture::new().size(64, 48).view(inside).colour(RED).draw(&ball).unwrap()), 64 * 48);
+}
+
+#[test]
+fn what_no_picture_can_show_is_refused() {
+    let ball = sphere(1.0, 2);
+    let at = |eye, target| View::At { eye, target };
+    let from = |azimuth, zoom| View::From { azimuth, elevation: 0.0, zoom };
+    for picture in [
+        small().size(0, 5),
+        small().size(5, 1 << 16),
+        small().view(at([1.0; 3], [1.0; 3])),
+        small().view(at([f64::NAN; 3], [1.0; 3])),
+        small().view(from(f64::INFINITY, 1.0)),
+        small().view(from(0.0, 0.0)),
+        small().view(from(0.0, -1.0)),
+    ] {
+        assert!(matches!(picture.draw(&ball), Err(PictureError::Size(..) | PictureError::View(_))));
+    }
+    let error = small().memory(1 << 20).draw(&ball).unwrap_err();
+    assert!(matches!(error, PictureError::Memory { needed, allowed } if needed > allowed), "{error}");
+    let weird = Mesh { positions: vec![[f64::NAN; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
+    assert_eq!(small().draw(&weird).unwrap(), small().draw(&Mesh::default()).unwrap());
+}
+
+/// Balls that move, in numbered files, and something else beside them.
+fn frames() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    for n in [2, 10, 7] {
+        let mut mesh = sphere(1.0, 3);
+        mesh.positions.iter_mut().for_each(|p| p[0] += f64::from(n));
+        meniscus::internals::io::output::MeshOutput::prepare(
+            &folder.path().join(format!("ball_{n}.ply")),
+            Replace::Refuse,
+        )
+        .unwrap()
+        .write(&mesh, meniscus::internals::io::CoordinateWidth::F32)
+        .unwrap();
+    }
+    fs::write(folder.path().join("ball.json"), "{}").unwrap();
+    folder
+}
+
+fn render(folder: &Path, arguments: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_meniscus");
+    Command::new(program).current_dir(folder).arg("render").args(arguments).output().unwrap()
+}
+
+fn png_size(path: &Path) -> [u32; 2] {
+    let reader = png::Decoder::new(BufReader::new(File::open(path).unwrap())).read_info().unwrap();
+    [reader.info().width, reader.info().height]
+}
+
+#[test]
+fn a_simulation_is_numbered_pictures_a_sheet_or_an_animation_through_one_camera() {
+    let folder = frames();
+    let at = |name: &str| folder.path().join(name);
+    let run = |arguments: &[&str]| {
+        let out = render(folder.path(), arguments);
+        assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
+    };
+    run(&["ball_{}.ply", "-o", "p_{}.png", "--size", "96x54", "--colour", "ff0000"]);
+    fs::create_dir(at("out")).unwrap();
+    run(&[".", "-o", "out/", "--size", "96x54", "--colour", "#ff0000", "-q"]);
+    let read = |name: &str| {
+        let mut reader =
+            png::Decoder::new(BufReader::new(File::open(at(name)).unwrap())).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        bytes
+    };
+    let columns = ["p_2.png", "p_7.png", "p_10.png"].map(|name| {
+        assert_eq!(
+            fs::read(at(name)).unwrap(),
+            fs::read(at("out").join(name.replace("p_", "ball_"))).unwrap()
+        );
+        let bytes = read(name);
+        let seen = bytes.chunks(3).enumerate().filter(|(_, pixel)| is_red(pixel)).map(|(n, _)| n % 96);
+        let seen: Vec<usize> = seen.collect();
+        seen.iter().sum::<usize>() / seen.len()
+    });
+    assert!(columns.is_sorted_by(|a, b| a + 10 < *b), "the ball moves to the right: {columns:?}");
+
+    run(&["ball_10.ply", "ball_2.ply", "ball_7.ply", "-o", "sheet.png", "--size", "96x54"]);
+    assert_eq!(png_size(&at("sheet.png")), [3 * 96 + 2 * 4, 54]);
+    run(&["ball_*.ply", "-o", "moves.apng", "--size", "96x54", "--fps", "10"]);
+    let reader =
+        png::Decoder::new(BufReader::new(File::open(at("moves.apng")).unwrap())).read_info().unwrap();
+    assert_eq!(reader.info().animation_control().unwrap().num_frames, 3);
+    assert_eq!(reader.info().frame_control().unwrap().delay_num, 100);
+    run(&["ball_7.ply", "-o", "one.png", "--ground", "--camera", "30,20,2", "--up", "z"]);
+    assert_eq!(png_size(&at("one.png")), [1920, 1080]);
+}
+
+#[test]
+fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
+    let folder = frames();
+    fs::write(folder.path().join("there.png"), "mine").unwrap();
+    fs::write(folder.path().join("bad.ply"), "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
+    let before = listing(folder.path());
+    for (arguments, code, said) in [
+        (&["ball_2.ply", "-o", "there.png"][..], 2, "there.png: exists"),
+        (&["ball_2.ply", "-o", "a.jpg"], 2, "a.jpg: unknown extension; known are .png, and .apng"),
+        (&["ball_{}.ply", "-o", "a_{}.apng"], 2, "unknown extension; known are .png"),
+        (&["ball_2.ply", "-o", "a.apng"], 2, "an animation takes several meshes"),
+        (&["ball_2.ply", "-o", "ball_2.ply", "--overwrite"], 2, "is given for two purposes"),
+        (&["ball_2.ply", "-o", "a.png", "--size", "0x5"], 2, "0 x 5 pixels"),
+        (&["ball_2.ply", "-o", "a.png", "--size", "5"], 2, "a width and a height"),
+        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,3,4"], 2, "--camera takes"),
+        (&["ball_2.ply", "-o", "a.png", "--camera", "1,2,0"], 2, "a zoom positive"),
+        (&["ball_2.ply", "-o", "a.png", "--colour", "velocity"], 2, "ball_2.ply: no attribute \"velocity\""),
+        (&["ball_2.ply", "-o", "a.png", "--colour", "velocity:mauve"], 2, "no colour map \"mauve\""),
+        (&["ball_2.ply", "-o", "a.png", "--memory", "1MiB"], 2, "ball_2.ply: a picture of this mesh takes"),
+        (&["ball_2.ply", "-o", "none/a.png"], 4, "none/a.png"),
+        (&["gone.ply", "-o", "a.png"], 3, "gone.ply"),
+        (&["bad.ply", "-o", "a.png"], 3, "bad.ply"),
+        (&["none_{}.ply", "-o", "a.png"], 3, "no mesh"),
+    ] {
+        let out = render(folder.path(), arguments);
+        let told = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(code), "{arguments:?}: {told}");
+        assert!(told.contains(said), "{arguments:?}: {told}");
+        assert_eq!(listing(folder.path()), before, "{arguments:?}");
+    }
+    assert_eq!(fs::read(folder.path().join("there.png")).unwrap(), b"mine");
+}
+
+#[test]
+fn a_cancel_and_a_bad_mesh_end_an_animation_without_a_file() {
+    let folder = frames();
+    let output = folder.path().join("moves.apng");
+    let meshes = || folder.path().join("ball_{}.ply");
+    let cancel = Cancel::new();
+    let pictures = Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).cancel(cancel.clone());
+    let ended = pictures.run(|_| cancel.cancel()).unwrap_err();
+    assert!(matches!(ended, Error::Cancelled));
+    fs::write(folder.path().join("ball_8.ply"), "ply\n").unwrap();
+    let bad = Pictures::new(Picture::new(), [meshes()], &output).size(32, 18).run(|_| ()).unwrap_err();
+    assert_eq!(bad.cause(), Cause::Input);
+    assert!(bad.to_string().contains("ball_8.ply"), "{bad}");
+    let left: Vec<String> =
+        listing(folder.path()).into_iter().filter(|name| !name.starts_with("ball")).collect();
+    assert!(left.is_empty(), "{left:?}");
+}
+
+#[test]
+fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let run = |arguments: &[&str], code: i32| {
+        let program = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+            .current_dir(folder.path())
+            .arg("reconstruct")
+            .args(arguments)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&program.stderr).into_owned();
+        assert_eq!(program.status.code(), Some(code), "{arguments:?}: {said}");
+        said
+    };
+    let frame = data.join("ParticleData_Fluid_10.bgeo");
+    let frame = frame.to_str().unwrap();
+    run(&[frame, "-o", "plain.ply"], 0);
+    run(&[frame, "-o", "seen.ply", "--preview"], 0);
+    assert_eq!(fs::read(at("plain.ply")).unwrap(), fs::read(at("seen.ply")).unwrap());
+    assert_eq!(png_size(&at("seen.png")), [640, 360]);
+    // The mesh's file gives the same picture: what was drawn is what was written.
+    fs::rename(at("seen.png"), at("first.png")).unwrap();
+    let drawn = render(folder.path(), &["seen.ply", "-o", "seen.png", "--size", "640x360", "--ground"]);
+    assert!(drawn.status.success());
+    let near =
+        |a: &[u8], b: &[u8]| a.iter().zip(b).filter(|(a, b)| a.abs_diff(**b) > 8).count() * 100 < a.len();
+    let pixels = |name: &str| {
+        let mut reader =
+            png::Decoder::new(BufReader::new(File::open(at(name)).unwrap())).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        bytes
+    };
+    assert!(near(&pixels("seen.png"), &pixels("first.png")));
+    // A picture that is there is not replaced, and no mesh is made then.
+    fs::write(at("other.png"), "mine").unwrap();
+    let said = run(&[frame, "-o", "other.ply", "--preview"], 2);
+    assert!(said.contains("other.png: exists") && !at("other.ply").exists(), "{said}");
+    run(&[frame, "-o", "p.ply", "--parts", "2", "--plan", "--preview"], 2);
+
+    let frames = data.join("ParticleData_Fluid_{}.bgeo");
+    let frames = frames.to_str().unwrap();
+    run(&[frames, "-o", "mesh_{}.ply", "--preview"], 0);
+    assert_eq!(png_size(&at("mesh.png")), [3 * 640 + 2 * 4, 360]);
+    let said = run(&[frames, "-o", "mesh_{}.ply", "--preview"], 2);
+    assert!(said.contains("mesh.png: exists"), "{said}");
+    let sheet = fs::read(at("mesh.png")).unwrap();
+    fs::write(at("mesh.png"), "old").unwrap();
+    run(&[frames, "-o", "mesh_{}.ply", "--preview", "--resume"], 0);
+    assert_eq!(fs::read(at("mesh.png")).unwrap(), sheet);
+}
+
+fn listing(folder: &Path) -> Vec<String> {
+    let names = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    names
+}
