@@ -35,7 +35,7 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
     open_wanted(path, Wanted::default(), unpacking)
 }
 
-/// Opens a particle file like [`open_particles`], for the particles that are wanted.
+/// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other types and pieces are not read.
 ///
 /// # Errors
 /// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
@@ -54,7 +54,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
     match reader {
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
-        Reader::Pieces(open) => open(path, bytes, unpacking),
+        Reader::Pieces(open) => open(path, bytes, wanted, unpacking),
     }
 }
 
@@ -122,7 +122,7 @@ enum Reader {
     /// Frame by frame, or all of a file that is one.
     Steps(StepReader),
     /// The file may be one of several.
-    Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
+    Pieces(fn(&Path, Bytes, Wanted, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
 /// Reads the frame of a number, or the only one.

@@ -9,25 +9,35 @@ use rayon::prelude::*;
 
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
 use crate::io::vertices::Triangles;
+use crate::io::wanted::Wanted;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
 use super::read::{NumberedMesh, counts, read_numbered, read_particles};
 
-/// Reads the points of all pieces as particles, in the order of the pieces.
+/// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
 /// # Errors
 /// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
-pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+pub fn open_particles(
+    path: &Path,
+    bytes: Bytes,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
     let Sources { paths, format } = Sources::parse(path, &bytes)?;
-    let share = Unpacking { in_memory: unpacking.in_memory / paths.len().max(1) as u64, ..unpacking };
-    let open = |piece: &PathBuf| {
+    let opened = wanted.pieces.of(paths.len()).max(1) as u64;
+    let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
+    let open = |(number, piece): (usize, &PathBuf)| {
+        if !wanted.pieces.hold(number) {
+            return Ok(ParticleFile::new(Pieces::default(), format));
+        }
         let bytes = open_bytes_within(piece, share)?;
         read_particles(bytes, share).map_err(|fault| ReadError::new(piece, fault))
     };
     // All are waited for, so that the error is the first piece's.
-    let files: Vec<_> = paths.par_iter().map(open).collect();
+    let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let time = files.iter().find_map(|file| file.time);
     let all = files.into_iter().map(|file| file.particles).collect();
