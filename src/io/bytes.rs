@@ -2,31 +2,19 @@
 //! in memory or in a scratch file.
 
 use std::fmt::Debug;
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
-use std::time::SystemTime;
 
 use flate2::read::MultiGzDecoder;
 use libdeflater::Decompressor;
 use memchr::memmem;
 use memmap2::Mmap;
 
+use crate::system::reopened::ReopenedFile;
+
 use super::{ReadError, ReadFault};
-
-/// A file's size and time, which tell whether it was written to since.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct FileStamp {
-    pub(super) bytes: u64,
-    modified: Option<SystemTime>,
-}
-
-impl FileStamp {
-    pub(super) fn of(metadata: &Metadata) -> Self {
-        Self { bytes: metadata.len(), modified: metadata.modified().ok() }
-    }
-}
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
@@ -54,19 +42,24 @@ pub enum Bytes {
 #[derive(Debug)]
 pub struct MappedFile {
     map: Mmap,
-    pub(super) file: File,
-    /// The file as it was when it was mapped.
-    pub(super) stamp: FileStamp,
+    pub(super) file: ReopenedFile,
 }
 
 impl Bytes {
-    /// Maps all of `file`.
+    /// Maps all of `file`, which is at `path`.
     ///
     /// # Errors
     /// Where the system refuses.
-    pub fn map(file: &File) -> io::Result<Self> {
-        let stamp = FileStamp::of(&file.metadata()?);
-        Ok(Self::Mapped(MappedFile { map: map(file)?, file: file.try_clone()?, stamp }))
+    fn map(path: &Path, file: File) -> io::Result<Self> {
+        Ok(Self::Mapped(MappedFile { map: map(&file)?, file: ReopenedFile::new(path, file)? }))
+    }
+
+    /// Maps all of a file that nobody else can reach.
+    ///
+    /// # Errors
+    /// Where the system refuses.
+    pub fn of_own(file: &File) -> io::Result<Self> {
+        map(file).map(Self::Scratch)
     }
 
     /// Bytes of scratch files.
@@ -278,7 +271,7 @@ impl<'a> Unpacked<'a> {
     /// [`ReadFault::Scratch`] where the scratch file cannot be mapped.
     pub fn finish(self) -> Result<Bytes, ReadFault> {
         match self.file {
-            Some(file) => map(&file).map(Bytes::Scratch).map_err(ReadFault::Scratch),
+            Some(file) => Bytes::of_own(&file).map_err(ReadFault::Scratch),
             None => Ok(Bytes::Owned(self.memory)),
         }
     }
@@ -305,7 +298,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
     }
     let bytes = if metadata.is_file() && metadata.len() > 0 {
-        Bytes::map(&file).map_err(|e| fail(e.into()))?
+        Bytes::map(path, file.try_clone().map_err(|e| fail(e.into()))?).map_err(|e| fail(e.into()))?
     } else {
         collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?
     };

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::system::reopened::Lost;
+
 /// A file that could not be read.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
@@ -81,6 +83,15 @@ pub enum ReadFault {
         /// List of the known extensions.
         known: &'static str,
     },
+}
+
+impl From<Lost> for ReadFault {
+    fn from(lost: Lost) -> Self {
+        match lost {
+            Lost::Changed => Self::Changed,
+            Lost::Io(fault) => Self::Io(fault),
+        }
+    }
 }
 
 /// A fault at byte `at`.

@@ -4,10 +4,12 @@
 //! flagged; a run of rows without them is a span, and the spans of all pieces in order are the particles.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::columns::ColumnStore;
+use super::windows::Shelf;
 use super::{ReadFault, malformed};
 
 /// Flags that are looked at together.
@@ -79,6 +81,8 @@ impl Pieces {
             all.stores.extend(part.stores);
             all.len += part.len;
         }
+        let shelf = Arc::default();
+        all.stores.iter_mut().for_each(|store| store.share(&shelf));
         Ok(all)
     }
 
@@ -192,8 +196,9 @@ impl Particles for Pieces {
     }
 
     fn resident_bytes(&self) -> u64 {
-        let stores: u64 = self.stores.iter().map(Particles::resident_bytes).sum();
-        stores + (self.spans.len() * size_of::<Span>()) as u64
+        let files: u64 = self.stores.iter().map(ColumnStore::file_bytes).sum();
+        let kept = self.stores.iter().filter(|store| store.file_bytes() == 0).map(Particles::resident_bytes);
+        kept.sum::<u64>() + Shelf::resident_bytes(files) + (self.spans.len() * size_of::<Span>()) as u64
     }
 
     fn release(&self, range: Range<usize>) {

@@ -34,7 +34,7 @@ use super::warning::Warning;
 
 use plan::Plan;
 
-/// Parts of a mesh, at the most: those who merge have all their files open at once.
+/// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in them.
 const MOST_PARTS: u32 = 1000;
 
 /// A request for the mesh of one file of particles in parts, each to be made by a process of its own, on any machine.
