@@ -33,6 +33,14 @@ pub enum Scalar {
     F64,
 }
 
+impl Scalar {
+    /// Whether it is a floating-point number.
+    #[must_use]
+    pub fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
+    }
+}
+
 /// Byte order of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]

@@ -4,8 +4,8 @@ use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
 use super::{ParticleFile, ReadFault};
 
-/// Names of VTK's flags of points that are copies, or hidden.
-const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+/// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels of copies before version 6.3.
+pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 /// Name of PySPH's flag of particles that are copies.
 pub(super) const TAG: &str = "tag";
 

@@ -40,9 +40,10 @@ pub fn open_particles(
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let time = files.iter().find_map(|file| file.time);
+    let ghosts = files.iter().map(|file| file.ghosts).sum();
     let all = files.into_iter().map(|file| file.particles).collect();
     let particles = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
-    Ok(ParticleFile { time, ..ParticleFile::new(particles, format) })
+    Ok(ParticleFile { time, ghosts, ..ParticleFile::new(particles, format) })
 }
 
 /// Whether there are polygons in any piece, or nothing at all in all of them.

@@ -4,17 +4,19 @@ use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
 use super::data::Decoder;
+use super::ghosts;
 use super::layout::{Array, DataSet, Layout, Section, TIME};
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
 ///
-/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time.
+/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time. Points that are copies, or hidden,
+/// because their vertices are flagged so under `CellData` are left out.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do
@@ -33,8 +35,15 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     };
     let mut decoder = Decoder::new(&layout, unpacking);
     let time = time(&layout, &mut decoder)?;
+    let left = ghosts::left(&layout, &mut decoder)?;
     let vertices = vertices(&layout, decoder, None)?;
-    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) })
+    let mut file = ParticleFile { time, ..vertices.into_particles(bytes, format) };
+    if let Some(left) = left {
+        let all = file.particles.len();
+        file.particles.keep(left);
+        file.ghosts = all - file.particles.len();
+    }
+    Ok(file)
 }
 
 /// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing at all is one.
