@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::particles::Unread;
 use crate::system::reopened::Lost;
 
 /// A file that could not be read.
@@ -90,6 +91,15 @@ impl From<Lost> for ReadFault {
         match lost {
             Lost::Changed => Self::Changed,
             Lost::Io(fault) => Self::Io(fault),
+        }
+    }
+}
+
+impl From<Unread> for ReadFault {
+    fn from(unread: Unread) -> Self {
+        match unread {
+            Unread::Changed => Self::Changed,
+            Unread::Io(kind) => Self::Io(kind.into()),
         }
     }
 }

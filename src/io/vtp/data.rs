@@ -16,7 +16,7 @@ use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};
 
-use super::layout::{Array, Data, Layout, Packing};
+use super::layout::{Array, Data, Layout, Packing, Section};
 
 /// Bytes that are decoded at once.
 const CHUNK: usize = 1 << 16;
@@ -36,6 +36,13 @@ impl<'a> Decoder<'a> {
     pub fn new(layout: &'a Layout<'a>, unpacking: Unpacking<'a>) -> Self {
         let allowance = unpacked_limit(layout.bytes.len() as u64);
         Self { layout, unpacked: Unpacked::new(unpacking), allowance }
+    }
+
+    /// Whether all that points have can be read where it lies.
+    pub fn all_in_place(layout: &Layout) -> bool {
+        let of_points = |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+        let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
+        layout.packing == Packing::Plain && layout.arrays.iter().filter(of_points).all(is_raw)
     }
 
     /// Columns over the points, in the file or in what [`finish`](Self::finish) returns.

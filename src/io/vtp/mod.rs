@@ -13,7 +13,7 @@ pub mod parallel;
 mod read;
 mod write;
 
-pub use read::{has_faces, read_mesh, read_particles};
+pub use read::{has_faces, is_text, read_mesh, read_particles};
 pub(super) use write::escaped;
 pub use write::write_mesh;
 

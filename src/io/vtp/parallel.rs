@@ -7,14 +7,14 @@ use quick_xml::Reader;
 use quick_xml::events::Event;
 use rayon::prelude::*;
 
-use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
+use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::vertices::Triangles;
 use crate::io::wanted::Wanted;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
-use super::read::{NumberedMesh, counts, read_numbered, read_particles};
+use super::read::{NumberedMesh, counts, is_text, read_numbered, read_particles};
 
 /// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
@@ -26,7 +26,8 @@ pub fn open_particles(
     wanted: Wanted,
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
-    let Sources { paths, format } = Sources::parse(path, &bytes)?;
+    let list = bytes.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))?;
+    let Sources { paths, format } = Sources::parse(path, &list)?;
     let opened = wanted.pieces.of(paths.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
     let open = |(number, piece): (usize, &PathBuf)| {
@@ -53,7 +54,9 @@ pub fn open_particles(
 pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     let mut points = 0;
     for piece in pieces(path)? {
-        let found = counts(&open_bytes(&piece)?).map_err(|fault| ReadError::new(&piece, fault))?;
+        let bytes = open_bytes(&piece)?;
+        let bytes = if is_text(&bytes) { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
+        let found = bytes.and_then(|bytes| counts(&bytes)).map_err(|fault| ReadError::new(&piece, fault))?;
         if found.faces > 0 {
             return Ok(true);
         }
@@ -67,7 +70,7 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
 /// # Errors
 /// [`ReadError`] where it cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    Ok(Sources::parse(path, &open_bytes(path)?)?.paths)
+    Ok(Sources::parse(path, &open_whole(path)?)?.paths)
 }
 
 /// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the pieces give them the same number
@@ -79,7 +82,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = Joined::default();
     for piece in pieces(path)? {
         let fail = |fault| ReadError::new(&piece, fault);
-        let mesh = read_numbered(&open_bytes(&piece)?).map_err(fail)?;
+        let mesh = read_numbered(&open_whole(&piece)?).map_err(fail)?;
         all.add(mesh).map_err(fail)?;
     }
     Ok(all.mesh)

@@ -1,5 +1,7 @@
 //! Reading .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
 
+use memchr::memmem;
+
 use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
@@ -11,6 +13,9 @@ use super::NORMALS;
 use super::data::Decoder;
 use super::ghosts;
 use super::layout::{Array, DataSet, Layout, Section, TIME};
+
+/// Bytes in which it shows whether arrays may stay where they are.
+const HEAD: usize = 1 << 20;
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
@@ -24,6 +29,19 @@ use super::layout::{Array, DataSet, Layout, Section, TIME};
 /// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they are decoded
 /// into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let stays = !is_text(&bytes) && Decoder::all_in_place(&Layout::parse(&bytes)?);
+    points(if stays { bytes } else { bytes.read_whole(unpacking)? }, unpacking)
+}
+
+/// Whether all has to be read to find what is where: there are texts in the XML, or what is behind it is encoded or compressed.
+#[must_use]
+pub fn is_text(bytes: &[u8]) -> bool {
+    let head = &bytes[..bytes.len().min(HEAD)];
+    let has = |text: &[u8]| memmem::find(head, text).is_some();
+    !has(b"encoding=\"raw\"") || has(b"compressor=")
+}
+
+fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
     let faces = layout.polygons.saturating_add(layout.strips) as u64;
     if faces > 0 {
