@@ -95,22 +95,27 @@ pub fn is_known(path: &Path) -> bool {
 /// # Errors
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
-    // Of a .ply the header alone is looked at.
-    let (has_faces, is_text): (fn(&[u8]) -> Result<bool, ReadFault>, fn(&[u8]) -> bool) =
-        match extension(path).as_deref() {
-            Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
-            Some("ply") => (ply::has_faces, |_| false),
-            Some("vtk") => (vtk::has_faces, vtk::is_text),
-            Some("vtp") => (vtp::has_faces, vtp::is_text),
-            Some("pvtp") => return vtp::parallel::has_faces(path),
-            #[cfg(feature = "hdf5")]
-            Some("hdf" | "vtkhdf") => {
-                return super::h5::has_faces(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault));
-            }
-            _ => return Ok(false),
-        };
+    let extension = extension(path);
+    let has_faces = match extension.as_deref() {
+        Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
+        Some("ply") => ply::has_faces,
+        Some("vtk") => vtk::has_faces,
+        Some("vtp") => vtp::has_faces,
+        Some("pvtp") => return vtp::parallel::has_faces(path),
+        #[cfg(feature = "hdf5")]
+        Some("hdf" | "vtkhdf") => {
+            return super::h5::has_faces(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault));
+        }
+        _ => return Ok(false),
+    };
     let bytes = open_bytes(path)?;
-    let bytes = if is_text(&bytes) { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
+    let is_text = match extension.as_deref() {
+        Some("vtk") => vtk::is_text(&bytes),
+        Some("vtp") => vtp::is_text(&bytes),
+        // Of a .ply the header alone is looked at.
+        _ => false,
+    };
+    let bytes = if is_text { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
     bytes.and_then(|bytes| has_faces(&bytes)).map_err(|fault| ReadError::new(path, fault))
 }
 
