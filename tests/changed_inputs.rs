@@ -6,7 +6,9 @@ mod common;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 use common::fill;
 use meniscus::error::{Cause, Error, FrameError, Unread};
@@ -77,6 +79,73 @@ fn a_file_that_is_replaced_by_its_name_is_read_as_it_was() {
     let surface = opened.sample().unwrap().surface().unwrap();
     let whole = request.run(&ball()[..]).unwrap();
     assert_eq!(surface.mesh().triangle_count(), whole.mesh().triangle_count());
+}
+
+/// The same particles in formats that are decoded: texts, and what is encoded or compressed.
+fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
+    let particles = fill(40.0, 2.0, 0.2, 3, |p| p.length() < 20.0);
+    let count = particles.len();
+    let rows = |separator: &str| {
+        particles.iter().map(|p| p.map(|x| x.to_string()).join(separator)).collect::<Vec<_>>().join("\n")
+    };
+    let blanks = rows(" ");
+    let ply = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\nproperty double x\nproperty double y\nproperty double z\nend_header\n{blanks}\n"
+    );
+    let vtk = format!(
+        "# vtk DataFile Version 3.0\nball\nASCII\nDATASET POLYDATA\nPOINTS {count} double\n{blanks}\n"
+    );
+    let vtp = format!(
+        "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"{count}\"><Points>\
+         <DataArray type=\"Float64\" NumberOfComponents=\"3\" format=\"ascii\">{blanks}</DataArray>\
+         </Points></Piece></PolyData></VTKFile>\n"
+    );
+    let files = [
+        ("ball.csv", rows(",")),
+        ("ball.xyz", blanks),
+        ("ball.ply", ply),
+        ("ball.vtk", vtk),
+        ("ball.vtp", vtp),
+    ];
+    files
+        .map(|(name, text)| {
+            let path = folder.join(name);
+            fs::write(&path, text).unwrap();
+            path
+        })
+        .to_vec()
+}
+
+#[test]
+fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() {
+    let folder = TempDir::new().unwrap();
+    let mut changed = 0;
+    for path in decoded_formats(folder.path()) {
+        let whole = fs::read(&path).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+        let command = command.arg("info").arg(&path).stdout(Stdio::null()).stderr(Stdio::piped());
+        let begun = Instant::now();
+        assert!(command.output().unwrap().status.success(), "{}", path.display());
+        let time = begun.elapsed();
+        for step in 0..8 {
+            fs::write(&path, &whole).unwrap();
+            let child = command.spawn().unwrap();
+            std::thread::sleep(time * step / 8);
+            let file = OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len([0, whole.len() as u64 / 3][step as usize % 2]).unwrap();
+            let output = child.wait_with_output().unwrap();
+            let says = String::from_utf8(output.stderr).unwrap();
+            assert!(
+                matches!(output.status.code(), Some(0 | 3)),
+                "{} {:?}: {says}",
+                path.display(),
+                output.status
+            );
+            assert!(says.is_empty() || says.contains("ball."), "{says}");
+            changed += i32::from(says.contains("it has changed while it was read"));
+        }
+    }
+    assert!(changed > 0, "no file was shortened while it was read");
 }
 
 /// Particles one of which moves after they were read so often.

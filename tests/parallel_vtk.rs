@@ -277,3 +277,125 @@ fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
     fs::remove_file(folder.path().join("torus/torus_0.vtp")).unwrap();
     assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
 }
+
+/// Points as by [`piece`], with a vertex each in this order of points, and flags of these vertices under a name.
+fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
+    let numbers = |values: &mut dyn Iterator<Item = usize>| {
+        values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
+    };
+    let array = |name: &str, text: String| {
+        format!("<DataArray type=\"Int64\" Name=\"{name}\" format=\"ascii\">{text}</DataArray>")
+    };
+    let cells = array("connectivity", numbers(&mut order.iter().copied()))
+        + &array("offsets", numbers(&mut (1..=order.len())));
+    let (section, count, types) = match polydata {
+        true => ("Verts", "NumberOfVerts", String::new()),
+        false => ("Cells", "NumberOfCells", array("types", numbers(&mut order.iter().map(|_| 1)))),
+    };
+    let data = array(name, numbers(&mut flags.iter().map(|&flag| flag.into())));
+    let text = piece("Float64", &[0, 1, 2, 3, 4, 5], &["id"], &[])
+        .replace("<Piece ", &format!("<Piece {count}=\"{}\" ", order.len()))
+        .replace(
+            "<Points>",
+            &format!("<CellData>{data}</CellData><{section}>{cells}{types}</{section}><Points>"),
+        );
+    if polydata { text.replace("UnstructuredGrid", "PolyData") } else { text }
+}
+
+fn points_left(polydata: bool, text: &str) -> Result<Vec<usize>, ReadError> {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });
+    fs::write(&path, text).unwrap();
+    let file = open(&path)?;
+    let ids: Vec<usize> = attribute(&file, "id").iter().map(|&id| id as usize).collect();
+    assert_eq!(positions(&file), ids.iter().map(|&i| at(i)).collect::<Vec<_>>());
+    assert_eq!(file.ghosts, 6 - ids.len());
+    Ok(ids)
+}
+
+#[test]
+fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
+    let order = [5, 4, 3, 2, 1, 0];
+    for polydata in [true, false] {
+        for (name, flags, left) in [
+            ("vtkGhostType", [1, 0, 0, 8, 0, 32], &[1, 3, 4][..]),
+            // High and low connectivity, and the exterior, say nothing of the cell itself.
+            ("vtkGhostType", [2, 4, 16, 0, 0, 0], &[0, 1, 2, 3, 4, 5]),
+            ("vtkGhostLevels", [2, 1, 0, 0, 0, 0], &[0, 1, 2, 3]),
+            ("vtkGhostType", [1; 6], &[]),
+            ("other", [1; 6], &[0, 1, 2, 3, 4, 5]),
+        ] {
+            let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
+            assert_eq!(found, left, "{name} {flags:?}");
+        }
+        // A point with another vertex that is its own stays, and so does one without any.
+        let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
+        assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
+        // Cells of several points say nothing of each.
+        let text = with_cells(polydata, &order, "vtkGhostType", &[1; 6]);
+        let line = text.replace(">1 2 3 4 5 6<", ">1 2 3 4 5 7<");
+        assert_eq!(points_left(polydata, &line).unwrap().len(), 6);
+    }
+    let text = with_cells(false, &order, "vtkGhostType", &[1; 6]);
+    assert_eq!(
+        points_left(
+            false,
+            &text.replace(">1 1 1 1 1 1</DataArray></Cells>", ">1 1 3 1 1 1</DataArray></Cells>")
+        )
+        .unwrap()
+        .len(),
+        6
+    );
+    let text = with_cells(true, &order, "vtkGhostType", &[1; 6]);
+    assert_eq!(points_left(true, &text.replace("<Piece ", "<Piece NumberOfLines=\"1\" ")).unwrap().len(), 6);
+}
+
+#[test]
+fn flags_of_cells_add_up_over_pieces_and_with_those_of_points() {
+    let set = Set::new();
+    let order = [0, 1, 2, 3, 4, 5];
+    let both = with_cells(false, &order, "vtkGhostType", &[1, 0, 0, 0, 0, 1]);
+    let flags =
+        "<PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"ascii\">0 1 0 0 0 1</DataArray>";
+    set.write("p/0.vtu", &both.replace("<PointData>", flags));
+    set.write(
+        "p/1.vtu",
+        &with_cells(false, &order, "vtkGhostType", &[0, 0, 1, 0, 0, 0])
+            .replace("<PointData>", &flags.replace('1', "0")),
+    );
+    let file = set.open().unwrap();
+    assert_eq!(attribute(&file, "id"), [2.0, 3.0, 4.0, 0.0, 1.0, 3.0, 4.0, 5.0]);
+    assert_eq!(file.ghosts, 4);
+}
+
+#[test]
+fn cells_that_are_not_as_announced_are_refused_and_no_damage_is_a_panic() {
+    for polydata in [true, false] {
+        let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
+        let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };
+        for (from, to, says) in [
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "names point 6 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "names point -1 of 6"),
+            (">1 0 0 1 0 0<", ">1 0 0 1 0<", "for each of 6 cells"),
+            (
+                &format!("{name}=\"6\""),
+                &format!("{name}=\"99999999999999\""),
+                "99999999999999 cells are announced",
+            ),
+            ("NumberOfPoints=\"6\"", "NumberOfPoints=\"99999999999999\"", "99999999999999 points"),
+        ] {
+            let text = whole.replace(from, to);
+            assert_ne!(text, whole);
+            let error = points_left(polydata, &text).expect_err(says);
+            assert!(error.to_string().contains(says), "{error}");
+        }
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone().into_bytes();
+            bytes[at] ^= 1 << (at % 8);
+            fs::write(&path, bytes).unwrap();
+            let _ = open(&path);
+        }
+    }
+}

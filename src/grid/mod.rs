@@ -219,7 +219,9 @@ pub fn block_parts(boxes: impl Iterator<Item = CellBox>) -> Vec<CellBox> {
 pub struct MortonKey(pub u64);
 
 impl MortonKey {
-    const BIAS: i32 = 1 << 20;
+    /// Bits of a coordinate.
+    pub const AXIS_BITS: u32 = 21;
+    const BIAS: i32 = 1 << (Self::AXIS_BITS - 1);
 
     /// The key of the cube at `coord`, counted in cubes.
     ///
@@ -228,7 +230,7 @@ impl MortonKey {
     #[must_use]
     pub fn of(coord: IVec3) -> Self {
         let biased = (coord + Self::BIAS).as_uvec3();
-        assert!(biased.max_element() < 1 << 21, "{coord} is beyond the Morton range");
+        assert!(biased.max_element() < 1 << Self::AXIS_BITS, "{coord} is beyond the Morton range");
         Self(spread(biased.x) | spread(biased.y) << 1 | spread(biased.z) << 2)
     }
 

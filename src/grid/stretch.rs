@@ -24,6 +24,28 @@ impl Stretch {
         self.first <= key && key < self.end
     }
 
+    /// Whether it holds any of the blocks in a box, given in blocks.
+    #[must_use]
+    pub fn touches(&self, blocks: &CellBox) -> bool {
+        self.touches_within(blocks, MortonKey(0), 3 * MortonKey::AXIS_BITS)
+    }
+
+    /// Whether it holds any of the blocks in a box that are in a cube, by the key of the cube's first block and the number of bits by
+    /// which the keys in it differ.
+    fn touches_within(&self, blocks: &CellBox, first: MortonKey, bits: u32) -> bool {
+        let last = MortonKey(first.0 + ((1 << bits) - 1));
+        let cube = CellBox { lo: first.coord(), hi: first.coord() + (1 << (bits / 3)) };
+        if last < self.first || self.end <= first || cube.intersection(blocks).is_empty() {
+            return false;
+        }
+        // Where one holds all of the cube, it is enough that the other holds some.
+        if blocks.covers(&cube) || self.first <= first && last < self.end {
+            return true;
+        }
+        let bits = bits - 3;
+        (0..8).any(|child| self.touches_within(blocks, MortonKey(first.0 + (child << bits)), bits))
+    }
+
     /// Whether it holds the block that a bin lies in.
     #[must_use]
     pub fn holds_bin(&self, bin: IVec3) -> bool {
@@ -51,11 +73,16 @@ impl Sight {
 
     /// The blocks that particles in a bin may tell in.
     pub fn blocks(&self, bin: IVec3) -> impl Iterator<Item = IVec3> + use<> {
-        let (bin, edge) = (CellBox::cube(bin, BIN), IVec3::splat(BLOCK));
-        // From the first that ends above the bin's lowest cells to the last that begins below its highest.
-        let lo = (bin.lo - self.0.hi).div_euclid(edge) + 1;
-        let hi = (bin.hi - 1 - self.0.lo).div_euclid(edge) + 1;
-        CellBox { lo, hi }.cubes(1)
+        self.blocks_of(CellBox::cube(bin, 1)).cubes(1)
+    }
+
+    /// The box of blocks that particles in a box of bins may tell in.
+    fn blocks_of(&self, bins: CellBox) -> CellBox {
+        let (lowest, highest, edge) = (bins.lo * BIN, bins.hi * BIN - 1, IVec3::splat(BLOCK));
+        // From the first that ends above the lowest cells to the last that begins below the highest.
+        let lo = (lowest - self.0.hi).div_euclid(edge) + 1;
+        let hi = (highest - self.0.lo).div_euclid(edge) + 1;
+        CellBox { lo, hi }
     }
 }
 
@@ -73,6 +100,12 @@ impl WantedBins {
     #[must_use]
     pub fn hold(&self, bin: IVec3) -> bool {
         self.sight.blocks(bin).any(|block| self.stretch.holds(block))
+    }
+
+    /// Whether any bin in a box of bins is one of them.
+    #[must_use]
+    pub fn touch(&self, bins: CellBox) -> bool {
+        !bins.is_empty() && self.stretch.touches(&self.sight.blocks_of(bins))
     }
 }
 
@@ -103,6 +136,31 @@ mod tests {
             }
             assert!(seen > 20);
         }
+    }
+
+    #[test]
+    fn a_box_of_bins_is_touched_exactly_where_one_of_its_bins_is_wanted() {
+        let sight = Sight::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
+        let all = CellBox { lo: IVec3::splat(-6), hi: IVec3::splat(6) };
+        let boxes = all.cubes(3).flat_map(|corner| {
+            let edges = [IVec3::ONE, IVec3::new(2, 1, 5), IVec3::new(4, 6, 3)];
+            edges.map(|edge| CellBox { lo: 3 * corner + 1, hi: 3 * corner + 1 + edge })
+        });
+        let boxes: Vec<CellBox> = boxes.collect();
+        let (mut touched, mut passed) = (0, 0);
+        for [first, end] in [[-1, 1], [0, 0], [0, 1], [-2, -1], [1, 2]].map(|ends| ends.map(IVec3::splat)) {
+            let [first, end] = [first, end].map(MortonKey::of);
+            for end in [end, MortonKey(first.0 + 3), Stretch::ALL.end] {
+                let wanted = WantedBins { stretch: Stretch { first, end }, sight };
+                for &bins in &boxes {
+                    let any = bins.cubes(1).any(|bin| wanted.hold(bin));
+                    assert_eq!(wanted.touch(bins), any, "{bins:?} by {wanted:?}");
+                    *(if any { &mut touched } else { &mut passed }) += 1;
+                }
+                assert!(!wanted.touch(CellBox::EMPTY));
+            }
+        }
+        assert!(touched > 500 && passed > 500, "{touched} are touched, {passed} are not");
     }
 
     #[test]

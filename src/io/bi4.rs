@@ -14,6 +14,7 @@ use super::bytes::{Bytes, Unpacking, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
 use super::vertices::columns;
+use super::wanted::Wanted;
 use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
@@ -23,7 +24,12 @@ const HEAD: usize = 64;
 ///
 /// # Errors
 /// As [`read_particles`], each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
-pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
+pub fn open_particles(
+    path: &Path,
+    bytes: Bytes,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let count = Tree::read(&bytes).map_err(fail)?.case.pieces;
     if count <= 1 {
@@ -33,9 +39,14 @@ pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result
         let what = format!("one of {count} pieces of a part; their names are like Part_p00_0000.bi4");
         fail(ReadFault::Unsupported(what))
     })?;
-    let share = Unpacking { in_memory: unpacking.in_memory / count.saturating_add(1), ..unpacking };
+    let opened = wanted.pieces.of(count as usize) as u64;
+    let share = Unpacking { in_memory: unpacking.in_memory / opened.saturating_add(1), ..unpacking };
     let (mut stores, mut first) = (Vec::new(), None);
     for number in 0..count {
+        if !wanted.pieces.hold(number as usize) {
+            stores.push(Pieces::default());
+            continue;
+        }
         let path = name.path(number);
         let bytes = open_bytes_within(&path, share)?;
         let piece = Piece::read(&bytes).and_then(|piece| {

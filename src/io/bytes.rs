@@ -1,32 +1,25 @@
-//! The bytes of an input file: mapped while its header is read where they are on disk as they are; unpacked or decoded where not,
-//! in memory or in a scratch file.
+//! The bytes of an input file: mapped while the header of a binary one is parsed; read, unpacked or decoded where they do not stay where
+//! they are, into memory or a scratch file.
 
 use std::fmt::Debug;
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
 use std::path::Path;
-use std::time::SystemTime;
 
 use flate2::read::MultiGzDecoder;
 use libdeflater::Decompressor;
 use memchr::memmem;
 use memmap2::Mmap;
+use rayon::prelude::*;
+
+use crate::system::positioned::read_exact_at;
+use crate::system::reopened::ReopenedFile;
 
 use super::{ReadError, ReadFault};
 
-/// A file's size and time, which tell whether it was written to since.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct FileStamp {
-    pub(super) bytes: u64,
-    modified: Option<SystemTime>,
-}
-
-impl FileStamp {
-    pub(super) fn of(metadata: &Metadata) -> Self {
-        Self { bytes: metadata.len(), modified: metadata.modified().ok() }
-    }
-}
+/// Bytes that a gzip stream begins with.
+const GZIP: [u8; 2] = [0x1f, 0x8b];
 
 /// Bytes that are unpacked at once.
 const CHUNK: u64 = 1 << 18;
@@ -54,19 +47,55 @@ pub enum Bytes {
 #[derive(Debug)]
 pub struct MappedFile {
     map: Mmap,
-    pub(super) file: File,
-    /// The file as it was when it was mapped.
-    pub(super) stamp: FileStamp,
+    pub(super) file: ReopenedFile,
 }
 
 impl Bytes {
-    /// Maps all of `file`.
+    /// Maps all of `file`, which is at `path`.
     ///
     /// # Errors
     /// Where the system refuses.
-    pub fn map(file: &File) -> io::Result<Self> {
-        let stamp = FileStamp::of(&file.metadata()?);
-        Ok(Self::Mapped(MappedFile { map: map(file)?, file: file.try_clone()?, stamp }))
+    fn map(path: &Path, file: File) -> io::Result<Self> {
+        Ok(Self::Mapped(MappedFile { map: map(&file)?, file: ReopenedFile::new(path, file)? }))
+    }
+
+    /// All of it, read from the file if that is where it is: into memory, or into a scratch file. What is decoded at length is decoded
+    /// from there, where no other program changes it meanwhile.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that cannot be read as it was when it was opened, and
+    /// [`ReadFault::Scratch`].
+    pub fn read_whole(self, unpacking: Unpacking) -> Result<Self, ReadFault> {
+        let Self::Mapped(MappedFile { file, .. }) = self else { return Ok(self) };
+        let len = file.stamp().bytes;
+        let read = if len <= unpacking.in_memory {
+            let mut whole = vec![0; len as usize];
+            let read = |(number, piece): (usize, &mut [u8])| {
+                file.read_exact_at((number * WINDOW as usize) as u64, piece)
+            };
+            whole.par_chunks_mut(WINDOW as usize).enumerate().try_for_each(read).map(|()| Self::Owned(whole))
+        } else {
+            let mut copied = Unpacked::new(unpacking);
+            let mut piece = vec![0; WINDOW as usize];
+            let read = (0..len).step_by(piece.len()).try_for_each(|at| {
+                let piece = &mut piece[..(len - at).min(WINDOW) as usize];
+                file.read_exact_at(at, piece)?;
+                copied.push(piece)
+            });
+            file.check()?;
+            return read.and_then(|()| copied.finish());
+        };
+        // What ends too early has changed.
+        file.check()?;
+        Ok(read?)
+    }
+
+    /// Maps all of a file that nobody else can reach.
+    ///
+    /// # Errors
+    /// Where the system refuses.
+    pub fn of_own(file: &File) -> io::Result<Self> {
+        map(file).map(Self::Scratch)
     }
 
     /// Bytes of scratch files.
@@ -169,9 +198,14 @@ impl<'a> Passing<'a> {
 
 impl Read for Passing<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let left = self.bytes.get(usize::try_from(self.at).unwrap_or(usize::MAX)..).unwrap_or_default();
-        let read = left.len().min(buffer.len());
-        buffer[..read].copy_from_slice(&left[..read]);
+        let left = (self.bytes.len() as u64).saturating_sub(self.at);
+        let read = left.min(buffer.len() as u64) as usize;
+        let buffer = &mut buffer[..read];
+        match self.bytes {
+            Bytes::Mapped(mapped) => mapped.file.read_exact_at(self.at, buffer)?,
+            kept if read > 0 => buffer.copy_from_slice(&kept[self.at as usize..][..read]),
+            _ => {}
+        }
         self.at += read as u64;
         if self.at - self.held_from >= WINDOW {
             self.give_back();
@@ -278,7 +312,7 @@ impl<'a> Unpacked<'a> {
     /// [`ReadFault::Scratch`] where the scratch file cannot be mapped.
     pub fn finish(self) -> Result<Bytes, ReadFault> {
         match self.file {
-            Some(file) => map(&file).map(Bytes::Scratch).map_err(ReadFault::Scratch),
+            Some(file) => Bytes::of_own(&file).map_err(ReadFault::Scratch),
             None => Ok(Bytes::Owned(self.memory)),
         }
     }
@@ -293,6 +327,15 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
     open_bytes_within(path, Unpacking::in_memory())
 }
 
+/// Opens `path` like [`open_bytes`], and reads all of it.
+///
+/// # Errors
+/// As [`open_bytes`], and [`ReadFault::Changed`].
+pub fn open_whole(path: &Path) -> Result<Bytes, ReadError> {
+    let unpacking = Unpacking::in_memory();
+    open_bytes_within(path, unpacking)?.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))
+}
+
 /// Opens `path` like [`open_bytes`], unpacking it into memory or a scratch file as `unpacking` says.
 ///
 /// # Errors
@@ -304,27 +347,39 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     if metadata.is_dir() {
         return Err(fail(io::Error::from(io::ErrorKind::IsADirectory).into()));
     }
-    let bytes = if metadata.is_file() && metadata.len() > 0 {
-        Bytes::map(&file).map_err(|e| fail(e.into()))?
+    let is_in_place = metadata.is_file() && metadata.len() > 0;
+    let mut magic = [0; GZIP.len()];
+    let packed = if is_in_place && metadata.len() >= magic.len() as u64 {
+        read_exact_at(&file, 0, &mut magic).map_err(|e| fail(e.into()))?;
+        if magic != GZIP {
+            return Bytes::map(path, file).map_err(|e| fail(e.into()));
+        }
+        // Read from the file, it never counts as this process's memory.
+        if metadata.len() <= ALWAYS_UNPACKED {
+            Some(file_bytes(&file, metadata.len()).map_err(fail)?)
+        } else {
+            None
+        }
     } else {
-        collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?
+        Some(collect(&file, unpacking, ReadFault::Io, |_| Ok(())).map_err(fail)?)
     };
-    if bytes.is_empty() {
-        return Err(fail(ReadFault::Empty));
+    let limit = unpacked_limit(packed.as_ref().map_or(metadata.len(), |packed| packed.len() as u64));
+    match packed {
+        Some(packed) if packed.is_empty() => Err(fail(ReadFault::Empty)),
+        Some(packed) if !packed.starts_with(&GZIP) => Ok(packed),
+        Some(packed) => match unpack_at_once(&packed, unpacking.in_memory) {
+            Some(unpacked) => Ok(Bytes::Owned(unpacked)),
+            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking).map_err(fail),
+        },
+        None => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking).map_err(fail),
     }
-    if !bytes.starts_with(&[0x1f, 0x8b]) {
-        return Ok(bytes);
-    }
-    if let Some(unpacked) = unpack_at_once(&bytes, unpacking.in_memory) {
-        return Ok(Bytes::Owned(unpacked));
-    }
-    let limit = unpacked_limit(bytes.len() as u64);
-    match bytes {
-        // Read from the file, its pages never count as this process's.
-        Bytes::Mapped(_) => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking),
-        packed => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking),
-    }
-    .map_err(fail)
+}
+
+/// So many bytes of a file, in memory.
+fn file_bytes(file: &File, count: u64) -> Result<Bytes, ReadFault> {
+    let mut bytes = vec![0; count as usize];
+    read_exact_at(file, 0, &mut bytes)?;
+    Ok(Bytes::Owned(bytes))
 }
 
 /// Returns the most bytes that a file of `packed` bytes may unpack to.

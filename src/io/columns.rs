@@ -5,10 +5,11 @@
 
 use std::collections::HashSet;
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::particles::{AttributeInfo, Particles, Unread};
 
-use super::windows::{Source, Windows};
+use super::windows::{Shelf, Source, Windows};
 
 /// Bytes whose memory is given back at once.
 const WINDOW: usize = 1 << 20;
@@ -30,6 +31,14 @@ pub enum Scalar {
     U64,
     F32,
     F64,
+}
+
+impl Scalar {
+    /// Whether it is a floating-point number.
+    #[must_use]
+    pub fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
+    }
 }
 
 /// Byte order of a column.
@@ -209,6 +218,17 @@ impl ColumnStore {
     #[must_use]
     pub fn scratch_bytes(&self) -> u64 {
         self.bytes.scratch_bytes()
+    }
+
+    /// Bytes of the file that the numbers are read from.
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
+        self.bytes.file_bytes()
+    }
+
+    /// Reads by windows of a shelf, with others that do.
+    pub fn share(&mut self, shelf: &Arc<Shelf>) {
+        self.bytes.share(shelf);
     }
 }
 

@@ -4,6 +4,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use crate::particles::Unread;
+use crate::system::reopened::Lost;
+
 /// A file that could not be read.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
@@ -81,6 +84,24 @@ pub enum ReadFault {
         /// List of the known extensions.
         known: &'static str,
     },
+}
+
+impl From<Lost> for ReadFault {
+    fn from(lost: Lost) -> Self {
+        match lost {
+            Lost::Changed => Self::Changed,
+            Lost::Io(fault) => Self::Io(fault),
+        }
+    }
+}
+
+impl From<Unread> for ReadFault {
+    fn from(unread: Unread) -> Self {
+        match unread {
+            Unread::Changed => Self::Changed,
+            Unread::Io(kind) => Self::Io(kind.into()),
+        }
+    }
 }
 
 /// A fault at byte `at`.

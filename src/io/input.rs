@@ -35,7 +35,7 @@ pub fn open_particles(path: &Path, unpacking: Unpacking) -> Result<ParticleFile,
     open_wanted(path, Wanted::default(), unpacking)
 }
 
-/// Opens a particle file like [`open_particles`], for the particles that are wanted.
+/// Opens a particle file like [`open_particles`], for the particles that are wanted: those of other types and pieces are not read.
 ///
 /// # Errors
 /// As [`open_particles`], and [`ReadFault::Unsupported`] where there is no such type of particles.
@@ -54,7 +54,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
     match reader {
         Reader::Steps(read) => read(path, bytes, step, wanted, unpacking),
         Reader::OneFile(read) => read(bytes, unpacking).map_err(fail),
-        Reader::Pieces(open) => open(path, bytes, unpacking),
+        Reader::Pieces(open) => open(path, bytes, wanted, unpacking),
     }
 }
 
@@ -95,7 +95,8 @@ pub fn is_known(path: &Path) -> bool {
 /// # Errors
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
-    let has_faces = match extension(path).as_deref() {
+    let extension = extension(path);
+    let has_faces = match extension.as_deref() {
         Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
@@ -107,7 +108,15 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         }
         _ => return Ok(false),
     };
-    has_faces(&open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
+    let bytes = open_bytes(path)?;
+    let is_text = match extension.as_deref() {
+        Some("vtk") => vtk::is_text(&bytes),
+        Some("vtp") => vtp::is_text(&bytes),
+        // Of a .ply the header alone is looked at.
+        _ => false,
+    };
+    let bytes = if is_text { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
+    bytes.and_then(|bytes| has_faces(&bytes)).map_err(|fault| ReadError::new(path, fault))
 }
 
 /// In lower case, without `.gz`.
@@ -122,7 +131,7 @@ enum Reader {
     /// Frame by frame, or all of a file that is one.
     Steps(StepReader),
     /// The file may be one of several.
-    Pieces(fn(&Path, Bytes, Unpacking) -> Result<ParticleFile, ReadError>),
+    Pieces(fn(&Path, Bytes, Wanted, Unpacking) -> Result<ParticleFile, ReadError>),
 }
 
 /// Reads the frame of a number, or the only one.

@@ -61,7 +61,7 @@ use crate::particles::AttributeInfo;
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
 pub use error::{ReadError, ReadFault, WriteError, WriteFault};
-pub use pieces::Pieces;
+pub use pieces::{PieceChunk, Pieces};
 
 /// A particle file, its header understood and its counts checked against its size.
 #[derive(Debug)]

@@ -8,7 +8,7 @@ use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
 use super::beside::Folder;
-use super::bytes::{Bytes, open_bytes};
+use super::bytes::{Bytes, open_bytes, open_whole};
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
@@ -220,7 +220,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let read = match format {
         MeshFormat::Pvtp => return vtp::parallel::read_mesh(path),
         MeshFormat::VtkHdf => read_hdf(open_bytes(path)?),
-        _ => format.read(&open_bytes(path)?),
+        _ => format.read(&open_whole(path)?),
     };
     read.map_err(|fault| ReadError::new(path, fault))
 }

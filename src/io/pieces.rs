@@ -4,10 +4,12 @@
 //! flagged; a run of rows without them is a span, and the spans of all pieces in order are the particles.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::particles::{AttributeInfo, Particles, Unread};
 
 use super::columns::ColumnStore;
+use super::windows::Shelf;
 use super::{ReadFault, malformed};
 
 /// Flags that are looked at together.
@@ -23,6 +25,17 @@ pub struct Pieces {
     infos: Vec<AttributeInfo>,
     /// For every piece the numbers of its own attributes, in the order of `infos`.
     numbers: Vec<Vec<usize>>,
+    /// The number of every piece among those of the input, of which some may have no particles.
+    of_input: Vec<usize>,
+}
+
+/// Particles that follow one another in one piece.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PieceChunk {
+    /// The number of the piece among those of the input.
+    pub piece: usize,
+    /// The number of particles.
+    pub count: usize,
 }
 
 /// Particles that are neighbours in one piece.
@@ -41,7 +54,8 @@ impl From<ColumnStore> for Pieces {
         let infos = store.attributes().to_vec();
         let numbers = vec![(0..infos.len()).collect()];
         let len = store.len();
-        Self { stores: vec![store], spans: vec![Span { first: 0, piece: 0, row: 0 }], len, infos, numbers }
+        let spans = vec![Span { first: 0, piece: 0, row: 0 }];
+        Self { stores: vec![store], spans, len, infos, numbers, of_input: vec![0] }
     }
 }
 
@@ -54,7 +68,7 @@ impl Pieces {
     pub fn join(parts: Vec<Self>) -> Result<Self, (usize, ReadFault)> {
         let filled = parts.iter().find(|part| !part.is_empty()).or(parts.first());
         let infos = filled.map_or_else(Vec::new, |part| part.infos.clone());
-        let mut all = Self { stores: Vec::new(), spans: Vec::new(), len: 0, infos, numbers: Vec::new() };
+        let mut all = Self { infos, ..Self::default() };
         for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
             let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
             let (first, piece) = (all.len, all.stores.len());
@@ -63,9 +77,12 @@ impl Pieces {
             let numbers = part.numbers.iter();
             all.numbers
                 .extend(numbers.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()));
+            all.of_input.resize(piece + part.stores.len(), index);
             all.stores.extend(part.stores);
             all.len += part.len;
         }
+        let shelf = Arc::default();
+        all.stores.iter_mut().for_each(|store| store.share(&shelf));
         Ok(all)
     }
 
@@ -97,6 +114,32 @@ impl Pieces {
             numbers.remove(flags);
         }
         dropped
+    }
+
+    /// Cuts the particles of each piece into chunks of no more than `most`.
+    ///
+    /// # Panics
+    /// If that is 0.
+    #[must_use]
+    pub fn chunks(&self, most: usize) -> Vec<PieceChunk> {
+        let mut counts = vec![0; self.stores.len()];
+        self.each_span(0..self.len, |span, count, _| counts[span.piece] += count);
+        let chunks = counts.into_iter().zip(&self.of_input).flat_map(|(all, &piece)| {
+            (0..all).step_by(most).map(move |first| PieceChunk { piece, count: most.min(all - first) })
+        });
+        chunks.collect()
+    }
+
+    /// Keeps the particles of some ranges, which are in order, and leaves out all others.
+    pub fn keep(&mut self, ranges: impl IntoIterator<Item = Range<usize>>) {
+        let (mut spans, mut len) = (Vec::<Span>::new(), 0);
+        for range in ranges {
+            self.each_span(range, |span, count, _| {
+                spans.push(Span { first: len, ..span });
+                len += count;
+            });
+        }
+        (self.spans, self.len) = (spans, len);
     }
 
     /// Bytes of scratch files that the numbers are in.
@@ -153,8 +196,9 @@ impl Particles for Pieces {
     }
 
     fn resident_bytes(&self) -> u64 {
-        let stores: u64 = self.stores.iter().map(Particles::resident_bytes).sum();
-        stores + (self.spans.len() * size_of::<Span>()) as u64
+        let files: u64 = self.stores.iter().map(ColumnStore::file_bytes).sum();
+        let kept = self.stores.iter().filter(|store| store.file_bytes() == 0).map(Particles::resident_bytes);
+        kept.sum::<u64>() + Shelf::resident_bytes(files) + (self.spans.len() * size_of::<Span>()) as u64
     }
 
     fn release(&self, range: Range<usize>) {

@@ -1,5 +1,7 @@
 //! Lines, words and numbers of a file that is text, at least where we look.
 
+use std::ops::Range;
+
 use super::bytes::ByteStore;
 use super::{ReadFault, malformed};
 
@@ -30,6 +32,12 @@ impl<'a> Scanner<'a> {
     #[must_use]
     pub fn releasing(store: &'a dyn ByteStore, at: usize) -> Self {
         Self { store: Some(store), ..Self::new(store, at) }
+    }
+
+    /// Reads a range of `store`, and gives the memory of passed lines and words back.
+    #[must_use]
+    pub fn releasing_to(store: &'a dyn ByteStore, range: Range<usize>) -> Self {
+        Self { store: Some(store), ..Self::new(&store[..range.end], range.start) }
     }
 
     fn pass(&mut self, count: usize) {

@@ -7,9 +7,12 @@ use rayon::prelude::*;
 use super::ReadFault;
 use super::bytes::{ByteStore, Unpacked};
 use super::scan::Scanner;
+use super::windows::{Source, Windows};
 
 /// Bytes of a piece, at the least.
 const PIECE: usize = 1 << 16;
+/// Bytes in which the end of a piece is looked for at once.
+const LOOKED_AT: usize = 1 << 12;
 /// Pieces for every thread between two times that memory is given back.
 const PIECES: usize = 4;
 
@@ -23,16 +26,54 @@ pub(super) fn decode_pieces<T: Send>(
     range: Range<usize>,
     is_end: fn(u8) -> bool,
     decode: impl Fn(Range<usize>) -> T + Sync,
-    mut take: impl FnMut(T) -> Result<ControlFlow<()>, ReadFault>,
+    take: impl FnMut(T) -> Result<ControlFlow<()>, ReadFault>,
 ) -> Result<(), ReadFault> {
     let text = &source[..range.end];
+    let end_from = |least: usize| text[least..].iter().position(|&b| is_end(b)).map(|end| least + end + 1);
+    in_pieces(range, end_from, decode, take, |done| source.release(done))
+}
+
+/// Cuts a text that is read by windows like [`decode_pieces`] one that is in memory, and decodes each piece by itself: no more than the
+/// pieces in hand is kept.
+///
+/// # Errors
+/// Those of `take`, and [`ReadFault::Changed`] or [`ReadFault::Io`] where the text cannot be read as it was.
+pub(super) fn decode_windows<T: Send>(
+    source: &Source,
+    range: Range<usize>,
+    is_end: fn(u8) -> bool,
+    decode: impl Fn(&[u8]) -> T + Sync,
+    take: impl FnMut(T) -> Result<ControlFlow<()>, ReadFault>,
+) -> Result<(), ReadFault> {
+    let end = range.end;
+    let end_from = |least: usize| {
+        (least..end).step_by(LOOKED_AT).find_map(|from| {
+            let window = from..(from + LOOKED_AT).min(end);
+            let found = source.with(window, |bytes| bytes.iter().position(|&b| is_end(b)));
+            found.map(|found| from + found + 1)
+        })
+    };
+    let decode = |piece: Range<usize>| source.with(piece, &decode);
+    let decoded = in_pieces(range, end_from, decode, take, |done| source.release(done));
+    // What could not be read was taken for zeros.
+    source.check().map_err(ReadFault::from)?;
+    decoded
+}
+
+/// Passes what `decode` makes of pieces on, each of which ends where `end_from` says that one does from a place on.
+fn in_pieces<T: Send>(
+    range: Range<usize>,
+    end_from: impl Fn(usize) -> Option<usize>,
+    decode: impl Fn(Range<usize>) -> T + Sync,
+    mut take: impl FnMut(T) -> Result<ControlFlow<()>, ReadFault>,
+    release: impl Fn(Range<usize>),
+) -> Result<(), ReadFault> {
     let mut start = range.start;
     while start < range.end {
         let mut pieces = Vec::new();
         let mut at = start;
         while at < range.end && pieces.len() < PIECES * rayon::current_num_threads() {
-            let least = (at + PIECE).min(range.end);
-            let end = text[least..].iter().position(|&b| is_end(b)).map_or(range.end, |end| least + end + 1);
+            let end = end_from((at + PIECE).min(range.end)).unwrap_or(range.end);
             pieces.push(at..end);
             at = end;
         }
@@ -42,7 +83,7 @@ pub(super) fn decode_pieces<T: Send>(
                 return Ok(());
             }
         }
-        source.release(start..at);
+        release(start..at);
         start = at;
     }
     Ok(())

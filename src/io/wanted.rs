@@ -4,8 +4,8 @@ use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
 use super::{ParticleFile, ReadFault};
 
-/// Names of VTK's flags of points that are copies, or hidden.
-const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
+/// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels of copies before version 6.3.
+pub(super) const GHOSTS: [&str; 2] = ["vtkGhostType", "vtkGhostLevels"];
 /// Name of PySPH's flag of particles that are copies.
 pub(super) const TAG: &str = "tag";
 
@@ -16,6 +16,38 @@ pub struct Wanted<'a> {
     pub particle_type: Option<&'a str>,
     /// Attributes that have to be there. A format that reads all at once has others too.
     pub attributes: WantedAttributes<'a>,
+    /// Pieces that are read, of an input in several files.
+    pub pieces: WantedPieces<'a>,
+}
+
+/// Pieces that are wanted of an input in several files; the others are not opened, as if there were no particles in them.
+#[derive(Debug, Clone, Copy, Default)]
+pub enum WantedPieces<'a> {
+    /// All that there are.
+    #[default]
+    All,
+    /// Pieces of these numbers, from 0 and in order.
+    Numbered(&'a [usize]),
+}
+
+impl WantedPieces<'_> {
+    /// Whether a piece is one of them.
+    #[must_use]
+    pub fn hold(&self, piece: usize) -> bool {
+        match self {
+            Self::All => true,
+            Self::Numbered(numbers) => numbers.binary_search(&piece).is_ok(),
+        }
+    }
+
+    /// The number of pieces that are wanted of so many.
+    #[must_use]
+    pub fn of(&self, all: usize) -> usize {
+        match self {
+            Self::All => all,
+            Self::Numbered(numbers) => numbers.len(),
+        }
+    }
 }
 
 /// Attributes that are wanted of particles.

@@ -1,18 +1,18 @@
 //! The bytes that columns lie in, window by window: in memory, in a mapped scratch file, or in the input itself.
 //!
 //! The input is read by position into buffers, each thread in its own, and never mapped while its numbers are read: a file that
-//! another program shortens or rewrites meanwhile is an error of that frame, where a map would end the process by a signal.
+//! another program shortens or rewrites meanwhile is an error of that frame, where a map would end the process by a signal. All files
+//! of an input have their buffers in common.
 
 use std::fmt::Debug;
-use std::fs::File;
-use std::io;
 use std::ops::Range;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::particles::Unread;
 use crate::system::positioned::{read_exact_at, will_read};
+use crate::system::reopened::{Lost, ReopenedFile};
 
-use super::bytes::{ByteStore, Bytes, FileStamp};
+use super::bytes::{ByteStore, Bytes};
 
 /// Bytes that are read at once where a thread goes on where it was.
 const LARGE: usize = 1 << 18;
@@ -79,13 +79,29 @@ impl Source {
             Self::File(_) => 0,
         }
     }
+
+    /// Bytes that are read from the input's file by windows.
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
+        match self {
+            Self::Kept(_) => 0,
+            Self::File(file) => file.file.stamp().bytes,
+        }
+    }
+
+    /// Reads by windows of a shelf, with others that do.
+    pub fn share(&mut self, shelf: &Arc<Shelf>) {
+        if let Self::File(file) = self {
+            file.shelf = Arc::clone(shelf);
+        }
+    }
 }
 
 impl From<Bytes> for Source {
     /// An input that was mapped is read by windows from now on.
     fn from(bytes: Bytes) -> Self {
         match bytes {
-            Bytes::Mapped(mapped) => Self::File(FileWindows::new(mapped.file, mapped.stamp)),
+            Bytes::Mapped(mapped) => Self::File(FileWindows::new(mapped.file)),
             kept => Self::Kept(kept),
         }
     }
@@ -131,17 +147,22 @@ impl Windows for Source {
 /// A file that is read by position.
 #[derive(Debug)]
 pub struct FileWindows {
-    file: File,
-    /// The file as it was when its header was read.
-    stamp: FileStamp,
-    /// Windows that no thread reads in at the moment; that which was used last comes last.
+    file: ReopenedFile,
+    shelf: Arc<Shelf>,
+    fault: OnceLock<Unread>,
+}
+
+/// Windows that no thread reads in at the moment, of some files; that which was used last comes last.
+#[derive(Debug, Default)]
+pub struct Shelf {
     idle: Mutex<Vec<Window>>,
-    fault: OnceLock<io::Error>,
 }
 
 /// Some bytes of a file.
 #[derive(Debug, Default)]
 struct Window {
+    /// The file's number.
+    file: u64,
     at: usize,
     bytes: Vec<u8>,
 }
@@ -152,25 +173,45 @@ impl Window {
     }
 }
 
-impl FileWindows {
+impl Shelf {
     /// Windows for each thread: it reads a few columns in turn.
     const A_THREAD: usize = 4;
 
-    fn new(file: File, stamp: FileStamp) -> Self {
-        Self { file, stamp, idle: Mutex::default(), fault: OnceLock::new() }
+    fn most() -> usize {
+        Self::A_THREAD * rayon::current_num_threads()
     }
 
-    /// A window that holds byte `at`, or else that ends there, or else the one that was not used for longest.
-    fn take(&self, at: usize) -> Window {
+    /// Bytes of all windows of files that are so large together.
+    #[must_use]
+    pub fn resident_bytes(file_bytes: u64) -> u64 {
+        file_bytes.min((Self::most() * LARGE) as u64)
+    }
+
+    /// A window of a file that holds byte `at`, or else that ends there, or else the one that was not used for longest.
+    fn take(&self, file: u64, at: usize) -> Window {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let holds = |window: &Window| (window.at..window.end()).contains(&at);
-        let found = idle.iter().position(holds).or_else(|| idle.iter().position(|window| window.end() == at));
-        let most = Self::A_THREAD * rayon::current_num_threads();
-        match found {
-            Some(found) => idle.remove(found),
-            None if idle.len() < most => Window::default(),
+        let holds = |window: &Window| window.file == file && (window.at..window.end()).contains(&at);
+        let ends = |window: &Window| window.file == file && window.end() == at;
+        let found = idle.iter().position(holds).or_else(|| idle.iter().position(ends));
+        let window = match found {
+            Some(found) => return idle.remove(found),
+            None if idle.len() < Self::most() => Window::default(),
             None => idle.remove(0),
-        }
+        };
+        // What it holds is of another place.
+        let mut bytes = window.bytes;
+        bytes.clear();
+        Window { file, at: 0, bytes }
+    }
+
+    fn put(&self, window: Window) {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(window);
+    }
+}
+
+impl FileWindows {
+    fn new(file: ReopenedFile) -> Self {
+        Self { file, shelf: Arc::default(), fault: OnceLock::new() }
     }
 
     fn fill(&self, window: &mut Window, range: &Range<usize>) {
@@ -179,44 +220,54 @@ impl FileWindows {
         let len = range.len().max(piece).min(self.count() - range.start);
         window.at = range.start;
         window.bytes.resize(len, 0);
-        if goes_on {
-            will_read(&self.file, window.end() as u64, AHEAD);
-        }
-        if let Err(fault) = read_exact_at(&self.file, window.at as u64, &mut window.bytes) {
+        if let Err(lost) = self.read(window, goes_on) {
             window.bytes.fill(0);
-            let _ = self.fault.set(fault);
+            let _ = self.fault.set(unread(lost));
         }
+    }
+
+    fn read(&self, window: &mut Window, goes_on: bool) -> Result<(), Lost> {
+        let file = self.file.file()?;
+        if goes_on {
+            will_read(&file, window.end() as u64, AHEAD);
+        }
+        Ok(read_exact_at(&file, window.at as u64, &mut window.bytes)?)
+    }
+}
+
+fn unread(lost: Lost) -> Unread {
+    match lost {
+        Lost::Changed => Unread::Changed,
+        Lost::Io(fault) => Unread::Io(fault.kind()),
     }
 }
 
 impl Windows for FileWindows {
     fn count(&self) -> usize {
-        self.stamp.bytes as usize
+        self.file.stamp().bytes as usize
     }
 
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R {
         assert!(range.end <= self.count(), "bytes to {} of {}", range.end, self.count());
-        let mut window = self.take(range.start);
+        let mut window = self.shelf.take(self.file.number(), range.start);
         if range.start < window.at || window.end() < range.end {
             self.fill(&mut window, &range);
         }
         let result = read(&window.bytes[range.start - window.at..][..range.len()]);
-        self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(window);
+        self.shelf.put(window);
         result
     }
 
     fn resident_bytes(&self) -> u64 {
-        let most = Self::A_THREAD * rayon::current_num_threads() * LARGE;
-        self.stamp.bytes.min(most as u64)
+        Shelf::resident_bytes(self.file.stamp().bytes)
     }
 
     fn check(&self) -> Result<(), Unread> {
-        let now = self.file.metadata().map(|metadata| FileStamp::of(&metadata));
-        match (now, self.fault.get()) {
-            (Ok(now), _) if now != self.stamp => Err(Unread::Changed),
-            (_, Some(fault)) => Err(Unread::Io(fault.kind())),
-            (Err(fault), None) => Err(Unread::Io(fault.kind())),
-            (Ok(_), None) => Ok(()),
+        match (self.file.check(), self.fault.get()) {
+            (Err(Lost::Changed), _) => Err(Unread::Changed),
+            (_, Some(&fault)) => Err(fault),
+            (Err(lost), None) => Err(unread(lost)),
+            (Ok(()), None) => Ok(()),
         }
     }
 }

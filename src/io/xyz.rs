@@ -7,18 +7,25 @@
 //!
 //! [`names`]: super::names
 
-use std::ops::{ControlFlow, Range};
+use std::ops::ControlFlow;
 
 use crate::particles::AttributeInfo;
 
 use super::bytes::{Bytes, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::names::{Quantity, quantities};
-use super::text::decode_pieces;
+use super::text::decode_windows;
+use super::windows::{Source, Windows};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Lines, blank ones and comments not counted, within which the columns must be named.
 const HEADER_LINES: usize = 32;
+
+/// Bytes by which text is told from raw numbers.
+const SNIFFED: usize = 4 << 10;
+
+/// Bytes in which the names of columns and the first row are looked for, and twice as many where these do not hold as many lines.
+const HEAD: usize = 64 << 10;
 
 /// Fields of a line; more are no table of particles.
 const MOST_FIELDS: usize = 4096;
@@ -28,7 +35,9 @@ const MOST_FIELDS: usize = 4096;
 /// # Errors
 /// Those of [`read_text`]; [`ReadFault::Malformed`] for raw bytes that are not whole triples.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    if is_text(&bytes[..bytes.len().min(4096)]) { read_text(bytes, unpacking) } else { read_raw(bytes) }
+    let source = Source::from(bytes);
+    let head = 0..source.count().min(SNIFFED);
+    if source.with(head, is_text) { table(source, unpacking) } else { read_raw(source) }
 }
 
 fn is_text(start: &[u8]) -> bool {
@@ -41,17 +50,18 @@ fn is_text(start: &[u8]) -> bool {
     text.chars().all(|c| !c.is_control() || c.is_ascii_whitespace())
 }
 
-fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
+fn read_raw(source: Source) -> Result<ParticleFile, ReadFault> {
     const TRIPLE: usize = 12;
-    let rest = bytes.len() % TRIPLE;
+    let bytes = source.count();
+    let rest = bytes % TRIPLE;
     if rest > 0 {
         let what = format!("{rest} bytes are left over; raw f32 positions take {TRIPLE} each");
-        return Err(malformed(bytes.len() - rest, what));
+        return Err(malformed(bytes - rest, what));
     }
-    let rows = Rows::All(bytes.len() / TRIPLE);
+    let rows = Rows::All(bytes / TRIPLE);
     let x = Column { offset: 0, stride: TRIPLE, scalar: Scalar::F32, endian: Endian::Little };
     let particles: ColumnStore =
-        ColumnStore::new(bytes, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
+        ColumnStore::new(source, rows, [0, 1, 2].map(|axis| x.component(axis)), Vec::new());
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
@@ -61,8 +71,12 @@ fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 /// [`ReadFault::Line`] for a row with a field too many or too few, for a field that is no number where one is
 /// needed, and for a header that names no position; [`ReadFault::Scratch`] where the scratch file fails.
 pub fn read_text(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let table = Table::find(&bytes)?;
-    let rows = table.rows(&bytes, unpacking)?;
+    table(bytes.into(), unpacking)
+}
+
+fn table(source: Source, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let table = Table::of(&source)?;
+    let rows = table.rows(&source, unpacking)?;
     let width = table.slots.iter().flatten().count();
     let stride = width * size_of::<f64>();
     let first = Column { offset: 0, stride, scalar: Scalar::F64, endian: Endian::Little };
@@ -101,6 +115,25 @@ struct Heading {
 }
 
 impl Table {
+    /// Finds the first row and the names of the columns in a text, of which no more is read than they are in.
+    fn of(source: &Source) -> Result<Self, ReadFault> {
+        let mut looked_at = HEAD;
+        loop {
+            let head = source.count().min(looked_at);
+            let is_enough = |bytes: &[u8]| {
+                // The last line may be cut off, and so may be the mark before the first.
+                let known = lines(bytes).filter(|(.., content)| !content.starts_with(b"#"));
+                head == source.count() || known.count() > HEADER_LINES + 2
+            };
+            let found = source.with(0..head, |bytes| is_enough(bytes).then(|| Self::find(bytes)));
+            source.check().map_err(ReadFault::from)?;
+            if let Some(found) = found {
+                return found;
+            }
+            looked_at = looked_at.saturating_mul(2);
+        }
+    }
+
     /// Finds the first row and the names of the columns.
     fn find(bytes: &[u8]) -> Result<Self, ReadFault> {
         let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
@@ -161,15 +194,14 @@ impl Table {
     }
 
     /// Decodes all rows, in their order.
-    fn rows(&self, bytes: &Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    fn rows(&self, source: &Source, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
         let mut rows = Unpacked::new(unpacking);
         let mut lines_above = self.lines_above;
-        let decode = |piece: Range<usize>| self.decode(&bytes[piece]);
-        decode_pieces(
-            bytes,
-            self.start..bytes.len(),
+        decode_windows(
+            source,
+            self.start..source.count(),
             |byte| byte == b'\n',
-            decode,
+            |piece| self.decode(piece),
             |piece| {
                 let (piece, lines) =
                     piece.map_err(|(line, what)| ReadFault::Line { line: lines_above + line, what })?;

@@ -62,7 +62,7 @@ impl Asked {
             None | Some(Attributes::Velocity) => WantedAttributes::Velocity,
             Some(Attributes::Named(names)) => WantedAttributes::Named(names),
         };
-        Wanted { particle_type: self.particle_type.as_deref(), attributes }
+        Wanted { particle_type: self.particle_type.as_deref(), attributes, ..Wanted::default() }
     }
 
     /// The settings as a state file keeps them: whoever goes on with its frames asks for the same.

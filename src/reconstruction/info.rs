@@ -186,7 +186,7 @@ fn particles(path: &Path, particle_type: Option<&str>) -> Result<ParticlesInfo, 
     let scratch = std::env::temp_dir();
     let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
     // Names of attributes are enough, where their values would have to be unpacked.
-    let wanted = Wanted { particle_type, attributes: WantedAttributes::Named(&[]) };
+    let wanted = Wanted { particle_type, attributes: WantedAttributes::Named(&[]), ..Wanted::default() };
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);

@@ -5,13 +5,17 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use crate::io::frame_files::{files_of, snapshot_piece};
 use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::SimulationError;
 
-use super::pieces::{Whole, whole_frames};
+use super::pieces::{Whole, may_be_piece, whole_frames};
+
+/// How long it may be from a piece of a frame to the file that names it.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// One frame, as found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,6 +41,14 @@ pub enum Inputs {
         of: Box<Self>,
         /// The names that tell them from other files.
         family: Family,
+    },
+    /// Frames of a folder or a glob that come while a simulation runs: what may be a piece of one that is not there yet is none, until it
+    /// has not changed for so long.
+    Followed {
+        /// All of them.
+        of: Box<Self>,
+        /// How long.
+        patience: Duration,
     },
     /// Frames in one file.
     Steps(PathBuf),
@@ -141,6 +153,16 @@ impl Inputs {
         Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
     }
 
+    /// Looks at the frames as they come, for so many seconds without news.
+    #[must_use]
+    pub fn followed(self, idle: f64) -> Self {
+        let patience = Duration::try_from_secs_f64(idle).unwrap_or(PATIENCE).min(PATIENCE);
+        match self {
+            Self::Folder(_) | Self::Glob(_) => Self::Followed { of: Box::new(self), patience },
+            other => other,
+        }
+    }
+
     /// Returns the inputs in the words of the request.
     #[must_use]
     pub fn describe(&self) -> String {
@@ -153,6 +175,7 @@ impl Inputs {
                 Self::Folder(folder) => folder.join(family.to_string()).display().to_string(),
                 all => all.describe(),
             },
+            Self::Followed { of, .. } => of.describe(),
             Self::Steps(file) => file.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
@@ -195,7 +218,8 @@ impl Inputs {
     pub fn simulations(&self) -> Result<Vec<Self>, SimulationError> {
         let mut families = self.families(&self.found()?);
         let all = families.len();
-        if let Self::Folder(folder) = self {
+        let own = if let Self::Followed { of, .. } = self { &**of } else { self };
+        if let Self::Folder(folder) = own {
             // What cannot be read is told of when its turn comes.
             let is_mesh = |file: &PathBuf| holds_mesh(file).unwrap_or(false);
             families.retain(|_, files| !files.first().is_some_and(is_mesh));
@@ -209,7 +233,7 @@ impl Inputs {
         if all < 2 {
             return Ok(vec![self.clone()]);
         }
-        let part = |(family, files): (Family, Vec<PathBuf>)| match self {
+        let part = |(family, files): (Family, Vec<PathBuf>)| match own {
             Self::Folder(_) => Self::Part { of: Box::new(self.clone()), family },
             _ => Self::Files(files),
         };
@@ -223,6 +247,8 @@ impl Inputs {
             Self::Folder(_) | Self::Glob(_) => {
                 Self::Part { of: Box::new(self.clone()), family: first.family() }
             }
+            // What belongs to the first frame's simulation is a frame at once.
+            Self::Followed { of, .. } => of.like(first),
             _ => self.clone(),
         }
     }
@@ -253,6 +279,7 @@ impl Inputs {
                     && by_last_digits(path.to_owned().into())
                         .is_some_and(|frame| frame.is_ok_and(|f| f.family() == *family))
             }
+            Self::Followed { of, .. } => of.takes(path),
             Self::Steps(_) | Self::Files(_) => false,
         }
     }
@@ -290,6 +317,11 @@ impl Inputs {
             Self::Part { of, family } => {
                 let mut frames = of.found()?;
                 frames.retain(|frame| frame.family() == *family);
+                frames
+            }
+            Self::Followed { of, patience } => {
+                let mut frames = of.found()?;
+                frames.retain(|frame| !may_be_piece(&frame.path) || rests(&frame.path, *patience));
                 frames
             }
             Self::Steps(file) => {
@@ -339,6 +371,12 @@ impl std::fmt::Display for Family {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}{{}}{}", self.prefix, self.suffix)
     }
+}
+
+/// Whether a file has not changed for so long.
+fn rests(path: &Path, patience: Duration) -> bool {
+    let modified = path.metadata().and_then(|metadata| metadata.modified());
+    modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }
 
 fn neighbours(frames: &[FrameFile]) -> impl Iterator<Item = (&FrameFile, &FrameFile)> {

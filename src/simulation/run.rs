@@ -120,6 +120,10 @@ impl Simulation {
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
+        let inputs = match self.watch {
+            Some(idle) => inputs.followed(idle),
+            None => inputs,
+        };
         let mut request = self.request.clone();
         request.scratch.get_or_insert_with(|| naming.folder().to_owned());
         // Frames side by side would each tell of their own.

@@ -4,5 +4,6 @@ pub mod cancel;
 pub mod control;
 pub mod memory;
 pub mod positioned;
+pub mod reopened;
 pub mod scratch;
 pub mod timings;

@@ -1,34 +1,93 @@
-//! Writes the benchmark scene as a particle file: raw f32 (.xyz) or binary little-endian .ply.
+//! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a .pvtp whose pieces each hold a box of
+//! space, as simulations on many nodes write them.
 //!
-//! `cargo run --release --example generate -- MILLIONS OUTPUT`
+//! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES]`
 
 mod scene;
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
 
-fn main() -> std::io::Result<()> {
+fn main() -> io::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let (Some(millions), Some(path)) =
         (arguments.next().and_then(|a| a.parse::<f64>().ok()), arguments.next())
     else {
-        eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz");
+        eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz|OUTPUT.pvtp [PIECES]");
         std::process::exit(2);
     };
-    let particles = scene::splash((millions * 1e6) as usize, 1);
-    let mut out = BufWriter::new(File::create(&path)?);
-    if path.ends_with(".ply") {
-        write!(
-            out,
-            "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
-             property float x\nproperty float y\nproperty float z\nend_header\n",
-            particles.len()
-        )?;
+    let mut particles = scene::splash((millions * 1e6) as usize, 1);
+    if path.ends_with(".pvtp") {
+        let count = arguments.next().and_then(|a| a.parse().ok()).unwrap_or(64);
+        let mut pieces = Vec::new();
+        divide(&mut particles, count, &mut |piece| pieces.push(piece.len()));
+        write_pieces(Path::new(&path), &particles, &pieces)?;
+    } else {
+        let mut out = BufWriter::new(File::create(&path)?);
+        if path.ends_with(".ply") {
+            write!(
+                out,
+                "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
+                 property float x\nproperty float y\nproperty float z\nend_header\n",
+                particles.len()
+            )?;
+        }
+        write_numbers(&mut out, &particles)?;
+        out.flush()?;
     }
-    for coordinate in particles.iter().flatten() {
-        out.write_all(&coordinate.to_le_bytes())?;
-    }
-    out.flush()?;
     println!("{path}: {} particles at spacing 1", particles.len());
     Ok(())
+}
+
+fn write_numbers(out: &mut impl Write, particles: &[[f32; 3]]) -> io::Result<()> {
+    particles.iter().flatten().try_for_each(|coordinate| out.write_all(&coordinate.to_le_bytes()))
+}
+
+/// Cuts particles across their longest extent until there are so many pieces of about equally many, and passes each on.
+fn divide(particles: &mut [[f32; 3]], pieces: usize, take: &mut impl FnMut(&[[f32; 3]])) {
+    if pieces <= 1 || particles.is_empty() {
+        return take(particles);
+    }
+    let extent = |axis: usize| {
+        let coordinates = particles.iter().map(|p| p[axis]);
+        let (lo, hi) = coordinates.fold((f32::MAX, f32::MIN), |(lo, hi), x| (lo.min(x), hi.max(x)));
+        hi - lo
+    };
+    let extents = [0, 1, 2].map(extent);
+    let axis = (0..3).max_by(|&a, &b| extents[a].total_cmp(&extents[b])).unwrap_or(0);
+    let first = pieces / 2;
+    let at = particles.len() * first / pieces;
+    particles.select_nth_unstable_by(at, |a, b| a[axis].total_cmp(&b[axis]));
+    let (below, above) = particles.split_at_mut(at);
+    divide(below, first, take);
+    divide(above, pieces - first, take);
+}
+
+/// Writes a .pvtp and beside it, in a folder of its name, a .vtp of so many particles each.
+fn write_pieces(path: &Path, particles: &[[f32; 3]], pieces: &[usize]) -> io::Result<()> {
+    let folder = path.with_extension("");
+    std::fs::create_dir_all(&folder)?;
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut list = BufWriter::new(File::create(path)?);
+    let points = "<DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>";
+    writeln!(list, "<VTKFile type=\"PPolyData\" version=\"1.0\">\n<PPolyData GhostLevel=\"0\">")?;
+    let mut rest = particles;
+    for (number, &count) in pieces.iter().enumerate() {
+        let own = rest.split_off(..count).unwrap_or_default();
+        let mut out = BufWriter::new(File::create(folder.join(format!("piece_{number}.vtp")))?);
+        write!(
+            out,
+            "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+             <PolyData>\n<Piece NumberOfPoints=\"{count}\">\n<Points>{points}</Points>\n</Piece>\n</PolyData>\n\
+             <AppendedData encoding=\"raw\">\n_"
+        )?;
+        out.write_all(&(12 * count as u64).to_le_bytes())?;
+        write_numbers(&mut out, own)?;
+        write!(out, "\n</AppendedData>\n</VTKFile>\n")?;
+        out.flush()?;
+        writeln!(list, "<Piece Source=\"{name}/piece_{number}.vtp\"/>")?;
+    }
+    write!(list, "</PPolyData>\n</VTKFile>\n")?;
+    list.flush()
 }

@@ -104,13 +104,14 @@ fn listed(planned: &Planned) -> String {
 }
 
 fn make(options: &Options, parts: &Parts, part: u32, notes: &Notes) -> Result<Verdict, Error> {
-    let PartMade { path, bytes, blocks, triangles, was_there, warnings, timings, .. } = parts.part(part)?;
+    let PartMade { path, bytes, blocks, triangles, read, was_there, warnings, timings, .. } =
+        parts.part(part)?;
     warn_all(&warnings, Some(options), notes);
     let what = format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
     if was_there {
         notes.say(format!("{what}, done already"));
     } else {
-        notes.say(format!("{what} in {:.2} s", timings.total()));
+        notes.say(format!("{what} of {read} particles that were read, in {:.2} s", timings.total()));
     }
     report_stages(&timings, notes);
     Ok(Verdict::Good)

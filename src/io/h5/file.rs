@@ -1,5 +1,6 @@
 //! A file of HDF5 as the library parses it, within bounds.
 
+use std::io;
 use std::sync::Arc;
 
 use hdf5_reader::error::{Error, Result as Parsed};
@@ -8,9 +9,8 @@ use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{Dataset, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
-use crate::io::bytes::{ByteStore, Bytes, FileStamp, Unpacking, unpacked_limit};
+use crate::io::bytes::{ByteStore, Bytes, Unpacking, unpacked_limit};
 use crate::io::{ReadFault, malformed};
-use crate::system::positioned::read_exact_at;
 
 /// Names under which the time of a step or a file may be stored.
 const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
@@ -60,9 +60,7 @@ impl<'a> File<'a> {
     /// [`ReadFault::Changed`] where it was written to since it was opened.
     pub fn check(&self) -> Result<(), ReadFault> {
         match &*self.bytes {
-            Bytes::Mapped(mapped) if FileStamp::of(&mapped.file.metadata()?) != mapped.stamp => {
-                Err(ReadFault::Changed)
-            }
+            Bytes::Mapped(mapped) => Ok(mapped.file.check()?),
             _ => Ok(()),
         }
     }
@@ -141,7 +139,7 @@ impl Storage for Ranges {
         let read = match &*self.0 {
             Bytes::Mapped(mapped) => {
                 let mut read = vec![0; len];
-                read_exact_at(&mapped.file, offset, &mut read)?;
+                mapped.file.read_exact_at(offset, &mut read).map_err(io::Error::from)?;
                 read
             }
             kept => {

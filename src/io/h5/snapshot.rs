@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
 use crate::io::piece_name::snapshot_piece;
-use crate::io::wanted::Wanted;
+use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
 
@@ -114,8 +114,12 @@ pub fn open_particles(
     } else {
         drop(file);
         let paths = piece_paths(path, &header)?;
-        let share = Unpacking { in_memory: unpacking.in_memory / paths.len() as u64, ..unpacking };
-        let open = |piece: &PathBuf| {
+        let opened = wanted.pieces.of(paths.len()).max(1) as u64;
+        let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
+        let open = |(number, piece): (usize, &PathBuf)| {
+            if !wanted.pieces.hold(number) {
+                return Ok(ParticleFile::new(Pieces::default(), FORMAT));
+            }
             let bytes = open_bytes_within(piece, share)?;
             let read = File::open(bytes, share).and_then(|file| {
                 let own = Header::read(&file.root()?)?;
@@ -124,7 +128,7 @@ pub fn open_particles(
             read.map_err(|fault| ReadError::new(piece, fault))
         };
         // All are waited for, so that the error is the first piece's.
-        let all: Vec<_> = paths.par_iter().map(open).collect();
+        let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
         let unread = all.iter().find(|file| !file.particles.is_empty()).map(|file| file.unread.clone());
         let all = all.into_iter().map(|file| file.particles).collect();
@@ -132,7 +136,9 @@ pub fn open_particles(
         let unread = unread.unwrap_or_default();
         ParticleFile { unread, ..ParticleFile::new(joined, "SWIFT or GADGET HDF5 in pieces") }
     };
-    check_total(&header, &kind, read.particles.len()).map_err(fail)?;
+    if let WantedPieces::All = wanted.pieces {
+        check_total(&header, &kind, read.particles.len()).map_err(fail)?;
+    }
     let Header { time, box_size, unit_metres, .. } = header;
     Ok(ParticleFile { time, box_size, unit_metres, ..read })
 }

@@ -52,7 +52,7 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
 /// # Errors
 /// As [`open_frame`], as far as the index tells.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
-    let Index { facts, indicator, infos, pages } = read_index(Bytes::map(file)?)?;
+    let Index { facts, indicator, infos, pages } = read_index(Bytes::of_own(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 

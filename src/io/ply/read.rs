@@ -50,6 +50,7 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
         Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
+    let bytes = if header.encoding == Encoding::Ascii { bytes.read_whole(unpacking)? } else { bytes };
     Ok(vertices(&bytes, header, unpacking)?.into_particles(bytes, format))
 }
 

@@ -86,6 +86,12 @@ struct Walk<'a> {
     time: Option<Array>,
 }
 
+/// Whether the arrays are text, by the lines before all sections.
+#[must_use]
+pub fn is_text(bytes: &[u8]) -> bool {
+    Walk::start(Scanner::new(bytes, 0)).is_ok_and(|walk| walk.ascii)
+}
+
 impl Layout {
     pub fn parse(source: &dyn ByteStore) -> Result<Self, ReadFault> {
         let mut walk = Walk::start(Scanner::releasing(source, 0))?;

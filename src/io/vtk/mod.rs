@@ -8,5 +8,6 @@ mod layout;
 mod read;
 mod write;
 
+pub use layout::is_text;
 pub use read::{has_faces, read_mesh, read_particles, read_points};
 pub use write::write_mesh;

@@ -9,13 +9,14 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
-use super::layout::{Array, CellKind, Cells, Corners, Layout};
+use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
 
 /// Reads a file of particles, by [`read_points`].
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] where a cell has an area or a volume, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let bytes = if is_text(&bytes) { bytes.read_whole(unpacking)? } else { bytes };
     let layout = Layout::parse(&bytes)?;
     let sum = |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
     let faces = faces(&bytes, &layout).try_fold(0, sum)?;
@@ -36,6 +37,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`; [`ReadFault::Scratch`] where text is decoded into a
 /// scratch file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let bytes = if is_text(&bytes) { bytes.read_whole(unpacking)? } else { bytes };
     let layout = Layout::parse(&bytes)?;
     points(bytes, &layout, unpacking)
 }

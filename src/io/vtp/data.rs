@@ -16,7 +16,7 @@ use crate::io::text::decode_numbers;
 use crate::io::vertices::{columns, integer};
 use crate::io::{ReadFault, malformed};
 
-use super::layout::{Array, Data, Layout, Packing};
+use super::layout::{Array, Data, Layout, Packing, Section};
 
 /// Bytes that are decoded at once.
 const CHUNK: usize = 1 << 16;
@@ -36,6 +36,13 @@ impl<'a> Decoder<'a> {
     pub fn new(layout: &'a Layout<'a>, unpacking: Unpacking<'a>) -> Self {
         let allowance = unpacked_limit(layout.bytes.len() as u64);
         Self { layout, unpacked: Unpacked::new(unpacking), allowance }
+    }
+
+    /// Whether all that points have can be read where it lies.
+    pub fn all_in_place(layout: &Layout) -> bool {
+        let of_points = |array: &&Array| matches!(array.section, Section::Points | Section::PointData);
+        let is_raw = |array: &Array| matches!(array.data, Data::Raw(_));
+        layout.packing == Packing::Plain && layout.arrays.iter().filter(of_points).all(is_raw)
     }
 
     /// Columns over the points, in the file or in what [`finish`](Self::finish) returns.
@@ -113,7 +120,39 @@ impl<'a> Decoder<'a> {
         let whole = bytes.chunks_exact(array.scalar.size());
         let numbers: Option<_> =
             whole.map(|number| integer(array.scalar, self.layout.endian, number)).collect();
-        numbers.ok_or_else(|| malformed(array.place(), format!("array {} holds no integers", array.name)))
+        numbers.ok_or_else(|| no_integers(array))
+    }
+
+    /// Passes the numbers of an array of integers on one by one, each with its place among them.
+    pub fn each_integer(&mut self, array: &Array, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
+        let mut count = 0;
+        let mut next = |number: i64| {
+            take(count, number);
+            count += 1;
+        };
+        if let Data::Text(text) = &array.data {
+            let mut scan = Scanner::releasing_to(self.layout.bytes, text.clone());
+            loop {
+                scan.skip_whitespace();
+                if scan.rest().is_empty() {
+                    return Ok(());
+                }
+                next(scan.number()?);
+            }
+        }
+        let stored = Stored { layout: self.layout, array };
+        let (size, endian) = (array.scalar.size(), self.layout.endian);
+        // Pieces need not end where numbers do.
+        let mut begun = Vec::new();
+        stored.read(None, &mut self.allowance, &mut |chunk| {
+            begun.extend_from_slice(chunk);
+            let whole = begun.len() / size * size;
+            for number in begun[..whole].chunks_exact(size) {
+                next(integer(array.scalar, endian, number).ok_or_else(|| no_integers(array))?);
+            }
+            begun.drain(..whole);
+            Ok(())
+        })
     }
 
     /// The one number of an array; none of another type than a double.
@@ -138,6 +177,10 @@ impl<'a> Decoder<'a> {
         })?;
         Ok(bytes)
     }
+}
+
+fn no_integers(array: &Array) -> ReadFault {
+    malformed(array.place(), format!("array {} holds no integers", array.name))
 }
 
 /// The numbers of a text from byte `at` on.

@@ -18,8 +18,13 @@ pub(super) const TIME: &str = "TimeValue";
 pub(super) enum Section {
     FieldData,
     PointData,
+    CellData,
     Points,
+    /// Vertices of a PolyData.
+    Verts,
     Polys,
+    /// Cells of an UnstructuredGrid.
+    Cells,
 }
 
 /// An array, as the XML has it.
@@ -69,6 +74,11 @@ pub(super) struct Layout<'a> {
     pub header: Scalar,
     pub packing: Packing,
     pub points: usize,
+    /// Cells that are vertices, and lines, of a PolyData.
+    pub vertices: usize,
+    pub lines: usize,
+    /// Cells of an UnstructuredGrid.
+    pub cells: usize,
     pub polygons: usize,
     pub strips: usize,
     pub normals: Option<String>,
@@ -104,6 +114,9 @@ impl<'a> Layout<'a> {
             header: Scalar::U32,
             packing: Packing::Plain,
             points: 0,
+            vertices: 0,
+            lines: 0,
+            cells: 0,
             polygons: 0,
             strips: 0,
             normals: None,
@@ -196,6 +209,9 @@ impl<'a> Layout<'a> {
 
     fn piece(&mut self, tag: &Tag) -> Result<(), ReadFault> {
         self.points = tag.number("NumberOfPoints")?.unwrap_or(0);
+        self.vertices = tag.number("NumberOfVerts")?.unwrap_or(0);
+        self.lines = tag.number("NumberOfLines")?.unwrap_or(0);
+        self.cells = tag.number("NumberOfCells")?.unwrap_or(0);
         self.polygons = tag.number("NumberOfPolys")?.unwrap_or(0);
         self.strips = tag.number("NumberOfStrips")?.unwrap_or(0);
         Ok(())
@@ -293,8 +309,11 @@ fn section_named(name: &str) -> Option<Section> {
     match name {
         "FieldData" => Some(Section::FieldData),
         "PointData" => Some(Section::PointData),
+        "CellData" => Some(Section::CellData),
         "Points" => Some(Section::Points),
+        "Verts" => Some(Section::Verts),
         "Polys" => Some(Section::Polys),
+        "Cells" => Some(Section::Cells),
         _ => None,
     }
 }

@@ -7,12 +7,13 @@
 pub(super) mod arrays;
 mod data;
 pub(super) mod divided;
+mod ghosts;
 mod layout;
 pub mod parallel;
 mod read;
 mod write;
 
-pub use read::{has_faces, read_mesh, read_particles};
+pub use read::{has_faces, is_text, read_mesh, read_particles};
 pub(super) use write::escaped;
 pub use write::write_mesh;
 

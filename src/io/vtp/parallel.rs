@@ -7,32 +7,44 @@ use quick_xml::Reader;
 use quick_xml::events::Event;
 use rayon::prelude::*;
 
-use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
+use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::vertices::Triangles;
+use crate::io::wanted::Wanted;
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
-use super::read::{NumberedMesh, counts, read_numbered, read_particles};
+use super::read::{NumberedMesh, counts, is_text, read_numbered, read_particles};
 
-/// Reads the points of all pieces as particles, in the order of the pieces.
+/// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
 /// # Errors
 /// As [`read_particles`](super::read_particles), each with the piece that it concerns; a missing piece is [`ReadFault::Io`].
-pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
-    let Sources { paths, format } = Sources::parse(path, &bytes)?;
-    let share = Unpacking { in_memory: unpacking.in_memory / paths.len().max(1) as u64, ..unpacking };
-    let open = |piece: &PathBuf| {
+pub fn open_particles(
+    path: &Path,
+    bytes: Bytes,
+    wanted: Wanted,
+    unpacking: Unpacking,
+) -> Result<ParticleFile, ReadError> {
+    let list = bytes.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))?;
+    let Sources { paths, format } = Sources::parse(path, &list)?;
+    let opened = wanted.pieces.of(paths.len()).max(1) as u64;
+    let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
+    let open = |(number, piece): (usize, &PathBuf)| {
+        if !wanted.pieces.hold(number) {
+            return Ok(ParticleFile::new(Pieces::default(), format));
+        }
         let bytes = open_bytes_within(piece, share)?;
         read_particles(bytes, share).map_err(|fault| ReadError::new(piece, fault))
     };
     // All are waited for, so that the error is the first piece's.
-    let files: Vec<_> = paths.par_iter().map(open).collect();
+    let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = files.into_iter().collect::<Result<Vec<_>, _>>()?;
     let time = files.iter().find_map(|file| file.time);
+    let ghosts = files.iter().map(|file| file.ghosts).sum();
     let all = files.into_iter().map(|file| file.particles).collect();
     let particles = Pieces::join(all).map_err(|(piece, fault)| ReadError::new(&paths[piece], fault))?;
-    Ok(ParticleFile { time, ..ParticleFile::new(particles, format) })
+    Ok(ParticleFile { time, ghosts, ..ParticleFile::new(particles, format) })
 }
 
 /// Whether there are polygons in any piece, or nothing at all in all of them.
@@ -42,7 +54,9 @@ pub fn open_particles(path: &Path, bytes: Bytes, unpacking: Unpacking) -> Result
 pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     let mut points = 0;
     for piece in pieces(path)? {
-        let found = counts(&open_bytes(&piece)?).map_err(|fault| ReadError::new(&piece, fault))?;
+        let bytes = open_bytes(&piece)?;
+        let bytes = if is_text(&bytes) { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
+        let found = bytes.and_then(|bytes| counts(&bytes)).map_err(|fault| ReadError::new(&piece, fault))?;
         if found.faces > 0 {
             return Ok(true);
         }
@@ -56,7 +70,7 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
 /// # Errors
 /// [`ReadError`] where it cannot be read.
 pub fn pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
-    Ok(Sources::parse(path, &open_bytes(path)?)?.paths)
+    Ok(Sources::parse(path, &open_whole(path)?)?.paths)
 }
 
 /// Reads the triangles of all pieces as one mesh. Vertices of different pieces are one where the pieces give them the same number
@@ -68,7 +82,7 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     let mut all = Joined::default();
     for piece in pieces(path)? {
         let fail = |fault| ReadError::new(&piece, fault);
-        let mesh = read_numbered(&open_bytes(&piece)?).map_err(fail)?;
+        let mesh = read_numbered(&open_whole(&piece)?).map_err(fail)?;
         all.add(mesh).map_err(fail)?;
     }
     Ok(all.mesh)

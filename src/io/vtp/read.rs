@@ -1,20 +1,27 @@
 //! Reading .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
 
+use memchr::memmem;
+
 use crate::io::bytes::{Bytes, Unpacking};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::AttributeInfo;
+use crate::particles::{AttributeInfo, Particles};
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
 use super::data::Decoder;
+use super::ghosts;
 use super::layout::{Array, DataSet, Layout, Section, TIME};
+
+/// Bytes in which it shows whether arrays may stay where they are.
+const HEAD: usize = 1 << 20;
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
 ///
-/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time.
+/// Every array of numbers under `PointData` is an attribute; `TimeValue` under `FieldData` is the time. Points that are copies, or hidden,
+/// because their vertices are flagged so under `CellData` are left out.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] where there are polygons; [`ReadFault::Truncated`] and [`ReadFault::Malformed`] for damage, [`ReadFault::Compression`] for data that do
@@ -22,6 +29,19 @@ use super::layout::{Array, DataSet, Layout, Section, TIME};
 /// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they are decoded
 /// into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
+    let stays = !is_text(&bytes) && Decoder::all_in_place(&Layout::parse(&bytes)?);
+    points(if stays { bytes } else { bytes.read_whole(unpacking)? }, unpacking)
+}
+
+/// Whether all has to be read to find what is where: there are texts in the XML, or what is behind it is encoded or compressed.
+#[must_use]
+pub fn is_text(bytes: &[u8]) -> bool {
+    let head = &bytes[..bytes.len().min(HEAD)];
+    let has = |text: &[u8]| memmem::find(head, text).is_some();
+    !has(b"encoding=\"raw\"") || has(b"compressor=")
+}
+
+fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let layout = Layout::parse(&bytes)?;
     let faces = layout.polygons.saturating_add(layout.strips) as u64;
     if faces > 0 {
@@ -33,8 +53,15 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     };
     let mut decoder = Decoder::new(&layout, unpacking);
     let time = time(&layout, &mut decoder)?;
+    let left = ghosts::left(&layout, &mut decoder)?;
     let vertices = vertices(&layout, decoder, None)?;
-    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) })
+    let mut file = ParticleFile { time, ..vertices.into_particles(bytes, format) };
+    if let Some(left) = left {
+        let all = file.particles.len();
+        file.particles.keep(left);
+        file.ghosts = all - file.particles.len();
+    }
+    Ok(file)
 }
 
 /// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing at all is one.

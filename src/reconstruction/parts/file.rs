@@ -22,7 +22,7 @@ use crate::frame::{Occupied, OccupiedBin};
 use crate::grid::MortonKey;
 use crate::grid::stretch::Stretch;
 use crate::surface::mesh::spool::{ListedBlock, Spool, SpoolFile, vertex_bytes};
-use crate::system::scratch::Scratch;
+use crate::system::reopened::ReopenedFile;
 
 /// "meniscus part" and the version of the format, in the machine's order of bytes.
 const MAGIC: u64 = 0x3150_5f73_7563_6e6d;
@@ -158,7 +158,7 @@ impl PartFile {
         ];
         let lists = lists.into_iter().try_fold(0_u64, |sum, bytes| sum.checked_add(bytes?));
         let meshes_end = lists.and_then(|lists| end.bytes.checked_sub(lists)).ok_or_else(inconsistent)?;
-        let file = Scratch::of_file(file).map_err(io)?;
+        let file = ReopenedFile::new(path, file).map_err(io)?;
         let mut at = meshes_end;
         let blocks: Vec<ListedBlock> = list(&file, &mut at, end.blocks).map_err(io)?;
         let occupied: Vec<OccupiedBin> = list(&file, &mut at, end.bins).map_err(io)?;
@@ -178,9 +178,9 @@ impl PartFile {
 }
 
 /// Reads the next numbers of a list.
-fn list<T: Pod>(file: &Scratch, at: &mut u64, count: u64) -> io::Result<Vec<T>> {
+fn list<T: Pod>(file: &ReopenedFile, at: &mut u64, count: u64) -> io::Result<Vec<T>> {
     let mut list = vec![T::zeroed(); count as usize];
-    file.read_at(*at, bytemuck::cast_slice_mut(&mut list))?;
+    file.read_exact_at(*at, bytemuck::cast_slice_mut(&mut list))?;
     *at += size_of_val(&list[..]) as u64;
     Ok(list)
 }

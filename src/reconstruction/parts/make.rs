@@ -5,6 +5,7 @@ use crate::frame::{Counted, Frame as Engine, FrameError};
 use crate::grid::stretch::WantedBins;
 use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
+use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::whole::{Replace, WholeFile, sweep};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::{Particles, carried_infos};
@@ -15,6 +16,7 @@ use crate::surface::mesh::spool::Spool;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
+use super::chunks::Reading;
 use super::file::{Made, Mark, PartFile};
 use super::plan::Plan;
 use super::{Begun, PartMade, Parts, part_in, plan};
@@ -23,6 +25,8 @@ use super::{Begun, PartMade, Parts, part_in, plan};
 struct Meshed {
     spool: Option<Spool>,
     made: Made<'static>,
+    /// Particles that were read.
+    read: usize,
     warnings: Vec<Warning>,
 }
 
@@ -58,13 +62,13 @@ impl Parts {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }
         control.begins(Stage::Writing);
-        let Meshed { spool, made, warnings } = meshed;
+        let Meshed { spool, made, read, warnings } = meshed;
         let made = Made { spool: spool.as_ref(), ..made };
         let bytes = ready.threads.install(|| file.write(|out| made.write(mark, out)))?;
         drop(unfinished);
         timings.done("write");
         let (blocks, triangles) = spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
-        Ok(PartMade { path, bytes, blocks, triangles, was_there: false, warnings, timings })
+        Ok(PartMade { path, bytes, blocks, triangles, read, was_there: false, warnings, timings })
     }
 
     fn meshed(&self, ready: &Ready, plan: &Plan, mark: Mark, timings: &mut Timings) -> Result<Meshed, Error> {
@@ -73,27 +77,42 @@ impl Parts {
         checked.go_on()?;
         control.begins(Stage::Reading);
         threads.install(|| {
-            let file = open_wanted(&self.input, checked.asked.wanted(), checked.unpacking())?;
+            let asked = checked.sampling.field.indicator().ok_or(FrameError::OtherIndicator)?;
+            let wanted = |carried: Vec<usize>| {
+                let sampling = plan.sampling(checked, carried)?;
+                let sight = sampling.sight(asked, &checked.surfacing);
+                Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
+            };
+            // What is seen depends on whether attributes are carried, and on no more of them.
+            let (_, bins) = wanted((0..plan.attributes.len()).collect())?;
+            let reading = Reading::of(&plan.chunks, bins);
+            if reading.is_empty() {
+                return Ok(Meshed::nothing(plan, 0));
+            }
+            let changed = || {
+                let (input, plan) = (self.input.clone(), plan::path_in(&self.folder()));
+                PartsError::Changed { input, plan }
+            };
+            let pieces = WantedPieces::Numbered(&reading.pieces);
+            let wanted_of_input = Wanted { pieces, ..checked.asked.wanted() };
+            let mut file = open_wanted(&self.input, wanted_of_input, checked.unpacking())?;
             timings.done("open");
             let attributes = file.particles.attributes();
             let carried = checked.asked.carried(attributes, None)?;
-            if file.particles.len() != plan.particles
-                || carried_infos(attributes, &carried) != plan.attributes
-            {
-                let (input, plan) = (self.input.clone(), plan::path_in(&self.folder()));
-                return Err(PartsError::Changed { input, plan }.into());
+            if !reading.is_of(&file.particles) || carried_infos(attributes, &carried) != plan.attributes {
+                return Err(changed().into());
             }
-            let sampling = plan.sampling(checked, carried)?;
-            let asked = sampling.field.indicator().ok_or(FrameError::OtherIndicator)?;
-            let wanted =
-                WantedBins { stretch: mark.stretch, sight: sampling.sight(asked, &checked.surfacing) };
+            file.particles.keep(reading.ranges.iter().cloned());
+            let (sampling, bins) = wanted(carried)?;
             control.begins(Stage::Counting);
-            let counted = Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, wanted)?;
+            let counted = Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, bins)?;
             timings.done("count");
-            if counted.bins().next().is_none() {
-                let made =
-                    Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
-                return Ok(Meshed { spool: None, made, warnings: Vec::new() });
+            let share = plan.parts[mark.part as usize];
+            if counted.census().binned as u64 != share.counted {
+                return Err(changed().into());
+            }
+            if share.counted == 0 {
+                return Ok(Meshed::nothing(plan, reading.count()));
             }
             let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
             control.begins(Stage::Meshing);
@@ -103,8 +122,16 @@ impl Parts {
             let occupied = engine.occupied().within(mark.stretch).collect();
             let made = Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
             let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();
-            Ok(Meshed { spool: Some(spool), made, warnings })
+            Ok(Meshed { spool: Some(spool), made, read: reading.count(), warnings })
         })
+    }
+}
+
+impl Meshed {
+    /// No block, of so many particles that were read.
+    fn nothing(plan: &Plan, read: usize) -> Self {
+        let made = Made { spool: None, occupied: Vec::new(), lacking: vec![0; plan.attributes.len()] };
+        Self { spool: None, made, read, warnings: Vec::new() }
     }
 }
 
@@ -127,6 +154,7 @@ impl PartMade {
             bytes: file.bytes,
             blocks: blocks.len(),
             triangles: blocks.iter().map(|block| u64::from(block.triangles)).sum(),
+            read: 0,
             was_there: true,
             warnings: Vec::new(),
             timings: Timings::default(),

@@ -21,7 +21,7 @@ use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::plan::{Plan, Share, path_in};
-use super::{Again, Begun, PartShare, PartTakes, Parts, Planned};
+use super::{Again, Begun, PartShare, PartTakes, Parts, Planned, chunks};
 
 /// Cells that a surface can pass through whose field and mesh take as long as it takes to bin and to sample a particle.
 const CELLS_A_PARTICLE: u64 = 4;
@@ -133,7 +133,10 @@ impl Parts {
         control.begins(Stage::Counting);
         // Nothing here asks for attributes.
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
-        let counted = Counted::for_surface(particles, &bare, surfacing)?;
+        let cut = chunks::cut(particles);
+        let watched = chunks::watched(particles, &cut, &sampling.grid);
+        let counted = Counted::for_surface(&watched, &bare, surfacing)?;
+        let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
         let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
         timings.done("count");
         let engine = Engine::sample_counted(counted, bare.resources.budget, timings)?;
@@ -165,6 +168,7 @@ impl Parts {
             mean_symmetry,
             attributes: carried_infos(particles.attributes(), &sampling.carried),
             parts,
+            chunks,
         };
         let takes = (0..).zip(&shared).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);

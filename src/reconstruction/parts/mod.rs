@@ -3,11 +3,13 @@
 //! Beside the output, in a folder named as it with `.meniscus-parts` appended, there are `plan.json` and the parts' files. The plan
 //! samples the whole frame once, measures what a single run would, and cuts the Morton curve of blocks into stretches of about
 //! equal work. A part samples the bins that decide its blocks' meshes ([`Sight`](crate::grid::stretch::Sight): what filters reach, by
-//! the recipe), and meshes those blocks. Whoever merges lists all parts' blocks one after the other, as a single run would have them in
+//! the recipe), and meshes those blocks. It reads the chunks of the input that may hold particles of these bins: the plan lists all with
+//! the boxes that their particles are in. Whoever merges lists all parts' blocks one after the other, as a single run would have them in
 //! its scratch file, and goes on as that would: vertices are stitched by identity, so that nothing of the cuts is left.
 //!
 //! How they are used is in `parts.md`, a page of the docs.
 
+mod chunks;
 mod file;
 mod make;
 mod measure;
@@ -32,7 +34,7 @@ use super::warning::Warning;
 
 use plan::Plan;
 
-/// Parts of a mesh, at the most: those who merge have all their files open at once.
+/// Parts of a mesh, at the most: of more, each would sample far more around its blocks than in them.
 const MOST_PARTS: u32 = 1000;
 
 /// A request for the mesh of one file of particles in parts, each to be made by a process of its own, on any machine.
@@ -138,6 +140,8 @@ pub struct PartMade {
     pub blocks: usize,
     /// Triangles of all blocks.
     pub triangles: u64,
+    /// Particles that were read of the input: none where it was there.
+    pub read: usize,
     /// Whether it was there already, whole, and made by the same plan.
     pub was_there: bool,
     /// Failures of the backend that were made good.

@@ -22,6 +22,8 @@ use crate::reconstruction::asked::{Settings, differing};
 use crate::reconstruction::checked::Checked;
 use crate::reconstruction::{Cells, as_numbers};
 
+use super::chunks::Chunk;
+
 /// All that parts and their merging have to know.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Plan {
@@ -55,6 +57,8 @@ pub(super) struct Plan {
     /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
     pub(super) parts: Vec<Share>,
+    /// All particles of the input, in their order.
+    pub(super) chunks: Vec<Chunk>,
 }
 
 /// By what a calibration was told.
@@ -128,6 +132,11 @@ impl Plan {
         }
         if self.calibration.is_none() {
             return Err("no calibration".into());
+        }
+        let listed =
+            self.chunks.iter().try_fold(0, |all: usize, chunk| all.checked_add(chunk.particles.count));
+        if listed != Some(self.particles) {
+            return Err("its chunks are not all particles".into());
         }
         Ok(())
     }

@@ -7,6 +7,7 @@ use std::path::Path;
 use glam::IVec3;
 
 use crate::grid::{BLOCK_TILES, MortonKey};
+use crate::system::reopened::ReopenedFile;
 use crate::system::scratch::Scratch;
 
 use super::{BlockMesh, Tile};
@@ -41,7 +42,7 @@ enum Store {
     Memory(Vec<BlockMesh>),
     File(Scratch),
     /// Each with the number of the first block that is in it.
-    Files(Vec<(usize, Scratch)>),
+    Files(Vec<(usize, ReopenedFile)>),
 }
 
 /// A block's surface as it is listed in a file that holds several.
@@ -62,7 +63,7 @@ pub struct ListedBlock {
 #[derive(Debug)]
 pub struct SpoolFile {
     /// The file.
-    pub file: Scratch,
+    pub file: ReopenedFile,
     /// Where the first of them begins.
     pub at: u64,
     /// Meshes of all blocks, in Morton order.
@@ -292,9 +293,9 @@ impl Spool {
         }
     }
 
-    fn read_tiles(&self, scratch: &Scratch, i: usize) -> io::Result<Cow<'_, [Tile]>> {
+    fn read_tiles(&self, file: &impl Positioned, i: usize) -> io::Result<Cow<'_, [Tile]>> {
         let mut at = self.index[i].at;
-        read_array(scratch, &mut at, self.index[i].tiles as usize).map(Cow::Owned)
+        read_array(file, &mut at, self.index[i].tiles as usize).map(Cow::Owned)
     }
 
     /// The surface of block number `i`.
@@ -309,13 +310,13 @@ impl Spool {
         }
     }
 
-    fn read(&self, scratch: &Scratch, entry: &Entry) -> io::Result<BlockMesh> {
+    fn read(&self, file: &impl Positioned, entry: &Entry) -> io::Result<BlockMesh> {
         let mut at = entry.at;
         let vertices = entry.vertices as usize;
-        let tiles = read_array(scratch, &mut at, entry.tiles as usize)?;
-        let ends = read_array(scratch, &mut at, vertices)?;
-        let normals = read_array(scratch, &mut at, if self.normals { vertices } else { 0 })?;
-        let attributes = self.components.iter().map(|n| read_array(scratch, &mut at, n * vertices));
+        let tiles = read_array(file, &mut at, entry.tiles as usize)?;
+        let ends = read_array(file, &mut at, vertices)?;
+        let normals = read_array(file, &mut at, if self.normals { vertices } else { 0 })?;
+        let attributes = self.components.iter().map(|n| read_array(file, &mut at, n * vertices));
         Ok(BlockMesh {
             block: entry.block,
             tiles,
@@ -328,13 +329,30 @@ impl Spool {
 }
 
 /// The file that holds block number `i`.
-fn file_of(files: &[(usize, Scratch)], i: usize) -> &Scratch {
+fn file_of(files: &[(usize, ReopenedFile)], i: usize) -> &ReopenedFile {
     &files[files.partition_point(|&(first, _)| first <= i) - 1].1
 }
 
-fn read_array<T: bytemuck::Pod>(scratch: &Scratch, at: &mut u64, len: usize) -> io::Result<Vec<T>> {
+/// Bytes that are read by position.
+trait Positioned {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()>;
+}
+
+impl Positioned for Scratch {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.read_at(at, bytes)
+    }
+}
+
+impl Positioned for ReopenedFile {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        Ok(self.read_exact_at(at, bytes)?)
+    }
+}
+
+fn read_array<T: bytemuck::Pod>(file: &impl Positioned, at: &mut u64, len: usize) -> io::Result<Vec<T>> {
     let mut array = vec![T::zeroed(); len];
-    scratch.read_at(*at, bytemuck::cast_slice_mut(&mut array))?;
+    file.read_at(*at, bytemuck::cast_slice_mut(&mut array))?;
     *at += size_of_val(&array[..]) as u64;
     Ok(array)
 }

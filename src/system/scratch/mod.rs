@@ -28,15 +28,6 @@ impl Scratch {
         Ok(Self { file: tempfile::tempfile_in(folder)?, end: AtomicU64::new(0) })
     }
 
-    /// A file that is there and has a name, to be read by position like one that has none.
-    ///
-    /// # Errors
-    /// The system's, where it does not say how long the file is.
-    pub fn of_file(file: File) -> io::Result<Self> {
-        let end = AtomicU64::new(file.metadata()?.len());
-        Ok(Self { file, end })
-    }
-
     /// Sets `bytes` aside and returns where they begin.
     pub fn reserve(&self, bytes: u64) -> u64 {
         self.end.fetch_add(bytes, Ordering::Relaxed)

@@ -1,0 +1,192 @@
+//! Chunks of the input, each with a box around its particles, by which a part knows what it need not read.
+//!
+//! Chunks are as long as the input's own order is good for: where particles that follow one another are near each other, a part
+//! reads little but its own. Where they are in random order each chunk is everywhere, and every part reads all.
+
+use std::fmt;
+use std::ops::Range;
+
+use glam::IVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::brick::WithBoxes;
+use crate::grid::stretch::WantedBins;
+use crate::grid::{CellBox, Domain, Grid};
+use crate::io::{PieceChunk, Pieces};
+use crate::particles::Particles;
+
+/// Particles of a chunk, where there are not so many that the list would grow too long.
+const FEWEST: usize = 1 << 12;
+/// Chunks that are listed, beside one for the end of every piece.
+const MOST: usize = 1 << 16;
+
+/// Particles of the input that follow one another in a piece.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub(super) struct Chunk {
+    pub(super) particles: PieceChunk,
+    /// The bins that they are in; `None` where all are nowhere.
+    bins: Option<CellBox>,
+}
+
+/// What a part reads of the input.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Reading {
+    /// Numbers of the pieces of which it reads anything, and of how many particles they are.
+    pub(super) pieces: Vec<usize>,
+    counts: Vec<usize>,
+    /// Particles among those of these pieces.
+    pub(super) ranges: Vec<Range<usize>>,
+}
+
+/// Cuts the particles of an input into chunks that can be listed.
+pub(super) fn cut(particles: &Pieces) -> Vec<PieceChunk> {
+    particles.chunks(particles.len().div_ceil(MOST).next_power_of_two().max(FEWEST))
+}
+
+/// Chunks with the boxes around their particles, all of which were read.
+pub(super) fn boxed(chunks: &[PieceChunk], read: &WithBoxes<Pieces>, domain: Option<&Domain>) -> Vec<Chunk> {
+    let boxes = read.boxes(domain);
+    chunks.iter().zip(boxes).map(|(&particles, bins)| Chunk { particles, bins }).collect()
+}
+
+/// Watches an input's particles while they are read.
+pub(super) fn watched<'a>(
+    particles: &'a Pieces,
+    chunks: &[PieceChunk],
+    grid: &Grid,
+) -> WithBoxes<'a, Pieces> {
+    WithBoxes::new(particles, chunks.iter().map(|chunk| chunk.count), grid)
+}
+
+impl Reading {
+    /// The chunks that may hold particles in bins that are wanted, of all of an input.
+    pub(super) fn of(chunks: &[Chunk], wanted: WantedBins) -> Self {
+        let mut reading = Self::default();
+        let mut before = 0;
+        for piece in chunks.chunk_by(|one, other| one.particles.piece == other.particles.piece) {
+            let mut end = before;
+            for Chunk { particles, bins } in piece {
+                let first = end;
+                end += particles.count;
+                match reading.ranges.last_mut() {
+                    _ if !bins.is_some_and(|bins| wanted.touch(bins)) => {}
+                    Some(range) if range.end == first => range.end = end,
+                    _ => reading.ranges.push(first..end),
+                }
+            }
+            if reading.ranges.last().is_some_and(|range| range.end > before) {
+                reading.pieces.push(piece[0].particles.piece);
+                reading.counts.push(end - before);
+                before = end;
+            }
+        }
+        reading
+    }
+
+    /// Whether it is nothing.
+    pub(super) fn is_empty(&self) -> bool {
+        self.ranges.is_empty()
+    }
+
+    /// The number of particles.
+    pub(super) fn count(&self) -> usize {
+        self.ranges.iter().map(Range::len).sum()
+    }
+
+    /// Whether the pieces that were opened are of as many particles as they were.
+    pub(super) fn is_of(&self, opened: &Pieces) -> bool {
+        // No chunk is longer than all: one a piece.
+        let found = opened.chunks(usize::MAX);
+        let expected = self.pieces.iter().zip(&self.counts);
+        found.into_iter().eq(expected.map(|(&piece, &count)| PieceChunk { piece, count }))
+    }
+}
+
+/// Piece, particles, and the lowest and the highest bin.
+impl fmt::Display for Chunk {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { particles: PieceChunk { piece, count }, bins } = self;
+        write!(f, "{piece} {count}")?;
+        let Some(CellBox { lo, hi }) = bins else { return Ok(()) };
+        let hi = *hi - 1;
+        write!(f, " {} {} {} {} {} {}", lo.x, lo.y, lo.z, hi.x, hi.y, hi.z)
+    }
+}
+
+impl From<Chunk> for String {
+    fn from(chunk: Chunk) -> Self {
+        chunk.to_string()
+    }
+}
+
+impl TryFrom<String> for Chunk {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let no_chunk = || format!("no chunk of the input: {text:?}");
+        let words: Vec<&str> = text.split(' ').collect();
+        let number = |word: &str| word.parse().map_err(|_| no_chunk());
+        let coordinate = |word: &&str| word.parse::<i32>().map_err(|_| no_chunk());
+        let [piece, count, corners @ ..] = &words[..] else { return Err(no_chunk()) };
+        let particles = PieceChunk { piece: number(piece)?, count: number(count)? };
+        let corners = corners.iter().map(coordinate).collect::<Result<Vec<_>, _>>()?;
+        let bins = match corners[..] {
+            [] => None,
+            [x, y, z, a, b, c] => Some(CellBox { lo: IVec3::new(x, y, z), hi: IVec3::new(a, b, c) + 1 }),
+            _ => return Err(no_chunk()),
+        };
+        Ok(Self { particles, bins })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::grid::BLOCK;
+    use crate::grid::MortonKey;
+    use crate::grid::stretch::{Sight, Stretch};
+
+    use super::*;
+
+    fn chunk(piece: usize, count: usize, at: i32) -> Chunk {
+        let lo = IVec3::splat(at);
+        Chunk { particles: PieceChunk { piece, count }, bins: Some(CellBox { lo, hi: lo + 2 }) }
+    }
+
+    #[test]
+    fn a_chunk_is_read_as_it_was_written_and_nothing_else_is_one() {
+        let nowhere = Chunk { bins: None, ..chunk(3, 5, 0) };
+        for chunk in [chunk(0, 4096, -3), chunk(7, 1, 2), nowhere] {
+            assert_eq!(Chunk::try_from(chunk.to_string()), Ok(chunk));
+        }
+        assert_eq!(chunk(0, 4096, -3).to_string(), "0 4096 -3 -3 -3 -2 -2 -2");
+        for text in ["", "1", "1 2 3", "1 2 3 4 5 6 7", "1 -2", "1 2 a b c d e f", "1  2"] {
+            assert!(Chunk::try_from(text.to_owned()).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_read_are_the_chunks_that_touch_and_the_pieces_that_have_one() {
+        let first = MortonKey::of(IVec3::ZERO);
+        let stretch = Stretch { first, end: MortonKey(first.0 + 1) };
+        let wanted = WantedBins { stretch, sight: Sight::new(CellBox::cube(IVec3::ZERO, BLOCK)) };
+        let (near, far) = (0, 9);
+        let chunks = [
+            chunk(0, 10, far),
+            chunk(0, 10, near),
+            chunk(0, 5, near),
+            chunk(2, 10, far),
+            chunk(2, 3, far),
+            chunk(3, 10, near),
+            chunk(3, 10, far),
+            chunk(3, 1, near),
+        ];
+        let reading = Reading::of(&chunks, wanted);
+        assert_eq!(reading.pieces, [0, 3]);
+        assert_eq!(reading.counts, [25, 21]);
+        // Of the pieces that are opened, one after the other; those that follow one another are one.
+        assert_eq!(reading.ranges, [10..35, 45..46]);
+        assert_eq!(reading.count(), 26);
+        assert!(Reading::of(&chunks[3..5], wanted).is_empty());
+    }
+}

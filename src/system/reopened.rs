@@ -1,0 +1,201 @@
+//! Files that are read by position, of which only those that were read last are open: a frame may be in more pieces than a process may
+//! have open files. Whichever is opened again is made sure to be the file that it was.
+
+use std::fs::{File, Metadata};
+use std::io;
+use std::path::{Path, PathBuf, absolute};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, LazyLock};
+use std::time::SystemTime;
+
+use quick_cache::sync::Cache;
+use quick_cache::{OptionsBuilder, UnitWeighter};
+
+use super::positioned::read_exact_at;
+
+/// Files that stay open, at the most: more than threads read at once, and far fewer than any system allows.
+pub const MOST_OPEN: usize = 96;
+
+/// Files that are open, by their numbers.
+static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
+    let options = OptionsBuilder::new()
+        .estimated_items_capacity(MOST_OPEN)
+        .weight_capacity(MOST_OPEN as u64)
+        // They are read one after the other, so that those that were read often before are worth no more than those of the moment.
+        .hot_allocation(0.5)
+        // So that the number is exact.
+        .shards(1)
+        .build()
+        .expect("all that has no default is given");
+    Cache::with_options(options, UnitWeighter, Default::default(), Default::default())
+});
+static NEXT: AtomicU64 = AtomicU64::new(0);
+
+/// A file's identity, size and time, which tell whether it was written to or replaced since.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FileStamp {
+    /// The file's size.
+    pub bytes: u64,
+    modified: Option<SystemTime>,
+    /// Device and number there.
+    #[cfg(unix)]
+    node: [u64; 2],
+}
+
+impl FileStamp {
+    /// Stamps a file by what the system says of it.
+    #[must_use]
+    pub fn of(metadata: &Metadata) -> Self {
+        #[cfg(unix)]
+        use std::os::unix::fs::MetadataExt;
+        Self {
+            bytes: metadata.len(),
+            modified: metadata.modified().ok(),
+            #[cfg(unix)]
+            node: [metadata.dev(), metadata.ino()],
+        }
+    }
+}
+
+/// A file that cannot be read as it was.
+#[derive(Debug)]
+pub enum Lost {
+    /// It was written to, or another has its name.
+    Changed,
+    /// The system's refusal.
+    Io(io::Error),
+}
+
+impl From<Lost> for io::Error {
+    fn from(lost: Lost) -> Self {
+        match lost {
+            Lost::Changed => Self::other("it has changed while it was read"),
+            Lost::Io(fault) => fault,
+        }
+    }
+}
+
+impl From<io::Error> for Lost {
+    fn from(fault: io::Error) -> Self {
+        Self::Io(fault)
+    }
+}
+
+/// A file that is opened again whenever it is read and is not open any more.
+#[derive(Debug)]
+pub struct ReopenedFile {
+    number: u64,
+    path: PathBuf,
+    stamp: FileStamp,
+}
+
+impl ReopenedFile {
+    /// Takes the file at `path`, which is open.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn new(path: &Path, file: File) -> io::Result<Self> {
+        let stamp = FileStamp::of(&file.metadata()?);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        OPEN.insert(number, Arc::new(file));
+        Ok(Self { number, path: absolute(path)?, stamp })
+    }
+
+    /// A number that no other has.
+    #[must_use]
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// The file as it was when it was taken.
+    #[must_use]
+    pub fn stamp(&self) -> FileStamp {
+        self.stamp
+    }
+
+    /// The file, open.
+    ///
+    /// # Errors
+    /// [`Lost::Changed`] where it has to be opened again and is not what it was, and the system's refusal to open it.
+    pub fn file(&self) -> Result<Arc<File>, Lost> {
+        OPEN.get_or_insert_with(&self.number, || {
+            let file = File::open(&self.path)?;
+            if FileStamp::of(&file.metadata()?) == self.stamp {
+                Ok(Arc::new(file))
+            } else {
+                Err(Lost::Changed)
+            }
+        })
+    }
+
+    /// Fills `bytes` from position `at` on.
+    ///
+    /// # Errors
+    /// As [`file`](Self::file); and [`io::ErrorKind::UnexpectedEof`] past the file's end.
+    pub fn read_exact_at(&self, at: u64, bytes: &mut [u8]) -> Result<(), Lost> {
+        Ok(read_exact_at(&*self.file()?, at, bytes)?)
+    }
+
+    /// Makes sure that the file is what it was: if it is open still, whatever has its name meanwhile.
+    ///
+    /// # Errors
+    /// [`Lost`].
+    pub fn check(&self) -> Result<(), Lost> {
+        let metadata = match OPEN.get(&self.number) {
+            Some(file) => file.metadata()?,
+            None => self.path.metadata()?,
+        };
+        if FileStamp::of(&metadata) == self.stamp { Ok(()) } else { Err(Lost::Changed) }
+    }
+}
+
+impl Drop for ReopenedFile {
+    fn drop(&mut self) {
+        OPEN.remove(&self.number);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn opened(path: &Path) -> ReopenedFile {
+        ReopenedFile::new(path, File::open(path).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn any_number_of_files_is_read_and_few_of_them_are_open() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |number: usize| folder.path().join(number.to_string());
+        let files = 4 * MOST_OPEN;
+        (0..files).for_each(|number| fs::write(path(number), format!("{number:04}")).unwrap());
+        let taken: Vec<_> = (0..files).map(|number| opened(&path(number))).collect();
+        let read = |number: usize| {
+            let mut bytes = [0; 4];
+            taken[number].read_exact_at(0, &mut bytes).map(|()| bytes)
+        };
+        for number in (0..files).chain((0..files).rev()) {
+            assert_eq!(read(number).unwrap(), format!("{number:04}").as_bytes());
+            taken[number].check().unwrap();
+        }
+        // What is not open any more is seen to have changed, or to be another file, by whoever reads or asks.
+        assert!(OPEN.len() <= MOST_OPEN);
+        let closed = |number: &usize| OPEN.get(&taken[*number].number).is_none();
+        let [gone, longer, other, ..] = (0..files).filter(closed).collect::<Vec<_>>()[..] else { panic!() };
+        fs::remove_file(path(gone)).unwrap();
+        assert!(matches!(taken[gone].check(), Err(Lost::Io(_))) && matches!(read(gone), Err(Lost::Io(_))));
+        fs::write(path(longer), "12345").unwrap();
+        assert!(matches!(taken[longer].check(), Err(Lost::Changed)));
+        assert!(matches!(read(longer), Err(Lost::Changed)));
+        let modified = path(other).metadata().unwrap().modified().unwrap();
+        let later = folder.path().join("later");
+        fs::write(&later, "abcd").unwrap();
+        File::options().write(true).open(&later).unwrap().set_modified(modified).unwrap();
+        fs::rename(&later, path(other)).unwrap();
+        if cfg!(unix) {
+            assert!(matches!(read(other), Err(Lost::Changed)));
+        }
+    }
+}
