@@ -38,7 +38,7 @@ static void save(const char *name, const char *head, size_t head_bytes, const vo
   CHECK(fclose(file) == 0);
 }
 
-int main(int count, char **arguments) {
+static int test(int count, char **arguments) {
   CHECK(count == 3);
   program = arguments[1], folder = arguments[2];
   static float positions[COUNT][3];
