@@ -22,7 +22,8 @@ pub(crate) struct Orientation {
 }
 
 /// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point up, other simulators mostly y.
-pub(crate) fn usual_up(input: &Path) -> UpAxis {
+#[must_use]
+pub fn usual_up(input: &Path) -> UpAxis {
     let name = input.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if name.trim_end_matches(".gz").ends_with(".bi4") { UpAxis::Z } else { UpAxis::Y }
 }

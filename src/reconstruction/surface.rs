@@ -2,9 +2,6 @@
 
 use std::fmt;
 use std::path::Path;
-use std::sync::Arc;
-
-use rayon::ThreadPool;
 
 use crate::error::Error;
 use crate::io::output::MeshFormat;
@@ -22,13 +19,14 @@ use super::asked::Asked;
 use super::draw::{Drawn, Kept};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
+use super::threads::Threads;
 use super::warning::Warning;
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     pub(crate) drawn: Drawn,
-    /// The threads that it was made by, and is written by.
-    pub(crate) threads: Arc<ThreadPool>,
+    /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be kept for long.
+    pub(crate) threads: Threads,
     pub(crate) asked: Asked,
     /// Whoever had it drawn.
     pub(crate) control: Control,
@@ -45,9 +43,11 @@ impl Surface {
     /// Copies the mesh into memory as a whole.
     ///
     /// # Errors
-    /// [`WholeMeshError`] where it is too large, or cannot be read from a scratch file.
+    /// [`WholeMeshError`] where it is too large, cannot be read from a scratch file, or threads do not start.
     pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
-        self.threads.install(|| match &self.drawn.mesh {
+        let threads = self.threads.started().map_err(WholeMeshError::Threads)?;
+        threads.install(|| match &self.drawn.mesh {
+            Kept::Empty(mesh) => Ok(mesh.clone()),
             Kept::Whole(mesh) => mesh.to_mesh(),
             Kept::Reduced(mesh) => in_one_piece(mesh),
         })
@@ -66,7 +66,8 @@ impl Surface {
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> = coarse.then_some(Warning::Coarse { format }).into_iter().collect();
-        warnings.extend(self.threads.install(|| merged(self.mesh(), format, Path::new("")))?);
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        warnings.extend(threads.install(|| merged(self.mesh(), format, Path::new("")))?);
         Ok(warnings)
     }
 
@@ -100,7 +101,8 @@ impl Surface {
         let output = output.with_layout(self.asked.layout(orientation));
         let turned = orientation.turned(self.mesh());
         self.control.begins(Stage::Writing);
-        let bytes = self.threads.install(|| output.write(&turned, width))?;
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        let bytes = threads.install(|| output.write(&turned, width))?;
         self.control.ends(Stage::Writing);
         Ok(bytes)
     }
