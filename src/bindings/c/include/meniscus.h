@@ -293,7 +293,7 @@ typedef struct MeniscusFrame MeniscusFrame;
 
 // A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
 //
-// Several threads may use it at once, as long as none frees it. It keeps the threads that made it, asleep, until it is freed.
+// Several threads may use it at once, as long as none frees it.
 typedef struct MeniscusMesh MeniscusMesh;
 
 // A simulation whose frames come from memory, one after the other. Freed by meniscus_simulation_free.
@@ -736,8 +736,8 @@ void meniscus_frame_free(struct MeniscusFrame *frame);
 
 // Starts threads for a simulation, of which nothing is known yet.
 //
-// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed, and a
-// callback or a handle that ends one frame early ends all that come later, too. `simulation`: where to put the handle, to be freed by
+// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed. A callback
+// ends one frame early, a handle also all that come later. `simulation`: where to put the handle, to be freed by
 // meniscus_simulation_free; NULL where it fails.
 //
 // Pointers are NULL or point to what they say.
@@ -746,8 +746,8 @@ MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options,
 
 // Reconstructs the surface of the next frame.
 //
-// Returns what meniscus_reconstruct does; the next frame may do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation
-// is at work on another frame.
+// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what meniscus_reconstruct does; the next frame may
+// do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 //
 // Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 MeniscusStatus meniscus_simulation_frame(struct MeniscusSimulation *simulation,

@@ -131,6 +131,8 @@ unsafe impl Sync for Ear {}
 /// The control of a request: whom to tell, and how to end it early.
 pub struct Control {
     cancel: Cancel,
+    /// Whether the handle is the caller's, or this one's own.
+    is_given: bool,
     listener: Option<Listener>,
     ear: Arc<Ear>,
 }
@@ -150,9 +152,16 @@ impl Control {
         user: *mut c_void,
         cancel: Option<&MeniscusCancel>,
     ) -> Self {
+        let is_given = cancel.is_some();
         let cancel = cancel.map_or_else(Cancel::new, |handle| handle.cancel.clone());
         let listener = callback.map(|callback| Listener { callback, user });
-        Self { cancel, listener, ear: Arc::new(Ear(ReentrantMutex::new(Cell::new(None)))) }
+        Self { cancel, is_given, listener, ear: Ear::deaf() }
+    }
+
+    /// The same for other work, that a callback's end of this does not end.
+    pub fn anew(&self) -> Self {
+        let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
+        Self { cancel, ear: Ear::deaf(), ..*self }
     }
 
     /// The handle by which the work ends early.
@@ -184,6 +193,10 @@ impl Drop for Listening<'_> {
 }
 
 impl Ear {
+    fn deaf() -> Arc<Self> {
+        Arc::new(Self(ReentrantMutex::new(Cell::new(None))))
+    }
+
     fn hear(&self, Progress { stage, done, .. }: Progress, cancel: &Cancel) {
         let listener = self.0.lock();
         let Some(Listener { callback, user }) = listener.get() else { return };

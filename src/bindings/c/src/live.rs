@@ -1,6 +1,6 @@
 //! A simulation that runs: frames from memory, one after the other, all alike.
 
-use meniscus::LiveSimulation;
+use meniscus::{LiveSimulation, Reconstruction};
 use parking_lot::Mutex;
 
 use crate::control::{Control, free};
@@ -21,8 +21,8 @@ pub struct MeniscusSimulation {
 
 /// Starts threads for a simulation, of which nothing is known yet.
 ///
-/// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed, and a
-/// callback or a handle that ends one frame early ends all that come later, too. `simulation`: where to put the handle, to be freed by
+/// `options` may be NULL for all defaults; its callback and what that is given have to be there until the simulation is freed. A callback
+/// ends one frame early, a handle also all that come later. `simulation`: where to put the handle, to be freed by
 /// meniscus_simulation_free; NULL where it fails.
 ///
 /// Pointers are NULL or point to what they say.
@@ -45,8 +45,8 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 
 /// Reconstructs the surface of the next frame.
 ///
-/// Returns what meniscus_reconstruct does; the next frame may do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation
-/// is at work on another frame.
+/// A frame without particles, or without a surface, is an empty mesh. Otherwise returns what meniscus_reconstruct does; the next frame may
+/// do better than one that fails. MENISCUS_STATUS_REQUEST while the simulation is at work on another frame.
 ///
 /// Pointers are NULL or point to what they say; the particles stay as they are meanwhile.
 #[unsafe(no_mangle)]
@@ -66,6 +66,8 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
         let Some(mut live) = live.try_lock() else {
             return Err(Failure::request("the simulation is at work on another frame"));
         };
+        let control = control.anew();
+        live.controlled_by(&control.of(Reconstruction::new()));
         let _listening = control.listen();
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };

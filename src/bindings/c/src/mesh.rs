@@ -18,7 +18,7 @@ use crate::text::{buffer, path, tell};
 
 /// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
 ///
-/// Several threads may use it at once, as long as none frees it. It keeps the threads that made it, asleep, until it is freed.
+/// Several threads may use it at once, as long as none frees it.
 pub struct MeniscusMesh {
     surface: Surface,
     outline: Outline,

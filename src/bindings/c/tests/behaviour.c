@@ -138,6 +138,15 @@ static void progress_is_told_and_can_end_the_work(const char *folder) {
     CHECK(meniscus_reconstruct(&particles, &options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
     CHECK(strcmp(meniscus_last_error(), "cancelled") == 0);
   }
+  // A frame that a callback ends leaves those to come.
+  MeniscusSimulation *simulation;
+  OK(meniscus_simulation_new(&options, &simulation));
+  for (int stop_after = 2; stop_after >= 0; stop_after -= 2) {
+    told = (struct told){.stop_after = stop_after};
+    CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == (stop_after ? MENISCUS_STATUS_CANCELLED : MENISCUS_STATUS_OK));
+  }
+  meniscus_mesh_free(mesh);
+  meniscus_simulation_free(simulation);
 }
 
 static void a_handle_ends_all_that_is_begun_with_it(void) {
@@ -210,6 +219,16 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
     meniscus_mesh_free(mesh);
   }
   CHECK(meniscus_simulation_is_settled(simulation) == 1);
+  // A tank may be dry at times; a frame alone is not.
+  MeniscusParticles none = {.size = sizeof none};
+  MeniscusMesh *dry;
+  MeniscusArrays arrays = {.size = sizeof arrays};
+  OK(meniscus_simulation_frame(simulation, &none, &dry));
+  OK(meniscus_mesh_arrays(dry, &arrays));
+  CHECK(arrays.vertex_count == 0 && arrays.triangle_count == 0 && !arrays.positions);
+  OK(meniscus_mesh_positions_f32(dry, NULL, 0));
+  meniscus_mesh_free(dry);
+  CHECK(meniscus_reconstruct(&none, NULL, &dry) == MENISCUS_STATUS_INPUT);
   meniscus_simulation_free(simulation);
 }
 
