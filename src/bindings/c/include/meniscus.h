@@ -507,7 +507,7 @@ typedef struct MeniscusAttribute {
 typedef struct MeniscusParticles {
   // sizeof(MeniscusParticles).
   size_t size;
-  // How many there are.
+  // The number of particles.
   uint64_t count;
   // The first particle's x; need not be aligned.
   const void *positions;
@@ -596,7 +596,7 @@ typedef struct MeniscusReport {
   int32_t spacing_source;
 } MeniscusReport;
 
-// What `meniscus check` finds of a mesh. The caller sets `size`, and the library fills the rest.
+// Findings of `meniscus check` on a mesh. The caller sets `size`, and the library fills the rest.
 typedef struct MeniscusCheck {
   // sizeof(MeniscusCheck).
   size_t size;

@@ -112,7 +112,7 @@ pub unsafe fn free<T>(handle: *mut T) {
     }
 }
 
-/// What a callback is called with.
+/// A callback, and what it is called with.
 #[derive(Clone, Copy)]
 struct Listener {
     callback: unsafe extern "C" fn(*mut c_void, *const MeniscusProgress) -> i32,
@@ -142,7 +142,7 @@ unsafe impl Send for Control {}
 // SAFETY: as above.
 unsafe impl Sync for Control {}
 
-/// As long as this lives, the callback hears.
+/// Lets the callback hear, as long as it lives.
 pub struct Listening<'a>(&'a Control);
 
 impl Control {
@@ -158,7 +158,7 @@ impl Control {
         Self { cancel, is_given, listener, ear: Ear::deaf() }
     }
 
-    /// The same for other work, that a callback's end of this does not end.
+    /// Makes the same for other work, that a callback's end of this does not end.
     pub fn anew(&self) -> Self {
         let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
         Self { cancel, ear: Ear::deaf(), ..*self }

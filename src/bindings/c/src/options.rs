@@ -177,7 +177,7 @@ unsafe impl Growing for MeniscusOptions {
     const NAME: &str = "MeniscusOptions";
 }
 
-/// What options ask for, on a machine that is still to be chosen.
+/// A request by options, on a machine that is still to be chosen.
 pub struct Asked {
     pub request: Reconstruction,
     pub control: Control,
@@ -341,7 +341,7 @@ fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
     })
 }
 
-/// What the mesh is like.
+/// Says what the mesh is like.
 ///
 /// # Safety
 /// As for [`Asked::new`].

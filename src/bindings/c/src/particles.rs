@@ -53,7 +53,7 @@ pub struct MeniscusAttribute {
 pub struct MeniscusParticles {
     /// sizeof(MeniscusParticles).
     pub size: usize,
-    /// How many there are.
+    /// The number of particles.
     pub count: u64,
     /// The first particle's x; need not be aligned.
     pub positions: *const std::ffi::c_void,

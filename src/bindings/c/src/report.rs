@@ -101,7 +101,7 @@ impl From<&Report> for MeniscusReport {
     }
 }
 
-/// What `meniscus check` finds of a mesh. The caller sets `size`, and the library fills the rest.
+/// Findings of `meniscus check` on a mesh. The caller sets `size`, and the library fills the rest.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusCheck {

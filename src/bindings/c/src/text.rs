@@ -94,7 +94,7 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     Ok(())
 }
 
-/// So many numbers at an address; `None` where there is no address.
+/// Reads `N` numbers at an address; `None` where there is no address.
 ///
 /// # Safety
 /// `at` is NULL or points to `N` values, however aligned.
