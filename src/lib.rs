@@ -102,14 +102,15 @@ pub mod picture {
 
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
-    pub use crate::io::UpAxis;
     pub use crate::io::identity::is_same_file;
     pub use crate::io::input::file_and_step;
     pub use crate::io::output::MeshFormat;
     pub use crate::io::whole::Replace;
-    pub use crate::particles::AttributeInfo;
+    pub use crate::io::{ParticleFile, UpAxis};
+    pub use crate::particles::{AttributeInfo, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type, usual_up,
+        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type,
+        open_particles, usual_up,
     };
 }
 

@@ -18,7 +18,7 @@ use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::particles::{Particles, StridedPositions};
 use meniscus::internals::reconstruction::SpacingSource;
 use meniscus::internals::surface::mesh::check::check;
-use meniscus::{Reconstruction, Surface};
+use meniscus::{Emptiness, LiveSimulation, Reconstruction, Surface, Warning};
 use tempfile::TempDir;
 
 /// A ball of particles at spacing 0.5.
@@ -250,4 +250,70 @@ fn lengths_are_shown_in_as_many_digits_as_people_read() {
         assert_eq!(meniscus::error::shown(number), text);
     }
     assert_eq!(meniscus::error::significant(0.060_234_9, 4), "0.06023");
+}
+
+#[test]
+fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_simulation_and_an_error_alone()
+ {
+    let none: [[f64; 3]; 0] = [];
+    let usual = || Reconstruction::new().spacing(0.5).normals();
+    let error = usual().run(&none).unwrap_err();
+    assert_eq!(error.cause(), Cause::Input, "{error}");
+
+    let mut simulation = LiveSimulation::new(&usual().smallest_drop(100)).unwrap();
+    let counts = |surface: &Surface| [surface.mesh().vertex_count(), surface.mesh().triangle_count()];
+    let empty = |surface: &Surface| {
+        let mesh = surface.to_mesh().unwrap();
+        counts(surface) == [0; 2] && mesh.normals.is_some() && mesh.positions.is_empty()
+    };
+    // Before anything is measured, and after.
+    assert!(empty(&simulation.frame(&none).unwrap()));
+    assert!(!empty(&simulation.frame(&ball()).unwrap()) && simulation.is_settled());
+    assert!(empty(&simulation.frame(&none).unwrap()));
+    let drop = simulation.frame(&[[0.0; 3]]).unwrap();
+    assert!(empty(&drop) && drop.report().lost == 1);
+    let warned = |warning: &Warning| matches!(warning, Warning::Empty { why: Emptiness::TooSmall(_), .. });
+    assert!(drop.report().warnings.iter().any(warned), "{:?}", drop.report().warnings);
+    // A file of it is as any other.
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("empty.ply");
+    drop.write(&path).unwrap();
+    assert_eq!(read_mesh(&path).unwrap().triangles.len(), 0);
+    // What cannot be placed is an error still.
+    let error = simulation.frame(&[[f64::NAN; 3]]).unwrap_err();
+    assert_eq!(error.cause(), Cause::Input, "{error}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn surfaces_that_are_kept_hold_no_threads() {
+    let threads = || fs::read_dir("/proc/self/task").unwrap().count();
+    let ball = ball();
+    let one = || Reconstruction::new().spacing(0.5).threads(16).run(&ball).unwrap();
+    let surfaces: Vec<Surface> = (0..8).map(|_| one()).collect();
+    // They end soon after; other tests have threads, too, but not as many.
+    let few = (0..200).any(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        threads() < 8 * 16
+    });
+    assert!(few, "{} threads", threads());
+    let [first, last] = [&surfaces[0], &surfaces[7]].map(|surface| bytes(surface));
+    assert!(first == last);
+}
+
+#[test]
+fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_the_scene() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let file = meniscus::files::open_particles(folder.join("ParticleData_Fluid_20.bgeo"), None).unwrap();
+    assert_eq!(file.spacing, Some(0.05));
+    assert!(
+        file.particles.attributes().iter().any(|info| info.is_velocity()),
+        "{:?}",
+        file.particles.attributes()
+    );
+    let mut first = [[0.0; 3]];
+    file.particles.positions(0, &mut first);
+    assert!(first[0].iter().all(|x| x.is_finite()));
+    let error = meniscus::files::open_particles(folder.join("scene.json"), None).unwrap_err();
+    assert_eq!(error.cause(), Cause::Request, "{error}");
 }

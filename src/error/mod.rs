@@ -245,7 +245,7 @@ impl Error {
             Self::Write(error) => match error.fault {
                 WriteFault::Io(_) => Cause::Output,
                 WriteFault::Exists
-                | WriteFault::ExistsInSequence
+                | WriteFault::ExistsInSimulation
                 | WriteFault::UnknownExtension { .. }
                 | WriteFault::Unsupported(_) => Cause::Request,
             },

@@ -138,7 +138,7 @@ pub enum WriteFault {
     Exists,
     /// The output of a frame is there already, and may not be replaced.
     #[error("exists already")]
-    ExistsInSequence,
+    ExistsInSimulation,
     /// The extension names no format that we write.
     #[error("unknown extension; known are {known}")]
     UnknownExtension {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::thread::available_parallelism;
 
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPool;
 
 use crate::backend::Cpu;
 use crate::baselines::Method;
@@ -26,6 +26,7 @@ use crate::system::memory::default_memory;
 
 use super::asked::Asked;
 use super::builder::Reconstruction;
+use super::threads::Threads;
 use super::{Attributes, CellSize, SamplingRequest};
 
 /// Threads that a call may have at the most: more than any machine has cores, and few enough to start.
@@ -250,8 +251,7 @@ impl Asked {
 impl Checked {
     /// Starts threads for the request.
     pub(crate) fn on_threads(self) -> Result<Ready, Error> {
-        let pool = ThreadPoolBuilder::new().num_threads(self.threads).build();
-        let threads = Arc::new(pool.map_err(|fault| Error::Threads(fault.to_string()))?);
+        let threads = Threads::start(self.threads).map_err(Error::Threads)?;
         Ok(Ready { checked: Arc::new(self), threads })
     }
 

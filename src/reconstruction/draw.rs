@@ -3,6 +3,7 @@
 use crate::error::Error;
 use crate::field::calibration::Calibration;
 use crate::frame::{Frame as Engine, FrameError, Shortfall};
+use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::simplify::Simplified;
 use crate::surface::stitch::Stitched;
@@ -23,6 +24,8 @@ pub(crate) struct Drawn {
 
 /// A mesh as it is kept: in memory, or in scratch files as far as it exceeds its share of that.
 pub(crate) enum Kept {
+    /// The mesh of a frame that has no surface.
+    Empty(Mesh),
     Whole(Stitched),
     Reduced(Simplified),
 }
@@ -31,6 +34,7 @@ impl Kept {
     /// The mesh, piece by piece.
     pub(crate) fn source(&self) -> &dyn MeshSource {
         match self {
+            Self::Empty(mesh) => mesh,
             Self::Whole(mesh) => mesh,
             Self::Reduced(mesh) => mesh,
         }

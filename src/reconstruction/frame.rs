@@ -119,7 +119,7 @@ impl Frame {
             (self.sampled.cells.clone(), self.sampled.moved, timings);
         report.threads = threads.current_num_threads();
         checked.go_on()?;
-        let (threads, asked) = (Arc::clone(threads), checked.asked.clone());
+        let (threads, asked) = (threads.into(), checked.asked.clone());
         let control = checked.resources.control.clone();
         Ok(Surface { drawn, threads, asked, control, particles_up: self.up })
     }

@@ -2,9 +2,6 @@
 
 use std::fmt;
 use std::path::Path;
-use std::sync::Arc;
-
-use rayon::ThreadPool;
 
 use crate::error::Error;
 use crate::io::output::MeshFormat;
@@ -24,13 +21,14 @@ use super::asked::Asked;
 use super::draw::{Drawn, Kept};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
+use super::threads::Threads;
 use super::warning::Warning;
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
     pub(crate) drawn: Drawn,
-    /// The threads that it was made by, and is written by.
-    pub(crate) threads: Arc<ThreadPool>,
+    /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be kept for long.
+    pub(crate) threads: Threads,
     pub(crate) asked: Asked,
     /// Whoever had it drawn.
     pub(crate) control: Control,
@@ -47,9 +45,11 @@ impl Surface {
     /// Copies the mesh into memory as a whole.
     ///
     /// # Errors
-    /// [`WholeMeshError`] where it is too large, or cannot be read from a scratch file.
+    /// [`WholeMeshError`] where it is too large, cannot be read from a scratch file, or threads do not start.
     pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
-        self.threads.install(|| match &self.drawn.mesh {
+        let threads = self.threads.started().map_err(WholeMeshError::Threads)?;
+        threads.install(|| match &self.drawn.mesh {
+            Kept::Empty(mesh) => Ok(mesh.clone()),
             Kept::Whole(mesh) => mesh.to_mesh(),
             Kept::Reduced(mesh) => in_one_piece(mesh),
         })
@@ -64,11 +64,12 @@ impl Surface {
     /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in its particles.
     ///
     /// # Errors
-    /// [`Error::Picture`].
+    /// [`Error::Picture`] and [`Error::Threads`].
     #[cfg(feature = "pictures")]
     pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
         let picture = picture.clone().up(self.asked.particles_up.unwrap_or(self.particles_up));
-        let drawn = self.threads.install(|| picture.draw(self.mesh()));
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        let drawn = threads.install(|| picture.draw(self.mesh()));
         drawn.map_err(|fault| Error::Picture { path: None, fault })
     }
 
@@ -79,7 +80,8 @@ impl Surface {
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> = coarse.then_some(Warning::Coarse { format }).into_iter().collect();
-        warnings.extend(self.threads.install(|| merged(self.mesh(), format, Path::new("")))?);
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        warnings.extend(threads.install(|| merged(self.mesh(), format, Path::new("")))?);
         Ok(warnings)
     }
 
@@ -113,7 +115,8 @@ impl Surface {
         let output = output.with_layout(self.asked.layout(orientation));
         let turned = orientation.turned(self.mesh());
         self.control.begins(Stage::Writing);
-        let bytes = self.threads.install(|| output.write(&turned, width))?;
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        let bytes = threads.install(|| output.write(&turned, width))?;
         self.control.ends(Stage::Writing);
         Ok(bytes)
     }

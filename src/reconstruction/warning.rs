@@ -5,7 +5,7 @@ use std::fmt;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::frame::{Frame as Engine, Shortfall};
+use crate::frame::{Frame as Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
 use crate::surface::simplify::TooSmall;
@@ -107,6 +107,18 @@ pub enum Emptiness {
     Distances,
     /// All components were too small to be kept.
     TooSmall(TooSmall),
+}
+
+impl Emptiness {
+    /// Tells why an error leaves a frame with an empty mesh, if it does.
+    pub(crate) fn of(fault: &FrameError) -> Option<Self> {
+        match *fault {
+            FrameError::NoSurface { .. } => Some(Self::Field),
+            FrameError::NoKernelSurface | FrameError::NoDistanceSurface => Some(Self::Distances),
+            FrameError::NothingLeft(all) => Some(Self::TooSmall(all)),
+            _ => None,
+        }
+    }
 }
 
 impl fmt::Display for Warning {

@@ -206,23 +206,26 @@ impl Conversion<'_> {
 
     /// Converts frames until there are no more.
     fn lane(&self, lane: usize, jobs: &Mutex<Receiver<Job>>, to_disk: &SyncSender<Outcome<Filled>>) {
-        // This thread is one of the pool's, or every step of a frame would wait for another to wake up.
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads).use_current_thread();
-        let _pool = pool.build().expect("threads can be started");
-        while let Some(Job { frame, particles, again }) = next(jobs) {
-            if self.is_over() {
-                continue;
+        // On one of the pool's own threads, or every step of a frame would wait for another to wake up. This one could be of the pool, too,
+        // but rayon would keep that for ever.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.division.threads);
+        let pool = pool.build().expect("threads can be started");
+        pool.install(|| {
+            while let Some(Job { frame, particles, again }) = next(jobs) {
+                if self.is_over() {
+                    continue;
+                }
+                let tell = |stage| self.setup.tell(Event::Stage { lane, frame: frame.number, stage });
+                let stage = |stage: Stage| tell(Some(stage));
+                let opened = self.open(&frame, particles, again, &stage);
+                let Some(settled) = self.settled.wait() else { return };
+                let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
+                tell(None);
+                if to_disk.send(Outcome { frame, result }).is_err() {
+                    return;
+                }
             }
-            let tell = |stage| self.setup.tell(Event::Stage { lane, frame: frame.number, stage });
-            let stage = |stage: Stage| tell(Some(stage));
-            let opened = self.open(&frame, particles, again, &stage);
-            let Some(settled) = self.settled.wait() else { return };
-            let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
-            tell(None);
-            if to_disk.send(Outcome { frame, result }).is_err() {
-                return;
-            }
-        }
+        });
     }
 
     /// Waits for the disk, so that no lane has to.

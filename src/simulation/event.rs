@@ -82,7 +82,7 @@ pub enum Event<'a> {
     /// A frame could not be made.
     Failed(&'a FrameFailed),
     /// One of several simulations could not be converted; the others are.
-    SequenceFailed(&'a Error),
+    SimulationFailed(&'a Error),
     /// All frames of a simulation are done, or have failed.
     Ended(&'a Summary),
 }
@@ -272,7 +272,7 @@ impl fmt::Display for Event<'_> {
                 progress.done,
                 progress.total,
             ),
-            Self::Failed(FrameFailed { error, .. }) | Self::SequenceFailed(error) => error.fmt(f),
+            Self::Failed(FrameFailed { error, .. }) | Self::SimulationFailed(error) => error.fmt(f),
             Self::Ended(Summary { folder, made, seconds, .. }) => {
                 write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
             }

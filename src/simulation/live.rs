@@ -2,17 +2,21 @@
 
 use std::sync::Arc;
 
+use crate::brick::{Census, FrameFacts};
 use crate::error::Error;
 use crate::field::calibration::Calibration;
-use crate::frame::{Counted, FieldRequest, Frame};
+use crate::frame::{Counted, FieldRequest, Frame, FrameError};
 use crate::grid::Grid;
 use crate::io::UpAxis;
-use crate::particles::Particles;
-use crate::reconstruction::{self, Checked, Ready, Reconstruction, Surface};
+use crate::particles::{Particles, carried_infos};
+use crate::reconstruction::{
+    self, Checked, Drawn, Emptiness, Kept, Ready, Reconstruction, Report, SinglePrecision, Surface, Warning,
+};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::frozen::{Measured, Origin, Trust, known_field, measure};
+use super::one_frame::empty_mesh;
 
 /// A simulation whose frames come from memory, one after the other.
 ///
@@ -69,42 +73,107 @@ impl LiveSimulation {
         self.settled
     }
 
+    /// Gives the frames to come into the hands of another request: what ends them early, and whoever is told of their progress.
+    ///
+    /// ```
+    /// use meniscus::{Cancel, LiveSimulation, Reconstruction};
+    ///
+    /// let request = Reconstruction::new().spacing(1.0);
+    /// let mut simulation = LiveSimulation::new(&request)?;
+    /// let cancel = Cancel::new();
+    /// simulation.controlled_by(&request.cancel(cancel.clone()));
+    /// cancel.cancel();
+    /// assert!(simulation.frame(&[[0.0; 3]]).is_err());
+    /// # Ok::<(), meniscus::Error>(())
+    /// ```
+    pub fn controlled_by(&mut self, request: &Reconstruction) {
+        Arc::make_mut(&mut self.ready.checked).resources.control = request.control.clone();
+    }
+
     /// Reconstructs the surface of the next frame, from particles that are borrowed.
     ///
+    /// A frame without particles, or without a surface, is an empty mesh: a tank may be dry at times.
+    ///
     /// # Errors
-    /// Those of [`Reconstruction::run`]; the next frame may do better.
+    /// Those of [`Reconstruction::run`] but for that; the next frame may do better.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
-        let Self { ready, known, settled } = self;
-        let threads = Arc::clone(&ready.threads);
+        let threads = Arc::clone(&self.ready.threads);
         let drawn = threads.install(|| {
-            let checked = &ready.checked;
-            checked.go_on()?;
-            let mut timings = Timings::default();
-            if !*settled {
-                let found = measured(ready, particles, known.as_ref())?;
-                *settled = found.trust == Trust::Sound;
-                *known = Some(found);
-                timings.done("measure");
-            }
-            let Some(Known { grid, field, spacing, calibration, .. }) = *known else {
-                return Err(Error::NoSpacing { path: None, particles: particles.len() });
-            };
-            let carried = checked.asked.carried(particles.attributes(), None)?;
-            let resources = checked.resources.clone();
-            let sampling = checked.sampling.sampling_on(grid, field, spacing, carried, resources)?;
-            checked.resources.control.begins(Stage::Counting);
-            let counted = Counted::for_surface(particles, &sampling, &checked.surfacing)?;
-            checked.resources.control.ends(Stage::Counting);
-            timings.done("count");
-            let engine = Frame::sample_counted(counted, checked.resources.budget, &mut timings)?;
-            let mut drawn = checked.draw(&engine, calibration.as_ref(), &mut timings)?;
-            drawn.report.timings = timings;
-            checked.go_on()?;
-            Ok(drawn)
+            self.ready.checked.go_on()?;
+            let drawn = match self.drawn(particles) {
+                Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
+                    self.empty(particles, self.facts(census)?)
+                }
+                drawn => drawn,
+            }?;
+            self.ready.checked.go_on()?;
+            Ok::<_, Error>(drawn)
         })?;
-        let Checked { asked, resources, .. } = &*ready.checked;
+        let Checked { asked, resources, .. } = &*self.ready.checked;
         let (asked, control) = (asked.clone(), resources.control.clone());
-        Ok(Surface { drawn, threads, asked, control, particles_up: UpAxis::Y })
+        Ok(Surface { drawn, threads: (&threads).into(), asked, control, particles_up: UpAxis::Y })
+    }
+
+    fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
+        let Self { ready, known, settled } = self;
+        let checked = &ready.checked;
+        let mut timings = Timings::default();
+        if !*settled {
+            let found = measured(ready, particles, known.as_ref())?;
+            *settled = found.trust == Trust::Sound;
+            *known = Some(found);
+            timings.done("measure");
+        }
+        let Some(Known { grid, field, spacing, calibration, .. }) = *known else {
+            return Err(Error::NoSpacing { path: None, particles: particles.len() });
+        };
+        let carried = checked.asked.carried(particles.attributes(), None)?;
+        let resources = checked.resources.clone();
+        let sampling = checked.sampling.sampling_on(grid, field, spacing, carried, resources)?;
+        checked.resources.control.begins(Stage::Counting);
+        let counted = Counted::for_surface(particles, &sampling, &checked.surfacing)?;
+        checked.resources.control.ends(Stage::Counting);
+        timings.done("count");
+        let engine = Frame::sample_counted(counted, checked.resources.budget, &mut timings)?;
+        let mut drawn = match checked.draw(&engine, calibration.as_ref(), &mut timings) {
+            Err(Error::Frame { path, fault }) => {
+                let Some(why) = Emptiness::of(&fault) else { return Err(Error::Frame { path, fault }) };
+                let mut drawn = self.empty(particles, *engine.facts())?;
+                drawn.report = Report::of(&engine, &self.ready.checked.surfacing);
+                drawn.report.calibration = calibration.filter(|_| drawn.report.indicator.is_some());
+                drawn.report.lost = engine.facts().census.binned as u64;
+                let clouds = drawn.report.is_clouds();
+                drawn.report.warnings.push(Warning::Empty { why, clouds, measured_on: None });
+                drawn
+            }
+            drawn => drawn?,
+        };
+        drawn.report.timings = timings;
+        Ok(drawn)
+    }
+
+    /// Facts of a frame without particles, on unit cells as long as nothing says of others.
+    fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
+        let request = &self.ready.checked.sampling;
+        let (grid, spacing) = match self.known {
+            Some(known) => (known.grid, known.spacing),
+            None => {
+                let none: [[f64; 3]; 0] = [];
+                let cells = request.cells(&none, reconstruction::Source::default());
+                (request.grid(cells.map_or(1.0, |cells| cells.size))?, request.spacing)
+            }
+        };
+        Ok(FrameFacts { grid, domain: None, periodic: None, census, spacing })
+    }
+
+    /// The mesh of a frame without a surface, with what vertices would carry.
+    fn empty(&self, particles: &(impl Particles + ?Sized), facts: FrameFacts) -> Result<Drawn, Error> {
+        let Checked { asked, surfacing, resources, .. } = &*self.ready.checked;
+        let carried = asked.carried(particles.attributes(), None)?;
+        let infos = carried_infos(particles.attributes(), &carried);
+        let mesh = Kept::Empty(empty_mesh(surfacing.normals, infos));
+        let report = Report::of_facts(facts, None, surfacing, resources.backend.name());
+        Ok(Drawn { mesh, precision: SinglePrecision::Enough, report })
     }
 }
 

@@ -322,7 +322,7 @@ impl Conversion<'_> {
 }
 
 /// The mesh that is written where there is no surface: every program can load it, and finds what it expects.
-fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
+pub(super) fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
     let attribute = |info: AttributeInfo| VertexAttribute {
         name: info.name,
         components: info.components,

@@ -166,7 +166,7 @@ impl Simulation {
                     Ok(result) => results.push(result),
                     // What is wrong with one fluid's files does not concern the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
-                        setup.tell(Event::SequenceFailed(&error));
+                        setup.tell(Event::SimulationFailed(&error));
                     }
                     Err(error) => return Err(error),
                 }
@@ -196,7 +196,7 @@ impl Simulation {
         if !self.resume && !self.overwrite && !self.planned {
             let taken = wanted.iter().map(|frame| naming.path(frame)).find(|path| path.exists());
             if let Some(path) = taken {
-                return Err(WriteError::new(&path, WriteFault::ExistsInSequence).into());
+                return Err(WriteError::new(&path, WriteFault::ExistsInSimulation).into());
             }
         }
         Ok(Begun { setup, series, store, frames, kept })

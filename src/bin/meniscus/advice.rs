@@ -117,7 +117,7 @@ fn advice(error: &Error) -> String {
         Error::NoSpacing { .. } => "; give --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
             WriteFault::Exists => "; --overwrite replaces it",
-            WriteFault::ExistsInSequence => "; --resume goes on with the frames, --overwrite replaces them",
+            WriteFault::ExistsInSimulation => "; --resume goes on with the frames, --overwrite replaces them",
             _ => "",
         },
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",

@@ -159,7 +159,7 @@ impl Teller<'_> {
             }
             Event::Done(done) => self.done(done, &event, progress, notes),
             Event::Failed(failed) => self.failed(failed, progress, notes),
-            Event::SequenceFailed(error) => {
+            Event::SimulationFailed(error) => {
                 notes.error(format!("meniscus: {}", told(error)));
                 *lock(&self.bad) = true;
             }

@@ -1,7 +1,5 @@
 //! Merging: all parts' blocks are listed one after the other, and are from there on those of a single run.
 
-use std::sync::Arc;
-
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
 use crate::frame::{FrameError, Occupied, Sampling, Shortfall, simplified};
@@ -62,7 +60,7 @@ impl Parts {
         drawn.report.timings = timings;
         let asked = checked.asked.clone();
         let control = checked.resources.control.clone();
-        let (threads, particles_up) = (Arc::clone(&threads), usual_up(&self.input));
+        let (threads, particles_up) = ((&threads).into(), usual_up(&self.input));
         Ok(Surface { drawn, threads, asked, particles_up, control })
     }
 }

@@ -1,0 +1,33 @@
+//! Makes `include/meniscus.h` of the sources: `cargo run -p meniscus-c-header`.
+
+use std::path::{Path, PathBuf};
+
+/// The folder of the C interface.
+fn interface() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The header as the sources have it.
+fn header() -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let root = interface();
+    let config = cbindgen::Config::from_file(root.join("cbindgen.toml"))?;
+    let mut text = Vec::new();
+    cbindgen::Builder::new()
+        .with_src(root.join("src/lib.rs"))
+        .with_config(config)
+        .generate()?
+        .write(&mut text);
+    Ok(text)
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    Ok(std::fs::write(interface().join("include/meniscus.h"), header()?)?)
+}
+
+#[test]
+fn the_header_is_made_of_the_sources_as_they_are() {
+    let made = String::from_utf8(header().expect("made")).expect("text");
+    let there = std::fs::read_to_string(interface().join("include/meniscus.h")).expect("there");
+    assert!(made == there, "`cargo run -p meniscus-c-header` renews include/meniscus.h");
+    assert!(made.matches("\nMeniscusStatus meniscus_").count() > 15);
+}

@@ -1,0 +1,318 @@
+// meniscus for C++17: handles that free themselves, exceptions, and containers, around meniscus.h, where everything is documented.
+//
+// What C returns as a status is thrown as meniscus::Error. What a callback throws ends the work, and is thrown on by the call.
+#ifndef MENISCUS_HPP
+#define MENISCUS_HPP
+
+#include "meniscus.h"
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <exception>
+#include <functional>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace meniscus {
+
+// A call that failed: what() says what is wrong, and where.
+class Error : public std::runtime_error {
+ public:
+  Error(MeniscusStatus status, const std::string &what) : std::runtime_error(what), status(status) {}
+  const MeniscusStatus status;
+};
+
+inline void check(MeniscusStatus status) {
+  if (status != MENISCUS_STATUS_OK) throw Error(status, meniscus_last_error());
+}
+
+// Numbers that belong to another, side by side.
+template <class T>
+class Span {
+ public:
+  Span(const T *data, std::size_t size) : data_(data), size_(size) {}
+  const T *data() const { return data_; }
+  std::size_t size() const { return size_; }
+  bool empty() const { return size_ == 0; }
+  const T *begin() const { return data_; }
+  const T *end() const { return data_ + size_; }
+  const T &operator[](std::size_t index) const { return data_[index]; }
+
+ private:
+  const T *data_;
+  std::size_t size_;
+};
+
+template <class T>
+constexpr int32_t number_type() {
+  static_assert(std::is_same_v<T, float> || std::is_same_v<T, double>, "coordinates are float or double");
+  return std::is_same_v<T, float> ? MENISCUS_TYPE_F32 : MENISCUS_TYPE_F64;
+}
+
+// Particles in the caller's memory, which stays where it is, and as it is, while it is used. Strides are in bytes.
+class Particles {
+ public:
+  template <class T>
+  Particles(const T *positions, std::size_t count, std::ptrdiff_t stride = 0, std::ptrdiff_t component_stride = 0) {
+    c_.size = sizeof c_, c_.count = count, c_.positions = positions, c_.number = number_type<T>();
+    c_.stride = stride, c_.component_stride = component_stride;
+  }
+  template <class T>
+  explicit Particles(const std::vector<std::array<T, 3>> &positions)
+      : Particles(reinterpret_cast<const T *>(positions.data()), positions.size()) {}
+
+  // Adds a value of each particle; its name must live as long as this.
+  template <class T>
+  Particles &attribute(const char *name, const T *values, uint32_t components, std::ptrdiff_t stride = 0) {
+    MeniscusAttribute attribute{};
+    attribute.size = sizeof attribute, attribute.name = name, attribute.values = values, attribute.stride = stride;
+    attribute.components = components, attribute.number = number_type<T>();
+    attributes_.push_back(attribute);
+    return *this;
+  }
+
+  // As C has it, as long as this stays as it is.
+  MeniscusParticles c() const {
+    MeniscusParticles c = c_;
+    c.attributes = attributes_.data(), c.attribute_count = attributes_.size();
+    return c;
+  }
+
+ private:
+  MeniscusParticles c_{};
+  std::vector<MeniscusAttribute> attributes_;
+};
+
+// Options by their names: the fields of MeniscusOptions, but for those that are here.
+struct Options : MeniscusOptions {
+  Options() : MeniscusOptions{} { size = sizeof(MeniscusOptions); }
+  // The names of the attributes that go to the vertices.
+  std::vector<std::string> carried;
+  // Told of progress; false ends the work.
+  std::function<bool(const MeniscusProgress &)> on_progress;
+};
+
+namespace detail {
+
+// Options as C has them, as long as this lives.
+class Asked {
+ public:
+  explicit Asked(const Options &options) : options_(options), c_(options) {
+    for (const auto &name : options_.carried) names_.push_back(name.c_str());
+    if (!names_.empty()) c_.attributes = names_.data(), c_.attribute_count = names_.size();
+    if (options_.on_progress) c_.progress = &Asked::hear, c_.user = this;
+  }
+  Asked(const Asked &) = delete;
+  Asked &operator=(const Asked &) = delete;
+  const MeniscusOptions *c() const { return &c_; }
+
+  // Throws what the callback threw, or what went wrong.
+  void check(MeniscusStatus status) {
+    if (auto thrown = std::exchange(thrown_, nullptr)) std::rethrow_exception(thrown);
+    meniscus::check(status);
+  }
+
+ private:
+  static int32_t hear(void *user, const MeniscusProgress *progress) noexcept {
+    auto *self = static_cast<Asked *>(user);
+    try {
+      return self->options_.on_progress(*progress) ? 0 : 1;
+    } catch (...) {
+      self->thrown_ = std::current_exception();
+      return 1;
+    }
+  }
+
+  const Options options_;
+  MeniscusOptions c_;
+  std::vector<const char *> names_;
+  std::exception_ptr thrown_;
+};
+
+template <auto free>
+struct Free {
+  template <class T>
+  void operator()(T *handle) const {
+    free(handle);
+  }
+};
+
+template <class T, auto free>
+using Handle = std::unique_ptr<T, Free<free>>;
+
+}  // namespace detail
+
+// A handle by which any thread can end work early: its pointer goes to Options::cancel.
+class Cancel {
+ public:
+  void cancel() { meniscus_cancel(handle_.get()); }
+  const MeniscusCancel *c() const { return handle_.get(); }
+
+ private:
+  detail::Handle<MeniscusCancel, meniscus_cancel_free> handle_{meniscus_cancel_new()};
+};
+
+// A surface: a closed, oriented 2-manifold.
+class Mesh {
+ public:
+  explicit Mesh(MeniscusMesh *handle) : handle_(handle) {}
+
+  uint64_t vertex_count() const { return meniscus_mesh_vertex_count(c()); }
+  uint64_t triangle_count() const { return meniscus_mesh_triangle_count(c()); }
+
+  // x, y, z of each vertex: lent, as long as the mesh lives, as all that is a Span.
+  Span<double> positions() const { return {arrays().positions, 3 * arrays().vertex_count}; }
+  // The vertices of each triangle, counterclockwise seen from outside.
+  Span<uint32_t> triangles() const { return {arrays().triangles, 3 * arrays().triangle_count}; }
+  // The normal of each vertex; empty where none were asked for.
+  Span<float> normals() const { return {arrays().normals, arrays().normals ? 3 * arrays().vertex_count : 0}; }
+  // All components of each vertex, of an attribute by its name.
+  Span<float> attribute(const std::string &name) const {
+    const MeniscusArrays lent = arrays();
+    for (const auto &one : Span(lent.attributes, lent.attribute_count)) {
+      if (name == one.name) return {one.values, one.components * lent.vertex_count};
+    }
+    throw std::out_of_range("the mesh has no attribute " + name);
+  }
+
+  // Copies, in the width that is asked for.
+  template <class T>
+  std::vector<T> copy_positions() const {
+    std::vector<T> out(3 * vertex_count());
+    if constexpr (number_type<T>() == MENISCUS_TYPE_F32) {
+      check(meniscus_mesh_positions_f32(c(), out.data(), out.size()));
+    } else {
+      check(meniscus_mesh_positions_f64(c(), out.data(), out.size()));
+    }
+    return out;
+  }
+  std::vector<uint64_t> copy_triangles() const {
+    std::vector<uint64_t> out(3 * triangle_count());
+    check(meniscus_mesh_triangles_u64(c(), out.data(), out.size()));
+    return out;
+  }
+
+  // Doubts about the surface, or about the request for it.
+  std::vector<std::string> warnings() const {
+    std::vector<std::string> all;
+    for (std::size_t i = 0; i < meniscus_mesh_warning_count(c()); i++) all.emplace_back(meniscus_mesh_warning(c(), i));
+    return all;
+  }
+  MeniscusReport report() const { return filled<MeniscusReport>(meniscus_mesh_report); }
+  MeniscusCheck checked() const { return filled<MeniscusCheck>(meniscus_mesh_check); }
+
+  // Writes a file, whose size in bytes it returns, and refuses to replace one.
+  uint64_t write(const std::string &path) const { return write(path, 0); }
+  // Writes a file in place of one that may be there.
+  uint64_t overwrite(const std::string &path) const { return write(path, 1); }
+
+  const MeniscusMesh *c() const { return handle_.get(); }
+
+ private:
+  uint64_t write(const std::string &path, int32_t overwrite) const {
+    uint64_t bytes = 0;
+    check(meniscus_mesh_write(c(), path.c_str(), overwrite, &bytes));
+    return bytes;
+  }
+  template <class T, class Fill>
+  T filled(Fill fill) const {
+    T value{};
+    value.size = sizeof value;
+    check(fill(c(), &value));
+    return value;
+  }
+  MeniscusArrays arrays() const { return filled<MeniscusArrays>(meniscus_mesh_arrays); }
+
+  detail::Handle<MeniscusMesh, meniscus_mesh_free> handle_;
+};
+
+// Reconstructs the surface of particles.
+inline Mesh reconstruct(const Particles &particles, const Options &options = {}) {
+  detail::Asked asked(options);
+  const MeniscusParticles c = particles.c();
+  MeniscusMesh *mesh = nullptr;
+  asked.check(meniscus_reconstruct(&c, asked.c(), &mesh));
+  return Mesh(mesh);
+}
+
+// Reconstructs the surface of the particles in a file, or of a packed frame.
+inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
+  detail::Asked asked(options);
+  MeniscusMesh *mesh = nullptr;
+  asked.check(meniscus_reconstruct_file(path.c_str(), asked.c(), &mesh));
+  return Mesh(mesh);
+}
+
+// A frame that is sampled once, and surfaced as often as one likes.
+class Frame {
+ public:
+  explicit Frame(const Particles &particles, const Options &options = {}) {
+    detail::Asked asked(options);
+    const MeniscusParticles c = particles.c();
+    take(asked, [&](MeniscusFrame **frame) { return meniscus_sample(&c, asked.c(), frame); });
+  }
+  explicit Frame(const std::string &path, const Options &options = {}) {
+    detail::Asked asked(options);
+    take(asked, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), asked.c(), frame); });
+  }
+
+  // Draws the surface that was asked for when it was sampled.
+  Mesh surface() const {
+    MeniscusMesh *mesh = nullptr;
+    check(meniscus_frame_surface(handle_.get(), nullptr, &mesh));
+    return Mesh(mesh);
+  }
+  // Draws a surface by other options.
+  Mesh surface(const Options &options) const {
+    detail::Asked asked(options);
+    MeniscusMesh *mesh = nullptr;
+    asked.check(meniscus_frame_surface(handle_.get(), asked.c(), &mesh));
+    return Mesh(mesh);
+  }
+  // Writes a .mnf file, whose size in bytes it returns, and refuses to replace one.
+  uint64_t pack(const std::string &path) const {
+    uint64_t bytes = 0;
+    check(meniscus_frame_pack(handle_.get(), path.c_str(), 0, &bytes));
+    return bytes;
+  }
+
+ private:
+  template <class Sample>
+  void take(detail::Asked &asked, Sample sample) {
+    MeniscusFrame *frame = nullptr;
+    asked.check(sample(&frame));
+    handle_.reset(frame);
+  }
+  detail::Handle<MeniscusFrame, meniscus_frame_free> handle_;
+};
+
+// A simulation that runs: frames from memory, one after the other, all alike.
+class Simulation {
+ public:
+  explicit Simulation(const Options &options = {}) : asked_(std::make_unique<detail::Asked>(options)) {
+    MeniscusSimulation *simulation = nullptr;
+    asked_->check(meniscus_simulation_new(asked_->c(), &simulation));
+    handle_.reset(simulation);
+  }
+  // Reconstructs the surface of the next frame.
+  Mesh frame(const Particles &particles) {
+    const MeniscusParticles c = particles.c();
+    MeniscusMesh *mesh = nullptr;
+    asked_->check(meniscus_simulation_frame(handle_.get(), &c, &mesh));
+    return Mesh(mesh);
+  }
+  // Whether cells, grid and calibration are frozen.
+  bool is_settled() const { return meniscus_simulation_is_settled(handle_.get()) != 0; }
+
+ private:
+  std::unique_ptr<detail::Asked> asked_;
+  detail::Handle<MeniscusSimulation, meniscus_simulation_free> handle_;
+};
+
+}  // namespace meniscus
+
+#endif

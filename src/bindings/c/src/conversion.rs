@@ -1,0 +1,335 @@
+//! Files of a simulation to mesh files, with the program's own state and records beside them.
+
+use std::ffi::{CString, c_char, c_void};
+
+use meniscus::{Cancel, Event, Simulation, Summary};
+use parking_lot::ReentrantMutex;
+
+use crate::options::{Asked, MeniscusOptions};
+use crate::sized::{Growing, check, fill, read};
+use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
+use crate::text::{numbers, path, pointers};
+
+/// News of a conversion.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusEventKind {
+    /// Something that is newer than this header.
+    Other = 0,
+    /// No frame has come yet, and one is waited for.
+    Waiting = 1,
+    /// The spacing that a frame says, or looks like, may not be right.
+    Doubted = 2,
+    /// The state of an earlier run is of other settings, and is made anew.
+    Anew = 3,
+    /// The frames of an earlier run are gone on with.
+    GoesOn = 4,
+    /// The measurements that all frames share are made.
+    Measured = 5,
+    /// The frames that are to be made are known.
+    Begins = 6,
+    /// A further frame has come.
+    Came = 7,
+    /// A stage of a frame has begun, or the frame is over.
+    Stage = 8,
+    /// A frame is done: its mesh is whole, and under its name.
+    Done = 9,
+    /// A frame could not be made.
+    Failed = 10,
+    /// One of several simulations could not be converted; the others are.
+    SimulationFailed = 11,
+    /// All frames of a simulation are done, or have failed.
+    Ended = 12,
+}
+
+/// An event of a conversion. The library fills it, and a later version may put more behind.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusEvent {
+    /// Bytes of this structure as the library knows it.
+    pub size: usize,
+    /// The event as a line for people; valid during the callback.
+    pub text: *const c_char,
+    /// The doubts about a frame that is done, a line each; NULL where there are none. Valid during the callback.
+    pub warnings: *const c_char,
+    /// The number of the frame, for stages, and for frames that are done or failed.
+    pub frame: u64,
+    /// Frames that are done or have failed so far, where that is known.
+    pub done: u64,
+    /// Frames that are to be made, where that is known.
+    pub total: u64,
+    /// Frames that have failed so far, where that is known.
+    pub failed: u64,
+    /// One of MeniscusEventKind.
+    pub kind: i32,
+}
+
+/// A function that is told of events. It returns 0 for the conversion to go on, and anything else to end it early: frames that are done
+/// stay.
+///
+/// It is called from threads of the library, but never from two at once in the same conversion, and never after that has returned. It
+/// must not throw, nor leave by longjmp.
+pub type MeniscusEventCallback =
+    Option<unsafe extern "C" fn(user: *mut c_void, event: *const MeniscusEvent) -> i32>;
+
+/// A conversion of files, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusConversion {
+    /// sizeof(MeniscusConversion).
+    pub size: usize,
+    /// The frames: one name with {} for the number, a folder, a glob or a file of several steps; or the files of frames one by one.
+    pub inputs: *const *const c_char,
+    /// How many names there are, at least 1.
+    pub input_count: usize,
+    /// The meshes: a name with {} or {:04} for the number, or a folder.
+    pub output: *const c_char,
+    /// The first frame of the simulation.
+    pub start: u64,
+    /// The last frame of the simulation: 1 number; NULL for the last that there is.
+    pub end: *const u64,
+    /// Every so many frames of the simulation; 0 for every one.
+    pub step: u64,
+    /// Convert these frames of the simulation only, as one of several jobs: 2 numbers, the first and the last; NULL for all.
+    pub frames: *const u64,
+    /// Follow a simulation that runs, until its last frame, or until nothing has come for so many seconds, or for ever by INFINITY; 0
+    /// not to follow.
+    pub watch: f64,
+    /// Frames a second, for times where the files have none; 0 where they have.
+    pub fps: f64,
+    /// Told of events.
+    pub event: MeniscusEventCallback,
+    /// Given to event.
+    pub user: *mut c_void,
+    /// Not 0: go on with a conversion that was begun; skip what is done, whole, and made with the same settings.
+    pub resume: i32,
+    /// Not 0: replace outputs that exist.
+    pub overwrite: i32,
+}
+
+/// The end of a conversion. The caller sets `size`, and the library fills the rest.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusSummary {
+    /// sizeof(MeniscusSummary).
+    pub size: usize,
+    /// Frames that were made.
+    pub made: u64,
+    /// Frames that have failed.
+    pub failed: u64,
+    /// Frames that are missing between others.
+    pub missing: u64,
+    /// Particles in the frames that were made.
+    pub particles: u64,
+    /// Particles that are in no surface, at the least.
+    pub lost: u64,
+    /// How long it took in seconds.
+    pub seconds: f64,
+}
+
+// SAFETY: numbers, pointers and a nullable callback.
+unsafe impl Growing for MeniscusConversion {
+    const NAME: &str = "MeniscusConversion";
+}
+
+// SAFETY: numbers.
+unsafe impl Growing for MeniscusSummary {
+    const NAME: &str = "MeniscusSummary";
+}
+
+/// Tells a caller of events, one at a time, and keeps what went wrong first.
+struct Teller<'a> {
+    callback: MeniscusEventCallback,
+    user: *mut c_void,
+    cancel: &'a Cancel,
+    first: ReentrantMutex<std::cell::RefCell<Option<String>>>,
+}
+
+// SAFETY: the callback and what it is given are used by one thread at a time, and their owner has agreed to any.
+unsafe impl Sync for Teller<'_> {}
+
+impl Teller<'_> {
+    fn hear(&self, event: Event<'_>) {
+        let first = self.first.lock();
+        let wrong = match event {
+            Event::Failed(failed) => Some(failed.error.to_string()),
+            Event::SimulationFailed(error) => Some(error.to_string()),
+            _ => None,
+        };
+        if let Some(wrong) = wrong {
+            first.borrow_mut().get_or_insert(wrong);
+        }
+        let Some(callback) = self.callback else { return };
+        let text = c_text(event.to_string());
+        let (told, warnings) = described(event);
+        let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
+        let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
+        let told = MeniscusEvent { text: text.as_ptr(), warnings, ..told };
+        // SAFETY: a callback and what it was given with, while the call lasts that it was given to.
+        if unsafe { callback(self.user, &raw const told) } != 0 {
+            self.cancel.cancel();
+        }
+    }
+}
+
+/// An event in numbers, and the warnings of its frame.
+fn described(event: Event<'_>) -> (MeniscusEvent, Vec<String>) {
+    let mut told = MeniscusEvent {
+        size: size_of::<MeniscusEvent>(),
+        text: std::ptr::null(),
+        warnings: std::ptr::null(),
+        frame: 0,
+        done: 0,
+        total: 0,
+        failed: 0,
+        kind: 0,
+    };
+    let mut warnings = Vec::new();
+    let kind = match event {
+        Event::Waiting { .. } => MeniscusEventKind::Waiting,
+        Event::Doubted(_) => MeniscusEventKind::Doubted,
+        Event::Anew { .. } => MeniscusEventKind::Anew,
+        Event::GoesOn { .. } => MeniscusEventKind::GoesOn,
+        Event::Measured { .. } => MeniscusEventKind::Measured,
+        Event::Begins { frames, done, .. } => {
+            (told.done, told.total) = (done as u64, frames as u64);
+            MeniscusEventKind::Begins
+        }
+        Event::Came { .. } => MeniscusEventKind::Came,
+        Event::Stage { frame, .. } => {
+            told.frame = frame;
+            MeniscusEventKind::Stage
+        }
+        Event::Done(done) => {
+            warnings = done.warnings.iter().map(ToString::to_string).collect();
+            told.frame = done.mesh.frame;
+            told.count(&done.progress);
+            MeniscusEventKind::Done
+        }
+        Event::Failed(failed) => {
+            told.frame = failed.frame;
+            told.count(&failed.progress);
+            MeniscusEventKind::Failed
+        }
+        Event::SimulationFailed(_) => MeniscusEventKind::SimulationFailed,
+        Event::Ended(_) => MeniscusEventKind::Ended,
+        _ => MeniscusEventKind::Other,
+    };
+    told.kind = kind as i32;
+    (told, warnings)
+}
+
+impl MeniscusEvent {
+    fn count(&mut self, progress: &meniscus::Tallied) {
+        (self.done, self.total) = (progress.done as u64, progress.total as u64);
+        self.failed = progress.failed as u64;
+    }
+}
+
+/// The simulation that a caller asks for.
+///
+/// # Safety
+/// What the structure points to is as its fields say.
+unsafe fn simulation(said: &MeniscusConversion) -> Outcome<Simulation> {
+    // SAFETY: as for this function.
+    let (names, output) = unsafe {
+        let names = pointers(said.inputs, said.input_count, "conversion.inputs")?;
+        (names, path(said.output, "conversion.output")?)
+    };
+    if names.is_empty() {
+        return Err(Failure::request("conversion.input_count is 0"));
+    }
+    let mut inputs = Vec::new();
+    for (index, &name) in names.iter().enumerate() {
+        // SAFETY: as for this function.
+        inputs.push(unsafe { path(name, &format!("conversion.inputs[{index}]")) }?);
+    }
+    let mut simulation = Simulation::of_files(inputs, output).start(said.start);
+    // SAFETY: as for this function.
+    let (end, frames) = unsafe { (numbers::<u64, 1>(said.end), numbers::<u64, 2>(said.frames)) };
+    if let Some([number]) = end {
+        simulation = simulation.end(number);
+    }
+    if said.step != 0 {
+        simulation = simulation.step(said.step);
+    }
+    if let Some([first, last]) = frames {
+        if first > last {
+            return Err(Failure::request(format!(
+                "conversion.frames: there are none from {first} to {last}"
+            )));
+        }
+        simulation = simulation.frames(first..=last);
+    }
+    if said.watch != 0.0 {
+        simulation = simulation.watch(said.watch);
+    }
+    if said.fps != 0.0 {
+        simulation = simulation.fps(said.fps);
+    }
+    if said.resume != 0 {
+        simulation = simulation.resume();
+    }
+    Ok(if said.overwrite != 0 { simulation.overwrite() } else { simulation })
+}
+
+/// Converts the frames of a simulation from files to files, as the program does: all alike, side by side, whole or not at all.
+///
+/// `options` may be NULL for all defaults; its progress is not told of. `summary`: NULL, or where to put what was done.
+/// MENISCUS_STATUS_INCOMPLETE where frames failed or are missing between others, and the others are done: the message says of the first.
+///
+/// Pointers are NULL or point to what they say.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_convert(
+    conversion: *const MeniscusConversion,
+    options: *const MeniscusOptions,
+    summary: *mut MeniscusSummary,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (said, asked) = unsafe { (read(conversion, "conversion")?, Asked::new(options)?) };
+        if !summary.is_null() {
+            // SAFETY: as for this function.
+            unsafe { check(summary, "summary") }?;
+        }
+        // SAFETY: as for this function.
+        let simulation = unsafe { simulation(&said) }?.reconstruction(asked.request.clone());
+        simulation.check()?;
+        let asked = asked.on_machine(|_| simulation.input_bytes())?;
+        let teller = Teller {
+            callback: said.event,
+            user: said.user,
+            cancel: asked.control.cancel(),
+            first: ReentrantMutex::default(),
+        };
+        let simulation = simulation.reconstruction(asked.request.clone());
+        let summaries = simulation.run(|event| teller.hear(event))?;
+        let all = summed(&summaries);
+        if !summary.is_null() {
+            // SAFETY: as for this function.
+            unsafe { fill(summary, all, "summary") }?;
+        }
+        incomplete(&summaries, all, teller.first.into_inner().into_inner())
+    })
+}
+
+fn summed(summaries: &[Summary]) -> MeniscusSummary {
+    let sum = |of: &dyn Fn(&Summary) -> u64| summaries.iter().map(of).fold(0, u64::saturating_add);
+    MeniscusSummary {
+        size: size_of::<MeniscusSummary>(),
+        made: sum(&|one| one.made as u64),
+        failed: sum(&|one| one.failed as u64),
+        missing: sum(&|one| one.lacking() - one.failed as u64),
+        particles: sum(&|one| one.left_out.census.binned as u64),
+        lost: sum(&|one| one.left_out.lost),
+        seconds: summaries.iter().map(|one| one.seconds).sum(),
+    }
+}
+
+/// Says what is not there, if anything is not.
+fn incomplete(summaries: &[Summary], all: MeniscusSummary, first: Option<String>) -> Outcome {
+    let missing = summaries.iter().flat_map(|one| &one.missing).next().map(ToString::to_string);
+    let Some(first) = first.or(missing) else { return Ok(()) };
+    let message = format!("{} frames failed and {} are missing; first: {first}", all.failed, all.missing);
+    Err(Failure { status: MeniscusStatus::Incomplete, message })
+}

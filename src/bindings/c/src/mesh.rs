@@ -1,0 +1,531 @@
+//! Surfaces: what they hold, copied to the caller's memory or lent from the library's, and written to files.
+
+use std::ffi::{CString, c_char};
+use std::path::Path;
+use std::ptr::null;
+use std::sync::OnceLock;
+
+use meniscus::files::MeshFormat;
+use meniscus::mesh::{self, Mesh, Outline};
+use meniscus::{Error, Surface};
+
+use crate::control::free;
+use crate::options::replacing;
+use crate::report::{MeniscusCheck, MeniscusReport};
+use crate::sized::{Growing, check, fill};
+use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
+use crate::text::{buffer, path, tell};
+
+/// A surface: a closed, oriented 2-manifold around the fluid. Freed by meniscus_mesh_free.
+///
+/// Several threads may use it at once, as long as none frees it.
+pub struct MeniscusMesh {
+    surface: Surface,
+    outline: Outline,
+    names: Vec<CString>,
+    warnings: Vec<CString>,
+    lent: OnceLock<Lent>,
+}
+
+/// The whole mesh, as it is lent.
+struct Lent {
+    mesh: Mesh,
+    attributes: Vec<MeniscusMeshAttribute>,
+}
+
+// SAFETY: its pointers lead to what it holds itself, and nothing of that changes.
+unsafe impl Send for Lent {}
+// SAFETY: as above.
+unsafe impl Sync for Lent {}
+
+/// A value on the vertices of a mesh, lent by the mesh.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusMeshAttribute {
+    /// The name.
+    pub name: *const c_char,
+    /// All components of one vertex after the other.
+    pub values: *const f32,
+    /// Numbers per vertex.
+    pub components: u64,
+}
+
+/// A mesh in memory of the library's. The caller sets `size`, and the library fills the rest; all pointers are valid until the mesh is
+/// freed, and NULL where there is nothing.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusArrays {
+    /// sizeof(MeniscusArrays).
+    pub size: usize,
+    /// How many vertices there are.
+    pub vertex_count: u64,
+    /// How many triangles there are.
+    pub triangle_count: u64,
+    /// 3 numbers a vertex: x, y, z, in the unit of the particles' positions.
+    pub positions: *const f64,
+    /// 3 numbers a triangle: its vertices, counterclockwise seen from outside.
+    pub triangles: *const u32,
+    /// 3 numbers a vertex: the normal, of length 1, outward; NULL where none were asked for.
+    pub normals: *const f32,
+    /// The other values of the vertices.
+    pub attributes: *const MeniscusMeshAttribute,
+    /// How many attributes there are.
+    pub attribute_count: usize,
+}
+
+// SAFETY: numbers and pointers.
+unsafe impl Growing for MeniscusArrays {
+    const NAME: &str = "MeniscusArrays";
+}
+
+/// The address of an array, NULL where it is empty.
+fn address<T>(of: &[T]) -> *const T {
+    if of.is_empty() { null() } else { of.as_ptr() }
+}
+
+impl MeniscusMesh {
+    pub fn new(surface: Surface) -> Self {
+        let outline = surface.mesh().outline();
+        let report = surface.report();
+        let doubt = report.cells.as_ref().and_then(|cells| cells.doubt.as_ref());
+        let warnings = doubt.map(ToString::to_string).into_iter();
+        let warnings = warnings.chain(report.warnings.iter().map(ToString::to_string));
+        Self {
+            names: outline.attributes.iter().map(|info| c_text(info.name.as_str())).collect(),
+            warnings: warnings.map(c_text).collect(),
+            outline,
+            surface,
+            lent: OnceLock::new(),
+        }
+    }
+
+    /// Lends the whole mesh, which is gathered when it is asked for first.
+    fn lent(&self) -> Outcome<&Lent> {
+        if let Some(lent) = self.lent.get() {
+            return Ok(lent);
+        }
+        let mesh = self.surface.to_mesh()?;
+        let attribute = |(attribute, name): (&mesh::VertexAttribute, &CString)| MeniscusMeshAttribute {
+            name: name.as_ptr(),
+            values: address(&attribute.values),
+            components: attribute.components as u64,
+        };
+        let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
+        // Another thread may have been faster.
+        Ok(self.lent.get_or_init(|| Lent { mesh, attributes }))
+    }
+
+    /// Puts `each` value of all pieces into a buffer for `needed`.
+    ///
+    /// # Safety
+    /// As for [`buffer`].
+    unsafe fn copy<T>(
+        &self,
+        out: (*mut T, u64),
+        needed: u64,
+        each: impl Fn(usize, &mut dyn FnMut(T)) -> std::io::Result<()>,
+    ) -> Outcome {
+        // SAFETY: as for this function.
+        let mut left = unsafe { buffer(out.0, out.1, needed, "out") }?.iter_mut();
+        let mut put = |value: T| {
+            left.next().map(|place| place.write(value));
+        };
+        for piece in 0..self.outline.pieces {
+            let read = each(piece, &mut put);
+            read.map_err(|fault| Failure {
+                status: MeniscusStatus::Output,
+                message: format!("scratch file: {fault}"),
+            })?;
+        }
+        Ok(())
+    }
+
+    unsafe fn copy_positions<T>(&self, out: (*mut T, u64), number: impl Fn(f64) -> T) -> Outcome {
+        let each = |piece, put: &mut dyn FnMut(T)| {
+            let vertices = self.surface.mesh().vertices(piece)?;
+            vertices.positions.as_flattened().iter().for_each(|&x| put(number(x)));
+            Ok(())
+        };
+        // SAFETY: as for this function.
+        unsafe { self.copy(out, self.outline.vertices.saturating_mul(3), each) }
+    }
+
+    unsafe fn copy_triangles<T>(&self, out: (*mut T, u64), number: impl Fn(u64) -> T) -> Outcome {
+        let each = |piece, put: &mut dyn FnMut(T)| {
+            let triangles = self.surface.mesh().triangles(piece)?;
+            triangles.as_flattened().iter().for_each(|&vertex| put(number(vertex)));
+            Ok(())
+        };
+        // SAFETY: as for this function.
+        unsafe { self.copy(out, self.outline.triangles.saturating_mul(3), each) }
+    }
+}
+
+/// The mesh of a handle.
+///
+/// # Safety
+/// `mesh` is NULL, or a handle that is not freed yet.
+unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
+    // SAFETY: as for this function.
+    unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
+}
+
+/// Asks a mesh for something; of NULL it is `none`.
+///
+/// # Safety
+/// As for [`of`].
+unsafe fn asked<T: Copy>(mesh: *const MeniscusMesh, none: T, what: impl FnOnce(&MeniscusMesh) -> T) -> T {
+    // SAFETY: as for this function.
+    unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
+}
+
+/// Frees a mesh, and all that it has lent; NULL is ignored.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
+    // SAFETY: as for this function.
+    unsafe { free(mesh) };
+}
+
+/// Returns the number of vertices; 0 of NULL.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -> u64 {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, 0, |mesh| mesh.outline.vertices) }
+}
+
+/// Returns the number of triangles; 0 of NULL.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh) -> u64 {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, 0, |mesh| mesh.outline.triangles) }
+}
+
+/// Returns 1 if vertices have normals, else 0; 0 of NULL.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) -> i32 {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, 0, |mesh| mesh.outline.normals.into()) }
+}
+
+/// Returns the number of attributes of the vertices, normals not among them; 0 of NULL.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh) -> usize {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
+}
+
+/// Returns the name of an attribute by its number from 0, valid until the mesh is freed; NULL where there is no such attribute.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute_name(
+    mesh: *const MeniscusMesh,
+    index: usize,
+) -> *const c_char {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr())) }
+}
+
+/// Returns the numbers per vertex of an attribute by its number from 0; 0 where there is no such attribute.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute_components(mesh: *const MeniscusMesh, index: usize) -> u64 {
+    // SAFETY: as for this function.
+    unsafe {
+        asked(mesh, 0, |mesh| mesh.outline.attributes.get(index).map_or(0, |info| info.components as u64))
+    }
+}
+
+/// Copies the vertices' positions as float: 3 numbers a vertex.
+///
+/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices. Rounding to float moves vertices that are far from
+/// the origin.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_positions_f32(
+    mesh: *const MeniscusMesh,
+    out: *mut f32,
+    capacity: u64,
+) -> MeniscusStatus {
+    // SAFETY: as for this function.
+    call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x as f32) })
+}
+
+/// Copies the vertices' positions as double: 3 numbers a vertex.
+///
+/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_positions_f64(
+    mesh: *const MeniscusMesh,
+    out: *mut f64,
+    capacity: u64,
+) -> MeniscusStatus {
+    // SAFETY: as for this function.
+    call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
+}
+
+/// Copies the triangles as uint32_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+///
+/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles. MENISCUS_STATUS_REQUEST for a mesh of more than
+/// 2^32 vertices.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
+    mesh: *const MeniscusMesh,
+    out: *mut u32,
+    capacity: u64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        let vertices = mesh.outline.vertices;
+        if vertices > 1 << 32 {
+            return Err(Failure::request(format!("{vertices} vertices are more than 32 bits number")));
+        }
+        // SAFETY: as for this function.
+        unsafe { mesh.copy_triangles((out, capacity), |vertex| vertex as u32) }
+    })
+}
+
+/// Copies the triangles as uint64_t: 3 numbers a triangle, its vertices, counterclockwise seen from outside.
+///
+/// `capacity`: the numbers that `out` has room for, at least 3 times the triangles.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
+    mesh: *const MeniscusMesh,
+    out: *mut u64,
+    capacity: u64,
+) -> MeniscusStatus {
+    // SAFETY: as for this function.
+    call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
+}
+
+/// Copies the vertices' normals: 3 numbers a vertex, of length 1, outward. MENISCUS_STATUS_REQUEST where none were asked for.
+///
+/// `capacity`: the numbers that `out` has room for, at least 3 times the vertices.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_normals(
+    mesh: *const MeniscusMesh,
+    out: *mut f32,
+    capacity: u64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        if !mesh.outline.normals {
+            return Err(Failure::request("the mesh has no normals: none were asked for"));
+        }
+        let each = |piece, put: &mut dyn FnMut(f32)| {
+            let vertices = mesh.surface.mesh().vertices(piece)?;
+            vertices.normals.as_flattened().iter().for_each(|&x| put(x));
+            Ok(())
+        };
+        // SAFETY: as for this function.
+        unsafe { mesh.copy((out, capacity), mesh.outline.vertices.saturating_mul(3), each) }
+    })
+}
+
+/// Copies an attribute of the vertices by its number from 0: all components of one vertex after the other.
+///
+/// `capacity`: the numbers that `out` has room for, at least the vertices times the components.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_attribute(
+    mesh: *const MeniscusMesh,
+    index: usize,
+    out: *mut f32,
+    capacity: u64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        let Some(info) = mesh.outline.attributes.get(index) else {
+            let (wanted, there) = (index, mesh.names.len());
+            return Err(Failure::request(format!("attribute number {wanted} of a mesh that has {there}")));
+        };
+        let each = |piece, put: &mut dyn FnMut(f32)| {
+            let vertices = mesh.surface.mesh().vertices(piece)?;
+            vertices.attributes[index].iter().for_each(|&x| put(x));
+            Ok(())
+        };
+        let needed = mesh.outline.vertices.saturating_mul(info.components as u64);
+        // SAFETY: as for this function.
+        unsafe { mesh.copy((out, capacity), needed, each) }
+    })
+}
+
+/// Lends the whole mesh, in memory that the library allocates with the first such call, and frees with the mesh.
+/// MENISCUS_STATUS_REQUEST for a mesh of more than 2^32 vertices.
+///
+/// `mesh` is NULL, or a handle that is not freed yet; `arrays` is NULL or points to a structure of the size that it says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_arrays(
+    mesh: *const MeniscusMesh,
+    arrays: *mut MeniscusArrays,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        // SAFETY: as for this function. Refused before a mesh is gathered for nothing.
+        unsafe { check(arrays, "arrays") }?;
+        let Lent { mesh, attributes } = mesh.lent()?;
+        let lent = MeniscusArrays {
+            size: size_of::<MeniscusArrays>(),
+            vertex_count: mesh.positions.len() as u64,
+            triangle_count: mesh.triangles.len() as u64,
+            positions: address(&mesh.positions).cast(),
+            triangles: address(&mesh.triangles).cast(),
+            normals: mesh.normals.as_ref().map_or(null(), |normals| address(normals).cast()),
+            attributes: address(attributes),
+            attribute_count: attributes.len(),
+        };
+        // SAFETY: as for this function.
+        unsafe { fill(arrays, lent, "arrays") }
+    })
+}
+
+/// Returns the number of doubts about the surface, or about the request for it; 0 of NULL.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) -> usize {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
+}
+
+/// Returns a doubt by its number from 0, for people; valid until the mesh is freed. NULL where there is no such doubt.
+///
+/// `mesh` is NULL, or a handle that is not freed yet.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_warning(mesh: *const MeniscusMesh, index: usize) -> *const c_char {
+    // SAFETY: as for this function.
+    unsafe { asked(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr())) }
+}
+
+/// Tells how the mesh was made.
+///
+/// `mesh` is NULL, or a handle that is not freed yet; `report` is NULL or points to a structure of the size that it says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_report(
+    mesh: *const MeniscusMesh,
+    report: *mut MeniscusReport,
+) -> MeniscusStatus {
+    // SAFETY: as for this function.
+    call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
+}
+
+/// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Takes memory for a copy of the mesh, as
+/// meniscus_mesh_arrays does.
+///
+/// `mesh` is NULL, or a handle that is not freed yet; `check` is NULL or points to a structure of the size that it says.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_check(
+    mesh: *const MeniscusMesh,
+    check: *mut MeniscusCheck,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let mesh = unsafe { of(mesh) }?;
+        // SAFETY: as for this function.
+        unsafe { self::check(check, "check") }?;
+        let whole = &mesh.lent()?.mesh;
+        let (found, measures) =
+            on_threads(mesh.surface.report().threads, || (mesh::check(whole), mesh::measure(whole)))?;
+        // SAFETY: as for this function.
+        unsafe { fill(check, MeniscusCheck::new(&found, &measures), "check") }
+    })
+}
+
+/// Writes the mesh to a file whose extension says the format: whole or not at all, and the same bytes as the program writes.
+///
+/// `overwrite`: not 0 to replace a file that is there. `bytes`: NULL, or where to put the file's size. The axis that points up and the
+/// compression are those of the options that the mesh was made by.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_write(
+    mesh: *const MeniscusMesh,
+    path: *const c_char,
+    overwrite: i32,
+    bytes: *mut u64,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
+        let written = match replacing(overwrite) {
+            meniscus::files::Replace::Allow => mesh.surface.overwrite(&path)?,
+            _ => mesh.surface.write(&path)?,
+        };
+        // SAFETY: as for this function.
+        unsafe { tell(bytes, written) };
+        Ok(())
+    })
+}
+
+/// Tells what the format of a file would make of the mesh that is worth a warning, in lines of text, and puts it into the caller's
+/// buffer, cut short where that is too small, and ended by a NUL.
+///
+/// `text`: NULL, or room for `capacity` bytes. `length`: NULL, or where to put the bytes that the whole text takes, without the NUL: 0
+/// where there is no warning.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_mesh_format_warnings(
+    mesh: *const MeniscusMesh,
+    path: *const c_char,
+    text: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
+        let warnings = mesh.surface.warnings_in(format(&path)?)?;
+        let lines: Vec<String> = warnings.iter().map(ToString::to_string).collect();
+        let lines = c_text(lines.join("\n"));
+        // SAFETY: as for this function.
+        unsafe { tell(length, lines.as_bytes().len()) };
+        if !text.is_null() && capacity > 0 {
+            let kept = lines.as_bytes().len().min(capacity - 1);
+            // SAFETY: no more than the caller has room for.
+            unsafe {
+                std::ptr::copy_nonoverlapping(lines.as_ptr(), text, kept);
+                text.add(kept).write(0);
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Does something on threads that end with it: those of the process are the caller's.
+fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Outcome<T> {
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(count).build();
+    let threads = threads.map_err(|fault| Error::Threads(fault.to_string()))?;
+    Ok(threads.install(act))
+}
+
+fn format(path: &Path) -> Outcome<MeshFormat> {
+    let known = MeshFormat::KNOWN;
+    let unknown = || Failure::request(format!("{}: meshes are {known} files", path.display()));
+    MeshFormat::of(path).ok_or_else(unknown)
+}

@@ -1,0 +1,407 @@
+//! The options of a surface: those of the program's `reconstruct`, by their names.
+
+use std::ffi::{c_char, c_void};
+use std::path::Path;
+
+use meniscus::devices::{DeviceChoice, bytes_of, device, fastest};
+use meniscus::error::UnitError;
+use meniscus::files::Replace;
+use meniscus::{
+    Error, IndicatorKind, MemoryBudget, Method, PeriodicMesh, Reconstruction, UpAxis, default_memory,
+};
+
+use crate::coded::{coded, codes};
+use crate::control::{Control, MeniscusCancel, MeniscusProgressCallback};
+use crate::sized::{Growing, read};
+use crate::status::{Failure, MeniscusStatus, Outcome, call};
+use crate::text::{numbers, optional, optional_path, path, pointers};
+
+/// How a cell's share of fluid is told from its particles.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusIndicator {
+    /// Not said: clouds.
+    Default = 0,
+    /// Clouds.
+    Cloud = 1,
+    /// Counting, as in the paper.
+    Counting = 2,
+    /// Symmetry, as in the paper.
+    Symmetry = 3,
+}
+
+/// How the field is made.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusMethod {
+    /// By discrete indicator functions.
+    Dif = 0,
+    /// By the kernels of Mueller, Charypar and Gross 2003.
+    Mueller = 1,
+    /// By the kernels of Zhu and Bridson 2005.
+    ZhuBridson = 2,
+    /// By the kernels of Yu and Turk 2013.
+    YuTurk = 3,
+}
+
+/// Where a mesh ends at the faces of a periodic box.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusPeriodicMesh {
+    /// Not said: on them.
+    Default = 0,
+    /// On the faces, where it is closed as at the walls of a tank.
+    Cut = 1,
+    /// Beyond the faces, by as far as filters reach: copies side by side overlap.
+    Overlap = 2,
+}
+
+/// An axis that points up.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusUp {
+    /// Not said.
+    Default = 0,
+    /// The y axis.
+    Y = 1,
+    /// The z axis.
+    Z = 2,
+}
+
+/// Where the stages run; the bytes of the result are the same.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusBackend {
+    /// Not said: a device where one is named, else the CPU.
+    Default = 0,
+    /// A discrete GPU where there is one and it is worth while, else the CPU.
+    Auto = 1,
+    /// The CPU.
+    Cpu = 2,
+    /// A Vulkan device.
+    Vulkan = 3,
+}
+
+codes!(MeniscusIndicator: Default, Cloud, Counting, Symmetry);
+codes!(MeniscusMethod: Dif, Mueller, ZhuBridson, YuTurk);
+codes!(MeniscusPeriodicMesh: Default, Cut, Overlap);
+codes!(MeniscusUp: Default, Y, Z);
+codes!(MeniscusBackend: Default, Auto, Cpu, Vulkan);
+
+/// Options of a surface, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said: 0 and NULL
+/// mean that an option is not said, and what it is then is chosen as by the program. Lengths are in the unit of the positions.
+///
+/// What it points to has to be there while the call lasts that is given it; only `progress` and `user` are held longer, by a
+/// MeniscusSimulation.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusOptions {
+    /// sizeof(MeniscusOptions).
+    pub size: usize,
+    /// Distance between neighbouring particles, positive; not said, it is that of the file or of the scene beside it, or estimated.
+    pub spacing: f64,
+    /// Half of the spacing, to be given instead of it.
+    pub radius: f64,
+    /// Edge of a cell, positive.
+    pub cell_size: f64,
+    /// Edge of a cell in spacings, positive, to be given instead of cell_size; not said, it is 0.5, and 2/3 for the paper's indicators.
+    pub cell: f64,
+    /// A corner of the grid's cells: 3 numbers. Not said, it is 0, 0, 0, or moved to suit particles on a lattice.
+    pub origin: *const f64,
+    /// A tank with walls, at which the surface ends: 6 numbers, the lowest corner and the highest; particles outside are not counted.
+    /// -INFINITY and INFINITY leave an axis without walls.
+    pub domain: *const f64,
+    /// A box beyond whose faces the fluid repeats itself: 6 numbers, the lowest corner and the highest. -INFINITY and INFINITY leave an
+    /// axis open. Particles on an upper face count as on the lower one; others outside are refused.
+    pub periodic: *const f64,
+    /// The type of particles, of an input that holds several: PartType1 of a snapshot, an array of PySPH, a species of openPMD.
+    pub particle_type: *const c_char,
+    /// Mean number of particles in a full cell, positive, for counting; not said, it is measured.
+    pub mu0: f64,
+    /// Width of smoothing in spacings, for clouds: not said, it is 1.6; more is calmer.
+    pub smooth: f64,
+    /// Width of the Gaussian in cells, positive, for the paper's indicators: not said, a spacing, and a cell at the least.
+    pub sigma: f64,
+    /// Isovalue between 0 and 1, for the paper's indicators and for the kernels of Mueller and of Yu and Turk: not said, it is measured,
+    /// and 0.5 for kernels.
+    pub iso: f64,
+    /// Use fewer triangles, none farther off than so many cells; positive.
+    pub simplify: f64,
+    /// Leave out components, drops or bubbles, of less volume than so many cells; positive.
+    pub smallest_component: f64,
+    /// The names of the particles' attributes to carry to the vertices; the one name "none" for none. Not said, it is their velocity, if
+    /// they have one.
+    pub attributes: *const *const c_char,
+    /// How many names there are.
+    pub attribute_count: usize,
+    /// Bytes of memory that may be used, beside the particles and the mesh; not said, three quarters of what is available.
+    pub memory: u64,
+    /// Folder for what exceeds the memory; not said, that of the system's temporary files, or of a conversion's output.
+    pub scratch: *const c_char,
+    /// The Vulkan device, by its number, its UUID or a part of its name; not said, the best.
+    pub device: *const c_char,
+    /// Told of progress. Not of a conversion's, which tells of events.
+    pub progress: MeniscusProgressCallback,
+    /// Given to progress.
+    pub user: *mut c_void,
+    /// A handle by which any thread can end the work early. If progress ends it, it is as if this handle had been cancelled.
+    pub cancel: *const MeniscusCancel,
+    /// Leave out drops of fewer particles, as told by their volume.
+    pub smallest_drop: u32,
+    /// Threads to use, at most 1024; not said, one for each core. Every call has its own.
+    pub threads: u32,
+    /// One of MeniscusIndicator.
+    pub indicator: i32,
+    /// One of MeniscusMethod.
+    pub method: i32,
+    /// One of MeniscusPeriodicMesh.
+    pub periodic_mesh: i32,
+    /// The axis that points up in mesh files, one of MeniscusUp; not said, that of the particles.
+    pub up: i32,
+    /// The axis that points up in the particles, one of MeniscusUp; not said, z for .bi4 files, else y.
+    pub particles_up: i32,
+    /// One of MeniscusBackend.
+    pub backend: i32,
+    /// Not 0: leave out particles that are not finite or too far away, and count them, where they would be an error.
+    pub skip_invalid: i32,
+    /// Not 0: recover details that smoothing loses, for the paper's indicators.
+    pub detail: i32,
+    /// Not 0: make vertex normals, from the field's gradient.
+    pub normals: i32,
+    /// Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
+    pub compress: i32,
+}
+
+// SAFETY: numbers, pointers and a nullable callback.
+unsafe impl Growing for MeniscusOptions {
+    const NAME: &str = "MeniscusOptions";
+}
+
+/// A request by options, on a machine that is still to be chosen.
+pub struct Asked {
+    pub request: Reconstruction,
+    pub control: Control,
+    memory: MemoryBudget,
+    backend: MeniscusBackend,
+    device: Option<String>,
+}
+
+/// A number, where it is said: what is not a number is said, and refused by the library.
+fn given(number: f64) -> Option<f64> {
+    (number != 0.0).then_some(number)
+}
+
+/// The ends of the axes of a box.
+fn axes([x0, y0, z0, x1, y1, z1]: [f64; 6]) -> [[f64; 2]; 3] {
+    [[x0, x1], [y0, y1], [z0, z1]]
+}
+
+impl Asked {
+    /// Takes what a caller asks for: all defaults, where it is NULL.
+    ///
+    /// # Safety
+    /// `at` is NULL or points to a structure of the size that it says, and what that points to is as its fields say.
+    pub unsafe fn new(at: *const MeniscusOptions) -> Outcome<Self> {
+        if at.is_null() {
+            let control = Control::new(None, std::ptr::null_mut(), None);
+            let request = control.of(Reconstruction::new());
+            let (memory, backend) = (default_memory(), MeniscusBackend::Default);
+            return Ok(Self { request, control, memory, backend, device: None });
+        }
+        // SAFETY: as for this function.
+        let said = unsafe { read(at, "options") }?;
+        // SAFETY: a handle that is not freed yet, or NULL.
+        let control = Control::new(said.progress, said.user, unsafe { said.cancel.as_ref() });
+        // SAFETY: as for this function.
+        let mut request = unsafe { sampling(&said, control.of(Reconstruction::new())) }?;
+        request = surfacing(&said, request)?;
+        // SAFETY: as for this function.
+        request = unsafe { mesh(&said, request) }?;
+        if said.threads != 0 {
+            request = request.threads(said.threads as usize);
+        }
+        let memory = if said.memory == 0 { default_memory() } else { MemoryBudget(said.memory) };
+        // SAFETY: as for this function.
+        let scratch = unsafe { optional_path(said.scratch, "options.scratch") }?;
+        if let Some(folder) = scratch {
+            request = request.scratch(folder);
+        }
+        // SAFETY: as for this function.
+        let device = unsafe { optional(said.device, "options.device") }?.map(str::to_owned);
+        let request = request.memory(memory);
+        let backend = coded(said.backend, "options.backend")?;
+        Ok(Self { request, control, memory, backend, device })
+    }
+
+    /// Chooses where it runs, for an input of as many bytes as is told where it matters, if that is known.
+    pub fn on_machine(mut self, input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>) -> Outcome<Self> {
+        use MeniscusBackend::{Auto, Cpu, Default, Vulkan};
+        let open = |choice| device(&choice, None).map_err(Error::from);
+        let backend = match (self.backend, self.device.take()) {
+            (Default | Cpu, None) => return Ok(self),
+            (Cpu, Some(_)) => return Err(Failure::request("options.device: options.backend is the CPU")),
+            (Auto, None) => fastest(self.memory, || input_bytes(&self.request), None).0,
+            (Vulkan, None) => open(DeviceChoice::Best)?,
+            (Default | Auto | Vulkan, Some(named)) => open(DeviceChoice::Named(named))?,
+        };
+        self.request = self.request.backend(backend);
+        Ok(self)
+    }
+
+    /// Chooses where a file is surfaced.
+    pub fn for_file(self, file: &Path) -> Outcome<Self> {
+        self.on_machine(|_| bytes_of([file]))
+    }
+}
+
+/// How particles are sampled.
+///
+/// # Safety
+/// As for [`Asked::new`].
+unsafe fn sampling(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
+    if let Some(radius) = given(said.radius) {
+        if said.spacing != 0.0 {
+            return Err(Failure::request("options.radius and options.spacing exclude each other"));
+        }
+        if !(radius.is_finite() && radius > 0.0) {
+            return Err(Error::from(UnitError::Length { what: "the radius", value: radius }).into());
+        }
+        request = request.spacing(2.0 * radius);
+    }
+    if let Some(spacing) = given(said.spacing) {
+        request = request.spacing(spacing);
+    }
+    match (given(said.cell_size), given(said.cell)) {
+        (Some(_), Some(_)) => {
+            return Err(Failure::request("options.cell and options.cell_size exclude each other"));
+        }
+        (Some(length), None) => request = request.cell_size(length),
+        (None, Some(spacings)) => request = request.cell(spacings),
+        (None, None) => {}
+    }
+    // SAFETY: as for this function.
+    let (origin, domain, periodic) =
+        unsafe { (numbers(said.origin), numbers(said.domain), numbers(said.periodic)) };
+    if let Some(corner) = origin {
+        request = request.origin(corner);
+    }
+    if let Some([x0, y0, z0, x1, y1, z1]) = domain {
+        request = request.domain([x0, y0, z0], [x1, y1, z1]);
+    }
+    if let Some(faces) = periodic {
+        let is_open = |ends: &[f64; 2]| *ends == [f64::NEG_INFINITY, f64::INFINITY];
+        request = request.periodic(axes(faces).map(|ends| Some(ends).filter(|ends| !is_open(ends))));
+    }
+    // SAFETY: as for this function.
+    if let Some(name) = unsafe { optional(said.particle_type, "options.particle_type") }? {
+        request = request.particle_type(name);
+    }
+    request = match coded(said.indicator, "options.indicator")? {
+        MeniscusIndicator::Default => request,
+        MeniscusIndicator::Cloud => request.indicator(IndicatorKind::Cloud),
+        MeniscusIndicator::Counting => request.indicator(IndicatorKind::Counting),
+        MeniscusIndicator::Symmetry => request.indicator(IndicatorKind::Symmetry),
+    };
+    if let Some(particles) = given(said.mu0) {
+        request = request.mu0(particles);
+    }
+    Ok(if said.skip_invalid != 0 { request.skip_invalid() } else { request })
+}
+
+/// How the surface is made of samples.
+fn surfacing(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
+    request = match coded(said.method, "options.method")? {
+        MeniscusMethod::Dif => request,
+        MeniscusMethod::Mueller => request.method(Method::Mueller { iso: Method::HALF }),
+        MeniscusMethod::ZhuBridson => request.method(Method::ZhuBridson),
+        MeniscusMethod::YuTurk => request.method(Method::YuTurk { iso: Method::HALF }),
+    };
+    request = match coded(said.periodic_mesh, "options.periodic_mesh")? {
+        MeniscusPeriodicMesh::Default => request,
+        MeniscusPeriodicMesh::Cut => request.periodic_mesh(PeriodicMesh::Cut),
+        MeniscusPeriodicMesh::Overlap => request.periodic_mesh(PeriodicMesh::Overlap),
+    };
+    if let Some(spacings) = given(said.smooth) {
+        request = request.smooth(spacings);
+    }
+    if let Some(cells) = given(said.sigma) {
+        request = request.sigma(cells);
+    }
+    if let Some(value) = given(said.iso) {
+        request = request.iso(value);
+    }
+    Ok(if said.detail != 0 { request.detail() } else { request })
+}
+
+fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
+    Ok(match coded(axis, what)? {
+        MeniscusUp::Default => None,
+        MeniscusUp::Y => Some(UpAxis::Y),
+        MeniscusUp::Z => Some(UpAxis::Z),
+    })
+}
+
+/// Says what the mesh is like.
+///
+/// # Safety
+/// As for [`Asked::new`].
+unsafe fn mesh(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
+    if said.normals != 0 {
+        request = request.normals();
+    }
+    if said.attribute_count > 0 {
+        // SAFETY: as for this function.
+        let names = unsafe { pointers(said.attributes, said.attribute_count, "options.attributes") }?;
+        let mut wanted = Vec::new();
+        for (index, &name) in names.iter().enumerate() {
+            // SAFETY: as for this function.
+            wanted.extend(unsafe { optional(name, &format!("options.attributes[{index}]")) }?);
+        }
+        let none = wanted == ["none"];
+        request = request.attributes(wanted.into_iter().filter(|_| !none));
+    }
+    if let Some(cells) = given(said.simplify) {
+        request = request.simplify(cells);
+    }
+    if let Some(cells) = given(said.smallest_component) {
+        request = request.smallest_component(cells);
+    }
+    if said.smallest_drop != 0 {
+        request = request.smallest_drop(said.smallest_drop);
+    }
+    if said.compress != 0 {
+        request = request.compress();
+    }
+    if let Some(axis) = up(said.up, "options.up")? {
+        request = request.up(axis);
+    }
+    if let Some(axis) = up(said.particles_up, "options.particles_up")? {
+        request = request.particles_up(axis);
+    }
+    Ok(request)
+}
+
+/// Whether a file that is there may be replaced.
+pub fn replacing(overwrite: i32) -> Replace {
+    if overwrite == 0 { Replace::Refuse } else { Replace::Allow }
+}
+
+/// Makes sure, before the work, that a mesh could be written to `path`, whose extension says the format, and that the format can hold
+/// what is asked for. Leaves nothing there.
+///
+/// `options` may be NULL for all defaults. `overwrite`: not 0 if a file that is there may be replaced.
+///
+/// Pointers are NULL or as is said.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn meniscus_check_output(
+    path: *const c_char,
+    options: *const MeniscusOptions,
+    overwrite: i32,
+) -> MeniscusStatus {
+    call(|| {
+        // SAFETY: as for this function.
+        let (path, asked) = unsafe { (self::path(path, "path")?, Asked::new(options)?) };
+        asked.request.output(&path, replacing(overwrite))?;
+        Ok(())
+    })
+}

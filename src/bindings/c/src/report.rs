@@ -1,0 +1,167 @@
+//! Figures on a mesh: how it was made, and whether it is whole.
+
+use meniscus::mesh::{CheckReport, Measures};
+use meniscus::{Report, SpacingSource};
+
+use crate::sized::Growing;
+
+/// Where a spacing comes from.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusSpacingSource {
+    /// Not known: the frame was packed, or is one of a simulation.
+    Unknown = 0,
+    /// The options.
+    Given = 1,
+    /// The particles' file.
+    File = 2,
+    /// A scene beside it.
+    Scene = 3,
+    /// The particles themselves.
+    Estimated = 4,
+}
+
+/// How a mesh was made. The caller sets `size`, and the library fills the rest. Lengths are in the unit of the positions.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusReport {
+    /// sizeof(MeniscusReport).
+    pub size: usize,
+    /// Distance between neighbouring particles; 0 where it is not known.
+    pub spacing: f64,
+    /// Edge of a cell.
+    pub cell_size: f64,
+    /// A corner of the grid's cells.
+    pub origin: [f64; 3],
+    /// Width of smoothing in spacings, for clouds; else 0.
+    pub smooth: f64,
+    /// Width of the Gaussian in cells, for the paper's indicators; else 0.
+    pub sigma: f64,
+    /// The isovalue, where the surface is drawn by one; else 0.
+    pub isovalue: f64,
+    /// Seconds that the stages took, without writing.
+    pub seconds: f64,
+    /// Particles that are in the field.
+    pub particles: u64,
+    /// Particles that were left out, for a coordinate is not finite.
+    pub not_finite: u64,
+    /// Particles that were left out, for they are too far away.
+    pub too_far: u64,
+    /// Particles that do not count, for they are outside of the tank.
+    pub outside: u64,
+    /// Particles that are in no surface, at the least.
+    pub lost: u64,
+    /// Components that were left out by smallest_component.
+    pub small_components: u64,
+    /// Drops that were left out by smallest_drop.
+    pub small_drops: u64,
+    /// Triangles before simplifying and leaving out.
+    pub whole_triangles: u64,
+    /// Threads that made it.
+    pub threads: u32,
+    /// One of MeniscusSpacingSource.
+    pub spacing_source: i32,
+}
+
+// SAFETY: numbers.
+unsafe impl Growing for MeniscusReport {
+    const NAME: &str = "MeniscusReport";
+}
+
+impl From<&Report> for MeniscusReport {
+    fn from(report: &Report) -> Self {
+        let (facts, census) = (&report.facts, report.facts.census);
+        let source = report.cells.as_ref().and_then(|cells| cells.spacing.as_ref());
+        let too_small = report.too_small.unwrap_or_default();
+        Self {
+            size: size_of::<Self>(),
+            spacing: facts.spacing.unwrap_or_default(),
+            cell_size: facts.grid.cell_size(),
+            origin: facts.grid.origin().to_array(),
+            smooth: report.smooth.unwrap_or_default(),
+            sigma: report.sigma.unwrap_or_default(),
+            isovalue: report.isovalue().unwrap_or_default(),
+            seconds: report.timings.total(),
+            particles: census.binned as u64,
+            not_finite: census.not_finite as u64,
+            too_far: census.too_far as u64,
+            outside: census.outside as u64,
+            lost: report.lost,
+            small_components: too_small.components,
+            small_drops: too_small.drops,
+            whole_triangles: report.whole_triangles,
+            threads: u32::try_from(report.threads).unwrap_or(u32::MAX),
+            spacing_source: source.map_or(MeniscusSpacingSource::Unknown, |(_, source)| match source {
+                SpacingSource::Given => MeniscusSpacingSource::Given,
+                SpacingSource::File => MeniscusSpacingSource::File,
+                SpacingSource::Scene(_) => MeniscusSpacingSource::Scene,
+                SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
+            }) as i32,
+        }
+    }
+}
+
+/// Findings of `meniscus check` on a mesh. The caller sets `size`, and the library fills the rest.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct MeniscusCheck {
+    /// sizeof(MeniscusCheck).
+    pub size: usize,
+    /// The area of all triangles, in the square of the unit of the positions.
+    pub area: f64,
+    /// The volume inside, in the cube of the unit of the positions; NaN unless closed and oriented.
+    pub volume: f64,
+    /// The lowest corner of the box around the vertices; 0 of an empty mesh.
+    pub lowest: [f64; 3],
+    /// The highest corner of the box around the vertices; 0 of an empty mesh.
+    pub highest: [f64; 3],
+    /// Pieces that share no vertex.
+    pub components: u64,
+    /// Handles, of all components together; -1 unless closed, oriented and 2-manifold.
+    pub genus: i64,
+    /// Edges with one triangle only.
+    pub boundary_edges: u64,
+    /// Edges whose two triangles run along them the same way.
+    pub misoriented_edges: u64,
+    /// Edges with more than two triangles.
+    pub crowded_edges: u64,
+    /// Vertices whose triangles form more than one fan.
+    pub pinched_vertices: u64,
+    /// Triangles that name one vertex twice.
+    pub degenerate_triangles: u64,
+    /// Vertices with a coordinate that is not finite.
+    pub non_finite_vertices: u64,
+    /// 1 if it is closed, oriented and 2-manifold, and all positions are finite; else 0.
+    pub is_closed_oriented_manifold: i32,
+    /// Always 0.
+    pub reserved: i32,
+}
+
+// SAFETY: numbers.
+unsafe impl Growing for MeniscusCheck {
+    const NAME: &str = "MeniscusCheck";
+}
+
+impl MeniscusCheck {
+    pub fn new(found: &CheckReport, measures: &Measures) -> Self {
+        let [lowest, highest] = measures.bounds.unwrap_or_default();
+        let topology = &found.topology;
+        Self {
+            size: size_of::<Self>(),
+            area: measures.area,
+            volume: measures.volume.unwrap_or(f64::NAN),
+            lowest,
+            highest,
+            components: measures.components as u64,
+            genus: measures.genus.unwrap_or(-1),
+            boundary_edges: topology.boundary_edges.count as u64,
+            misoriented_edges: topology.misoriented_edges.count as u64,
+            crowded_edges: topology.crowded_edges.count as u64,
+            pinched_vertices: topology.pinched_vertices.count as u64,
+            degenerate_triangles: topology.degenerate_triangles.count as u64,
+            non_finite_vertices: found.non_finite_positions.count as u64,
+            is_closed_oriented_manifold: found.is_closed_oriented_manifold().into(),
+            reserved: 0,
+        }
+    }
+}

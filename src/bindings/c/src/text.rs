@@ -1,0 +1,140 @@
+//! Texts and arrays that a caller gives, and buffers that it lets be filled.
+
+use std::ffi::{CStr, c_char};
+use std::mem::MaybeUninit;
+use std::path::PathBuf;
+
+use crate::status::{Failure, Outcome};
+
+/// A text, if there is one.
+///
+/// # Safety
+/// `at` is NULL or points to a text that ends in NUL and lives as long as the call.
+pub unsafe fn optional<'a>(at: *const c_char, what: &str) -> Outcome<Option<&'a str>> {
+    if at.is_null() {
+        return Ok(None);
+    }
+    // SAFETY: as for this function.
+    let text = unsafe { CStr::from_ptr(at) }.to_str();
+    text.map(Some).map_err(|_| Failure::request(format!("{what} is not UTF-8")))
+}
+
+/// A path, if there is one.
+///
+/// # Safety
+/// As for [`optional`].
+pub unsafe fn optional_path(at: *const c_char, what: &str) -> Outcome<Option<PathBuf>> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        let _ = what;
+        // SAFETY: as for this function.
+        let bytes = (!at.is_null()).then(|| unsafe { CStr::from_ptr(at) }.to_bytes());
+        Ok(bytes.map(|bytes| std::ffi::OsStr::from_bytes(bytes).into()))
+    }
+    #[cfg(not(unix))]
+    {
+        // SAFETY: as for this function.
+        Ok(unsafe { optional(at, what) }?.map(PathBuf::from))
+    }
+}
+
+/// A path that has to be there.
+///
+/// # Safety
+/// As for [`optional`].
+pub unsafe fn path(at: *const c_char, what: &str) -> Outcome<PathBuf> {
+    // SAFETY: as for this function.
+    let path = unsafe { optional_path(at, what) }?;
+    path.ok_or_else(|| Failure::request(format!("{what} is NULL")))
+}
+
+/// Texts side by side.
+///
+/// # Safety
+/// `at` is NULL or points to `count` pointers, each as for [`optional`].
+pub unsafe fn pointers<'a>(
+    at: *const *const c_char,
+    count: usize,
+    what: &str,
+) -> Outcome<&'a [*const c_char]> {
+    // SAFETY: as for this function.
+    let pointers = unsafe { array(at, count, what) }?;
+    match pointers.iter().position(|text| text.is_null()) {
+        Some(index) => Err(Failure::request(format!("{what}[{index}] is NULL"))),
+        None => Ok(pointers),
+    }
+}
+
+/// An array that may be empty.
+///
+/// # Safety
+/// `at` is NULL or points to `count` values that live, and stay as they are, as long as the call.
+pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'a [T]> {
+    if count == 0 {
+        return Ok(&[]);
+    }
+    refuse_no_array(at, count, what)?;
+    // SAFETY: there and aligned, as was looked at; the rest is for the caller to say.
+    Ok(unsafe { std::slice::from_raw_parts(at, count) })
+}
+
+/// Refuses an address at which there is no array of so many.
+fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
+    if at.is_null() {
+        return Err(Failure::request(format!("{what} is NULL, and {count} are said to be there")));
+    }
+    if !at.is_aligned() {
+        return Err(Failure::request(format!("{what} is not aligned to {} bytes", align_of::<T>())));
+    }
+    let bytes = count.checked_mul(size_of::<T>()).filter(|&bytes| bytes <= isize::MAX as usize);
+    if bytes.is_none_or(|bytes| at.addr().checked_add(bytes).is_none()) {
+        return Err(Failure::request(format!("{what}: {count} are more than the memory holds")));
+    }
+    Ok(())
+}
+
+/// Reads `N` numbers at an address; `None` where there is no address.
+///
+/// # Safety
+/// `at` is NULL or points to `N` values, however aligned.
+pub unsafe fn numbers<T: Copy, const N: usize>(at: *const T) -> Option<[T; N]> {
+    // SAFETY: as for this function.
+    (!at.is_null()).then(|| unsafe { at.cast::<[T; N]>().read_unaligned() })
+}
+
+/// The buffer of a caller who says how many numbers it holds; it must hold `needed`.
+///
+/// # Safety
+/// `at` is NULL or points to memory for `capacity` values that nobody else reads or writes meanwhile.
+pub unsafe fn buffer<'a, T>(
+    at: *mut T,
+    capacity: u64,
+    needed: u64,
+    what: &str,
+) -> Outcome<&'a mut [MaybeUninit<T>]> {
+    if capacity < needed {
+        let what = format!("{what} holds {capacity} numbers, and {needed} are needed");
+        return Err(Failure::request(what));
+    }
+    let Ok(needed) = usize::try_from(needed) else {
+        return Err(Failure::request(format!("{what}: {needed} numbers are more than the memory holds")));
+    };
+    if needed == 0 {
+        return Ok(&mut []);
+    }
+    refuse_no_array(at.cast_const(), needed, what)?;
+    // SAFETY: there and aligned, as was looked at; the rest is for the caller to say.
+    Ok(unsafe { std::slice::from_raw_parts_mut(at.cast(), needed) })
+}
+
+/// Writes a value for a caller who wants it.
+///
+/// # Safety
+/// `at` is NULL or points to a value, however aligned.
+pub unsafe fn tell<T>(at: *mut T, value: T) {
+    if !at.is_null() {
+        // SAFETY: as for this function.
+        unsafe { at.write_unaligned(value) };
+    }
+}

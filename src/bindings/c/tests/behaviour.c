@@ -1,0 +1,322 @@
+// Everything that the interface promises besides the bytes: `behaviour FOLDER`.
+#include "water.h"
+
+static float positions[COUNT][3];
+
+/// What is lent, and what is copied to the caller's memory, in both widths, is the same mesh.
+static void copies_are_what_is_lent(void) {
+  static float velocity[COUNT][3], heat[COUNT];
+  for (int i = 0; i < COUNT; i++) {
+    velocity[i][2] = 3, heat[i] = (float)i;
+  }
+  const MeniscusAttribute attributes[] = {
+      {.size = sizeof *attributes, .name = "vel", .values = velocity, .components = 3},
+      {.size = sizeof *attributes, .name = "heat", .values = heat, .components = 1},
+  };
+  const char *names[] = {"velocity", "heat"};
+  MeniscusParticles particles = particles_of(positions);
+  particles.attributes = attributes, particles.attribute_count = 2;
+  MeniscusOptions options = {.size = sizeof options, .spacing = SPACING, .normals = 1};
+  options.attributes = names, options.attribute_count = 2;
+  MeniscusMesh *mesh;
+  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  MeniscusArrays arrays = {.size = sizeof arrays};
+  OK(meniscus_mesh_arrays(mesh, &arrays));
+  const uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
+  CHECK(vertices > 1000 && arrays.vertex_count == vertices && arrays.triangle_count == triangles);
+  double *wide = malloc(3 * vertices * sizeof *wide);
+  float *narrow = malloc(3 * vertices * sizeof *narrow), *values = malloc(3 * vertices * sizeof *values);
+  uint32_t *corners = malloc(3 * triangles * sizeof *corners);
+  uint64_t *wide_corners = malloc(3 * triangles * sizeof *wide_corners);
+  OK(meniscus_mesh_positions_f64(mesh, wide, 3 * vertices));
+  OK(meniscus_mesh_positions_f32(mesh, narrow, 3 * vertices));
+  OK(meniscus_mesh_triangles_u32(mesh, corners, 3 * triangles));
+  OK(meniscus_mesh_triangles_u64(mesh, wide_corners, 3 * triangles));
+  CHECK(memcmp(wide, arrays.positions, 3 * vertices * sizeof *wide) == 0);
+  CHECK(memcmp(corners, arrays.triangles, 3 * triangles * sizeof *corners) == 0);
+  for (uint64_t i = 0; i < 3 * vertices; i++) {
+    CHECK(narrow[i] == (float)wide[i]);
+  }
+  for (uint64_t i = 0; i < 3 * triangles; i++) {
+    CHECK(wide_corners[i] == corners[i] && corners[i] < vertices);
+  }
+  CHECK(meniscus_mesh_has_normals(mesh) == 1);
+  OK(meniscus_mesh_normals(mesh, values, 3 * vertices));
+  CHECK(memcmp(values, arrays.normals, 3 * vertices * sizeof *values) == 0);
+  CHECK(fabsf(hypotf(hypotf(values[0], values[1]), values[2]) - 1) < 1e-5f);
+  CHECK(meniscus_mesh_attribute_count(mesh) == 2 && arrays.attribute_count == 2);
+  CHECK(strcmp(meniscus_mesh_attribute_name(mesh, 0), "velocity") == 0 && meniscus_mesh_attribute_components(mesh, 0) == 3);
+  CHECK(strcmp(arrays.attributes[1].name, "heat") == 0 && arrays.attributes[1].components == 1);
+  OK(meniscus_mesh_attribute(mesh, 0, values, 3 * vertices));
+  CHECK(values[0] == 0 && fabsf(values[2] - 3) < 1e-6f && values[2] == arrays.attributes[0].values[2]);
+  OK(meniscus_mesh_attribute(mesh, 1, values, vertices));
+  CHECK(values[vertices / 2] > 1 && values[vertices / 2] < COUNT);
+  CHECK(meniscus_mesh_attribute_name(mesh, 2) == NULL && meniscus_mesh_attribute_components(mesh, 2) == 0);
+  CHECK(meniscus_mesh_attribute(mesh, 2, values, vertices) == MENISCUS_STATUS_REQUEST);
+  // A buffer that is too small stays as it is.
+  narrow[0] = 77;
+  CHECK(meniscus_mesh_positions_f32(mesh, narrow, 3 * vertices - 1) == MENISCUS_STATUS_REQUEST && narrow[0] == 77);
+  CHECK(strstr(meniscus_last_error(), "numbers, and"));
+  free(wide), free(narrow), free(values), free(corners), free(wide_corners);
+
+  MeniscusCheck check = {.size = sizeof check};
+  OK(meniscus_mesh_check(mesh, &check));
+  CHECK(check.is_closed_oriented_manifold == 1 && check.boundary_edges == 0 && check.components >= 2);
+  CHECK(check.volume > 0.5 * COUNT * pow(SPACING, 3) && check.volume < 2 * COUNT * pow(SPACING, 3));
+  CHECK(check.lowest[1] < 0 && check.highest[1] > SIDE * SPACING);
+  MeniscusReport report = {.size = sizeof report};
+  OK(meniscus_mesh_report(mesh, &report));
+  CHECK(report.particles == COUNT && report.spacing == SPACING && report.cell_size == SPACING / 2);
+  CHECK(report.spacing_source == MENISCUS_SPACING_SOURCE_GIVEN && report.threads >= 1 && report.seconds > 0);
+  meniscus_mesh_free(mesh);
+}
+
+/// Positions anywhere in memory are the same water.
+static void positions_may_lie_anywhere(void) {
+  static double axes[3][COUNT];
+  static char odd[1 + COUNT * 20];
+  for (int i = 0; i < COUNT; i++) {
+    for (int axis = 0; axis < 3; axis++) {
+      axes[axis][COUNT - 1 - i] = positions[i][axis];
+    }
+    memcpy(odd + 1 + 20 * i, positions[i], sizeof positions[i]);
+  }
+  MeniscusParticles packed = particles_of(positions), backwards = packed, unaligned = packed;
+  backwards.positions = &axes[0][COUNT - 1], backwards.number = MENISCUS_TYPE_F64;
+  backwards.stride = -(ptrdiff_t)sizeof(double), backwards.component_stride = sizeof axes[0];
+  unaligned.positions = odd + 1, unaligned.stride = 20;
+  MeniscusParticles *all[] = {&packed, &backwards, &unaligned};
+  double first = 0;
+  for (int i = 0; i < 3; i++) {
+    MeniscusMesh *mesh;
+    MeniscusArrays arrays = {.size = sizeof arrays};
+    OK(meniscus_reconstruct(all[i], NULL, &mesh));
+    OK(meniscus_mesh_arrays(mesh, &arrays));
+    double sum = 0;
+    for (uint64_t k = 0; k < 3 * arrays.vertex_count; k++) {
+      sum += arrays.positions[k] * (double)(k % 7 + 1);
+    }
+    CHECK(sum != 0 && (i == 0 || sum == first));
+    first = sum;
+    meniscus_mesh_free(mesh);
+  }
+}
+
+struct told {
+  int calls, stop_after;
+  bool inside;
+  int stages[8];
+};
+
+static int32_t hear(void *user, const MeniscusProgress *progress) {
+  struct told *told = user;
+  CHECK(!told->inside);
+  told->inside = true;
+  CHECK(progress->size >= sizeof *progress && progress->done >= 0 && progress->done <= 1 && *progress->name);
+  told->stages[progress->stage]++;
+  told->calls++;
+  told->inside = false;
+  return told->calls == told->stop_after;
+}
+
+static void progress_is_told_and_can_end_the_work(const char *folder) {
+  MeniscusParticles particles = particles_of(positions);
+  struct told told = {0};
+  MeniscusOptions options = {.size = sizeof options, .simplify = 0.5, .progress = hear, .user = &told};
+  MeniscusMesh *mesh;
+  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  CHECK(told.stages[MENISCUS_STAGE_COUNTING] && told.stages[MENISCUS_STAGE_MESHING] && told.stages[MENISCUS_STAGE_SIMPLIFYING]);
+  // The call is over, and so is what its callback may use.
+  int calls = told.calls;
+  char path[512];
+  snprintf(path, sizeof path, "%s/told.obj", folder);
+  OK(meniscus_mesh_write(mesh, path, 1, NULL));
+  CHECK(told.calls == calls);
+  meniscus_mesh_free(mesh);
+  for (int after = 1; after < calls; after++) {
+    told = (struct told){.stop_after = after};
+    CHECK(meniscus_reconstruct(&particles, &options, &mesh) == MENISCUS_STATUS_CANCELLED && mesh == NULL);
+    CHECK(strcmp(meniscus_last_error(), "cancelled") == 0);
+  }
+  // A frame that a callback ends leaves those to come.
+  MeniscusSimulation *simulation;
+  OK(meniscus_simulation_new(&options, &simulation));
+  for (int stop_after = 2; stop_after >= 0; stop_after -= 2) {
+    told = (struct told){.stop_after = stop_after};
+    CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == (stop_after ? MENISCUS_STATUS_CANCELLED : MENISCUS_STATUS_OK));
+  }
+  meniscus_mesh_free(mesh);
+  meniscus_simulation_free(simulation);
+}
+
+static void a_handle_ends_all_that_is_begun_with_it(void) {
+  MeniscusParticles particles = particles_of(positions);
+  MeniscusCancel *cancel = meniscus_cancel_new();
+  MeniscusOptions options = {.size = sizeof options, .cancel = cancel};
+  MeniscusMesh *mesh;
+  OK(meniscus_reconstruct(&particles, &options, &mesh));
+  meniscus_mesh_free(mesh);
+  MeniscusSimulation *simulation;
+  OK(meniscus_simulation_new(&options, &simulation));
+  meniscus_cancel(cancel);
+  CHECK(meniscus_reconstruct(&particles, &options, &mesh) == MENISCUS_STATUS_CANCELLED);
+  CHECK(meniscus_simulation_frame(simulation, &particles, &mesh) == MENISCUS_STATUS_CANCELLED);
+  meniscus_simulation_free(simulation);
+  meniscus_cancel_free(cancel);
+}
+
+static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
+  char path[512];
+  snprintf(path, sizeof path, "%s/frame.mnf", folder);
+  MeniscusParticles particles = particles_of(positions);
+  MeniscusOptions options = {.size = sizeof options, .spacing = SPACING};
+  MeniscusFrame *frame;
+  MeniscusMesh *mesh;
+  OK(meniscus_sample(&particles, &options, &frame));
+  CHECK(meniscus_frame_warning_count(frame) == 0 && meniscus_frame_warning(frame, 0) == NULL);
+  uint64_t triangles = 0, bytes = 0;
+  for (int i = 0; i < 3; i++) {
+    options.smooth = 1.2 + 0.4 * i;
+    OK(meniscus_frame_surface(frame, &options, &mesh));
+    CHECK(meniscus_mesh_triangle_count(mesh) != triangles);
+    triangles = meniscus_mesh_triangle_count(mesh);
+    meniscus_mesh_free(mesh);
+  }
+  options.cell = 0.3;
+  CHECK(meniscus_frame_surface(frame, &options, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
+  CHECK(strstr(meniscus_last_error(), "a size of cells needs the particles themselves"));
+  OK(meniscus_frame_pack(frame, path, 1, &bytes));
+  CHECK(bytes > 100);
+  CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
+  meniscus_frame_free(frame);
+  OK(meniscus_sample_file(path, NULL, &frame));
+  OK(meniscus_frame_surface(frame, NULL, &mesh));
+  meniscus_frame_free(frame);
+  CHECK(meniscus_mesh_triangle_count(mesh) > 100);
+  meniscus_mesh_free(mesh);
+}
+
+static void a_simulation_settles_and_its_frames_are_alike(void) {
+  // Deeper than the filters reach.
+  enum { DEEP = 16 };
+  static float moved[DEEP * DEEP * DEEP][3];
+  MeniscusOptions options = {.size = sizeof options, .smooth = 0.8};
+  MeniscusSimulation *simulation;
+  OK(meniscus_simulation_new(&options, &simulation));
+  CHECK(meniscus_simulation_is_settled(simulation) == 0);
+  double cell = 0;
+  for (int i = 0; i < 3; i++) {
+    // Fewer particles would be estimated to lie farther apart.
+    pour_cube(moved, DEEP, -0.01f * (float)i);
+    MeniscusParticles particles = particles_of(moved);
+    particles.count = sizeof moved / sizeof *moved - 1000 * (unsigned)i;
+    MeniscusMesh *mesh;
+    MeniscusReport report = {.size = sizeof report};
+    OK(meniscus_simulation_frame(simulation, &particles, &mesh));
+    OK(meniscus_mesh_report(mesh, &report));
+    CHECK(report.cell_size > 0 && (i == 0 || report.cell_size == cell));
+    cell = report.cell_size;
+    meniscus_mesh_free(mesh);
+  }
+  CHECK(meniscus_simulation_is_settled(simulation) == 1);
+  // A tank may be dry at times; a frame alone is not.
+  MeniscusParticles none = {.size = sizeof none};
+  MeniscusMesh *dry;
+  MeniscusArrays arrays = {.size = sizeof arrays};
+  OK(meniscus_simulation_frame(simulation, &none, &dry));
+  OK(meniscus_mesh_arrays(dry, &arrays));
+  CHECK(arrays.vertex_count == 0 && arrays.triangle_count == 0 && !arrays.positions);
+  OK(meniscus_mesh_positions_f32(dry, NULL, 0));
+  meniscus_mesh_free(dry);
+  CHECK(meniscus_reconstruct(&none, NULL, &dry) == MENISCUS_STATUS_INPUT);
+  meniscus_simulation_free(simulation);
+}
+
+static int events[13];
+
+static int32_t note(void *user, const MeniscusEvent *event) {
+  CHECK(user == events && event->size >= sizeof *event && event->text);
+  events[event->kind]++;
+  return 0;
+}
+
+static int32_t stop(void *user, const MeniscusEvent *event) {
+  (void)user;
+  return event->kind == MENISCUS_EVENT_KIND_DONE;
+}
+
+static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *folder) {
+  static char inputs[4][512], output[512];
+  const char *names[4];
+  for (int i = 0; i < 4; i++) {
+    names[i] = inputs[i];
+    snprintf(inputs[i], sizeof inputs[i], "%s/water_%d.xyz", folder, i);
+    FILE *file = fopen(inputs[i], "wb");
+    CHECK(file && fwrite(positions, sizeof positions[0], COUNT, file) == COUNT);
+    // Bytes that are no particle.
+    CHECK(i != 2 || fwrite("bad", 1, 3, file) == 3);
+    CHECK(fclose(file) == 0);
+  }
+  snprintf(output, sizeof output, "%s/meshes/mesh_{}.ply", folder);
+  MeniscusConversion conversion = {.size = sizeof conversion, .inputs = names, .input_count = 4, .output = output};
+  conversion.overwrite = 1, conversion.event = note, conversion.user = events;
+  MeniscusOptions options = {.size = sizeof options, .threads = 1};
+  MeniscusSummary summary = {.size = sizeof summary};
+  CHECK(meniscus_convert(&conversion, &options, &summary) == MENISCUS_STATUS_INCOMPLETE);
+  CHECK(summary.made == 3 && summary.failed == 1 && strstr(meniscus_last_error(), "water_2.xyz"));
+  CHECK(events[MENISCUS_EVENT_KIND_DONE] == 3 && events[MENISCUS_EVENT_KIND_FAILED] == 1);
+  CHECK(events[MENISCUS_EVENT_KIND_BEGINS] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
+  CHECK(events[MENISCUS_EVENT_KIND_STAGE] > 3 && events[MENISCUS_EVENT_KIND_OTHER] == 0);
+  conversion.event = stop;
+  CHECK(meniscus_convert(&conversion, &options, NULL) == MENISCUS_STATUS_CANCELLED);
+  conversion.overwrite = 0;
+  CHECK(meniscus_convert(&conversion, &options, NULL) == MENISCUS_STATUS_REQUEST);
+}
+
+static void *work(void *threads) {
+  MeniscusParticles particles = particles_of(positions);
+  MeniscusOptions options = {.size = sizeof options, .threads = *(unsigned *)threads};
+  uint64_t sum = 0;
+  for (int i = 0; i < 3; i++) {
+    MeniscusMesh *mesh;
+    OK(meniscus_reconstruct(&particles, &options, &mesh));
+    sum += meniscus_mesh_vertex_count(mesh);
+    meniscus_mesh_free(mesh);
+    // The message of this thread, whatever the other fails by meanwhile.
+    MeniscusOptions wrong = {.size = sizeof wrong, .spacing = -1.0 - options.threads};
+    char expected[16];
+    snprintf(expected, sizeof expected, "; -%u is not", 1 + options.threads);
+    CHECK(meniscus_reconstruct(&particles, &wrong, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
+    CHECK(strstr(meniscus_last_error(), expected));
+  }
+  return (void *)(uintptr_t)sum;
+}
+
+static void two_threads_do_not_disturb_each_other(void) {
+  pthread_t threads[2];
+  unsigned counts[2] = {1, 2};
+  void *sums[2];
+  for (int i = 0; i < 2; i++) {
+    CHECK(pthread_create(&threads[i], NULL, work, &counts[i]) == 0);
+  }
+  for (int i = 0; i < 2; i++) {
+    CHECK(pthread_join(threads[i], &sums[i]) == 0);
+  }
+  CHECK(sums[0] == sums[1] && sums[0] != NULL);
+}
+
+static int test(int count, char **arguments) {
+  CHECK(count == 2);
+  pour(positions, 0);
+  CHECK(strcmp(meniscus_last_error(), "") == 0 && strlen(meniscus_version()) >= 5);
+  copies_are_what_is_lent();
+  positions_may_lie_anywhere();
+  progress_is_told_and_can_end_the_work(arguments[1]);
+  a_handle_ends_all_that_is_begun_with_it();
+  a_frame_is_sampled_once_and_surfaced_often(arguments[1]);
+  a_simulation_settles_and_its_frames_are_alike();
+  a_conversion_tells_of_frames_and_of_those_that_fail(arguments[1]);
+  two_threads_do_not_disturb_each_other();
+  puts("as the header says");
+  return 0;
+}

@@ -1,0 +1,312 @@
+// Calls of random arguments, right and wrong, in random order: none crashes, and none fails without a code and a message.
+// `random FOLDER CALLS SEED` prints how many calls returned which code.
+#include "water.h"
+
+#include <time.h>
+
+static uint64_t state;
+
+static uint32_t pick(uint32_t among) {
+  return (uint32_t)(next(&state) * among);
+}
+
+/// One time in so many.
+static bool rarely(uint32_t times) {
+  return pick(times) == 0;
+}
+
+/// A number as callers have them, and as they do not.
+static double number(double usual) {
+  const double odd[] = {0, -1, 1, NAN, INFINITY, -INFINITY, 1e-300, 1e300, -0.0, 5e-324, 1e15, 0.5, 1e-9, 3, 65536};
+  return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + next(&state));
+}
+
+/// An enumeration's number, or none.
+static int32_t code(uint32_t names) {
+  const int32_t odd[] = {-1, INT32_MIN, INT32_MAX, 77};
+  return rarely(12) ? odd[pick(4)] : rarely(2) ? 0 : (int32_t)pick(names);
+}
+
+static size_t size_of(size_t right) {
+  const size_t odd[] = {0, 1, 7, 9, 4097, SIZE_MAX, 8};
+  return rarely(20) ? odd[pick(7)] : rarely(12) ? 8 * (1 + pick((uint32_t)right / 8)) : right;
+}
+
+enum { MOST = 200 };
+
+// As small as what is said to be there, so that valgrind sees whoever looks beyond.
+static unsigned char *memory;
+static MeniscusAttribute attributes[3];
+static double six[4][6];
+static const char *names[3];
+static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
+
+static const double *box(int which) {
+  for (int i = 0; i < 6; i++) {
+    six[which][i] = rarely(12) ? number(1) : rarely(6) ? (i < 3 ? -INFINITY : INFINITY) : (i < 3 ? -0.2 : 0.7) + 0.1 * next(&state);
+  }
+  return rarely(4) ? six[which] : NULL;
+}
+
+static unsigned char *allocate(size_t bytes) {
+  free(memory);
+  memory = calloc(bytes ? bytes : 1, 1);
+  CHECK(memory);
+  return memory;
+}
+
+static void put(unsigned char *at, int32_t type, double wide) {
+  float narrow = (float)wide;
+  memcpy(at, type == MENISCUS_TYPE_F32 ? (void *)&narrow : (void *)&wide, type == MENISCUS_TYPE_F32 ? 4 : 8);
+}
+
+/// Particles that lie somewhere in what was allocated for them, or are said to and refused.
+static MeniscusParticles *some_particles(MeniscusParticles *particles) {
+  memset(particles, 0, sizeof *particles);
+  int32_t type = (int32_t)pick(2);
+  size_t width = type == 0 ? 4 : 8, gap = rarely(3) ? pick(9) : 0, step = 3 * width + gap;
+  size_t count = rarely(15) ? 0 : rarely(4) ? 1 + pick(6) : 1 + pick(MOST);
+  double spread = rarely(8) ? 0 : 0.4;
+  unsigned char *at = allocate(count * step);
+  particles->size = size_of(sizeof *particles);
+  particles->count = count;
+  particles->positions = at;
+  particles->number = type;
+  particles->stride = gap ? (ptrdiff_t)step : 0;
+  if (count > 0 && rarely(6)) {
+    particles->positions = at + (count - 1) * step, particles->stride = -(ptrdiff_t)step;
+  }
+  if (count > 0 && rarely(8)) {
+    particles->positions = at, particles->stride = (ptrdiff_t)width, particles->component_stride = (ptrdiff_t)(count * width);
+  }
+  // What an older caller does not say is not so.
+  if (particles->size != sizeof *particles) {
+    particles->positions = at, particles->stride = particles->component_stride = 0;
+  }
+  for (size_t i = 0; i < 3 * count; i++) {
+    unsigned char *first = (unsigned char *)particles->positions;
+    ptrdiff_t stride = particles->stride ? particles->stride : (ptrdiff_t)(3 * width);
+    ptrdiff_t component_stride = particles->component_stride ? particles->component_stride : (ptrdiff_t)width;
+    double coordinate = rarely(3000) ? number(1) : spread * next(&state);
+    put(first + (ptrdiff_t)(i / 3) * stride + (ptrdiff_t)(i % 3) * component_stride, type, coordinate);
+  }
+  if (particles->size == sizeof *particles && rarely(6)) {
+    particles->attributes = attributes;
+    particles->attribute_count = pick(4);
+    for (int i = 0; i < 3; i++) {
+      MeniscusAttribute *one = &attributes[i];
+      memset(one, 0, sizeof *one);
+      one->size = rarely(40) ? size_of(sizeof *one) : sizeof *one;
+      one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
+      one->values = rarely(15) ? NULL : particles->positions;
+      one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
+      one->number = type;
+      one->stride = particles->stride, one->component_stride = particles->component_stride;
+      if (one->components > 3 && one->components <= 65536) {
+        one->stride = one->component_stride = 0, one->values = NULL;
+      }
+    }
+    // What says less than a whole attribute lies less far from the next: no more than one then.
+    if (attributes[0].size != sizeof *attributes || attributes[1].size != sizeof *attributes) {
+      particles->attribute_count = particles->attribute_count > 0;
+    }
+  }
+  if (rarely(25)) {
+    // Refused before anything is read there.
+    const ptrdiff_t far[] = {PTRDIFF_MAX, PTRDIFF_MIN, PTRDIFF_MAX / 2};
+    particles->count = count + 4, particles->stride = far[pick(3)];
+  }
+  if (rarely(40)) particles->count = UINT64_MAX >> pick(3);
+  if (rarely(40)) particles->positions = NULL;
+  if (rarely(30)) particles->number = code(2) | 4;
+  return rarely(60) ? NULL : particles;
+}
+
+static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
+  CHECK(progress->done >= 0 && progress->done <= 1);
+  return --*(int *)user == 0;
+}
+
+static int left;
+static MeniscusCancel *cancel;
+
+static MeniscusOptions *some_options(MeniscusOptions *options, const char *folder) {
+  memset(options, 0, sizeof *options);
+  options->size = size_of(sizeof *options);
+  options->spacing = rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05;
+  if (rarely(12)) options->radius = number(0.03), options->spacing = rarely(4) ? 1 : 0;
+  if (rarely(10)) options->cell_size = number(0.04);
+  if (rarely(4)) options->cell = number(0.7);
+  if (rarely(12)) options->origin = six[3], six[3][0] = number(0.1), six[3][1] = number(1), six[3][2] = 0;
+  options->domain = rarely(2) ? box(0) : NULL;
+  options->periodic = rarely(4) ? box(1) : NULL;
+  if (rarely(20)) options->particle_type = words[pick(8)];
+  if (rarely(12)) options->mu0 = number(1);
+  if (rarely(5)) options->smooth = number(1.5);
+  if (rarely(12)) options->sigma = number(1.5);
+  if (rarely(12)) options->iso = number(0.4);
+  if (rarely(8)) options->simplify = number(0.5);
+  if (rarely(10)) options->smallest_component = number(5);
+  if (rarely(10)) options->smallest_drop = pick(9);
+  if (rarely(6)) {
+    options->attributes = rarely(20) ? NULL : names;
+    options->attribute_count = pick(4);
+    for (int i = 0; i < 3; i++) names[i] = words[rarely(4) ? pick(8) : 3u * pick(2)];
+  }
+  options->memory = rarely(8) ? (uint64_t)fabs(number(1 << 20)) % (1u << 30) : 200 << 20;
+  if (rarely(20)) options->scratch = rarely(2) ? folder : "there/is/none";
+  // Devices are not looked for: most of the time would go to them.
+  if (rarely(30)) options->backend = code(3), options->device = rarely(2) ? NULL : options->backend ? "none" : NULL;
+  if (options->backend == MENISCUS_BACKEND_AUTO) options->device = NULL;
+  if (rarely(6)) options->progress = end_sometimes, options->user = &left, left = (int)pick(12);
+  if (rarely(15)) {
+    options->cancel = cancel;
+    if (rarely(3)) meniscus_cancel(cancel);
+  }
+  options->threads = rarely(50) ? 5000 : 1 + rarely(40);
+  if (rarely(3)) {
+    options->indicator = code(4), options->method = rarely(2) ? code(4) : 0, options->periodic_mesh = code(3);
+    options->up = code(3), options->particles_up = code(3);
+    options->skip_invalid = code(2), options->detail = rarely(4), options->normals = code(2), options->compress = rarely(4);
+  }
+  return rarely(30) ? NULL : options;
+}
+
+static uint64_t codes[256], calls;
+
+static MeniscusStatus note(MeniscusStatus status) {
+  calls++;
+  CHECK(status >= 0 && status < 256 && status != MENISCUS_STATUS_INTERNAL);
+  CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
+  codes[status]++;
+  return status;
+}
+
+/// Everything that a mesh can be asked for, some of it.
+static void ask(const MeniscusMesh *mesh, const char *folder) {
+  uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
+  uint64_t room = rarely(4) ? pick(100) : 3 * (vertices > triangles ? vertices : triangles);
+  void *out = rarely(10) ? NULL : malloc(8 * room + 1);
+  size_t index = pick(3), length = 0;
+  MeniscusArrays arrays = {.size = size_of(sizeof arrays)};
+  MeniscusReport report = {.size = size_of(sizeof report)};
+  MeniscusCheck check = {.size = size_of(sizeof check)};
+  // What says more than it is must not be written to.
+  if (arrays.size > sizeof arrays && arrays.size <= 4096) arrays.size = 8;
+  if (report.size > sizeof report && report.size <= 4096) report.size = 8;
+  if (check.size > sizeof check && check.size <= 4096) check.size = 8;
+  char path[512], text[40];
+  const char *ends[] = {"ply", "obj", "stl", "glb", "usdc", "vtp", "doc", "vtkhdf"};
+  snprintf(path, sizeof path, "%s%s/random.%s", folder, rarely(20) ? "/none" : "", ends[pick(8)]);
+  switch (pick(14)) {
+    case 0: note(meniscus_mesh_positions_f32(mesh, out, room)); break;
+    case 1: note(meniscus_mesh_positions_f64(mesh, out, room)); break;
+    case 2: note(meniscus_mesh_triangles_u32(mesh, out, room)); break;
+    case 3: note(meniscus_mesh_triangles_u64(mesh, out, room)); break;
+    case 4: note(meniscus_mesh_normals(mesh, out, room)); break;
+    case 5: {
+      uint64_t components = meniscus_mesh_attribute_components(mesh, index);
+      bool fits = components <= 3;
+      note(meniscus_mesh_attribute(mesh, index, fits ? out : NULL, room));
+      break;
+    }
+    case 6:
+      if (note(meniscus_mesh_arrays(mesh, rarely(20) ? NULL : &arrays)) == 0 && arrays.size >= sizeof arrays) {
+        for (uint64_t i = 0; i < 3 * arrays.triangle_count; i++) CHECK(arrays.triangles[i] < arrays.vertex_count);
+        for (uint64_t i = 0; i < 3 * arrays.vertex_count; i++) CHECK(isfinite(arrays.positions[i]));
+      }
+      break;
+    case 7: note(meniscus_mesh_report(mesh, rarely(20) ? NULL : &report)); break;
+    case 8:
+      if (note(meniscus_mesh_check(mesh, rarely(20) ? NULL : &check)) == 0 && check.size == sizeof check) {
+        CHECK(check.is_closed_oriented_manifold);
+      }
+      break;
+    case 9: note(meniscus_mesh_write(mesh, rarely(20) ? NULL : path, (int32_t)pick(3), rarely(2) ? NULL : &room)); break;
+    case 10: note(meniscus_mesh_format_warnings(mesh, path, rarely(3) ? NULL : text, pick(sizeof text), rarely(3) ? NULL : &length)); break;
+    case 11: calls++, (void)meniscus_mesh_attribute_name(mesh, index), (void)meniscus_mesh_has_normals(mesh); break;
+    case 12: calls++, (void)meniscus_mesh_warning(mesh, index), (void)meniscus_mesh_warning_count(mesh); break;
+    default: note(meniscus_check_output(rarely(20) ? NULL : path, NULL, (int32_t)pick(2))); break;
+  }
+  free(out);
+}
+
+static void convert(const char *folder) {
+  const char *inputs[] = {rarely(2) ? folder : "there/is/none_{}.bgeo", rarely(3) ? NULL : folder};
+  char output[512];
+  snprintf(output, sizeof output, "%s/random_{}.ply", folder);
+  uint64_t ends[] = {pick(9), pick(9)};
+  MeniscusConversion conversion = {.size = size_of(sizeof conversion), .inputs = rarely(20) ? NULL : inputs};
+  conversion.input_count = pick(3), conversion.output = rarely(10) ? NULL : rarely(3) ? "one.ply" : output;
+  conversion.start = pick(9), conversion.end = rarely(2) ? NULL : ends, conversion.frames = rarely(2) ? NULL : ends;
+  conversion.step = pick(3), conversion.fps = rarely(3) ? number(25) : 0, conversion.watch = rarely(9) ? -number(1) : 0;
+  conversion.overwrite = rarely(2), conversion.resume = rarely(2);
+  // Nobody waits for what never comes.
+  if (conversion.watch > 0) conversion.watch = 1e-9;
+  MeniscusOptions options;
+  MeniscusSummary summary = {.size = sizeof summary};
+  note(meniscus_convert(rarely(20) ? NULL : &conversion, some_options(&options, folder), rarely(3) ? NULL : &summary));
+}
+
+static int test(int count, char **arguments) {
+  CHECK(count == 4);
+  const char *folder = arguments[1];
+  const uint64_t wanted = strtoull(arguments[2], NULL, 10);
+  state = strtoull(arguments[3], NULL, 10);
+  time_t begun = time(NULL);
+  MeniscusMesh *mesh = NULL;
+  MeniscusFrame *frame = NULL;
+  MeniscusSimulation *simulation = NULL;
+  MeniscusParticles particles;
+  MeniscusOptions options;
+  char path[512];
+  snprintf(path, sizeof path, "%s/random.mnf", folder);
+  cancel = meniscus_cancel_new();
+  while (calls < wanted) {
+    MeniscusMesh *made = NULL;
+    MeniscusFrame *sampled = NULL;
+    MeniscusSimulation *begun_simulation = NULL;
+    uint32_t what = pick(100);
+    if (what < 14) {
+      const MeniscusParticles *some = some_particles(&particles);
+      note(meniscus_reconstruct(some, some_options(&options, folder), rarely(60) ? NULL : &made));
+    } else if (what < 20) {
+      const MeniscusParticles *some = some_particles(&particles);
+      note(meniscus_sample(some, some_options(&options, folder), &sampled));
+    } else if (what < 26) {
+      note(meniscus_frame_surface(frame, some_options(&options, folder), &made));
+    } else if (what < 29) {
+      note(meniscus_frame_pack(frame, rarely(10) ? "a.ply" : path, (int32_t)pick(2), NULL));
+    } else if (what < 32) {
+      note(meniscus_reconstruct_file(rarely(3) ? words[pick(8)] : path, some_options(&options, folder), &made));
+    } else if (what < 34) {
+      note(meniscus_sample_file(rarely(3) ? words[pick(8)] : path, some_options(&options, folder), &sampled));
+    } else if (what < 40) {
+      MeniscusOptions *some = some_options(&options, folder);
+      // Held longer than these options are.
+      if (some) some->progress = NULL;
+      note(meniscus_simulation_new(some, &begun_simulation));
+    } else if (what < 48) {
+      note(meniscus_simulation_frame(simulation, some_particles(&particles), &made));
+      (void)meniscus_simulation_is_settled(simulation);
+    } else if (what < 51) {
+      convert(folder);
+    } else {
+      ask(rarely(50) ? NULL : mesh, folder);
+    }
+    if (made) meniscus_mesh_free(mesh), mesh = made, calls++;
+    if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
+    if (begun_simulation) meniscus_simulation_free(simulation), simulation = begun_simulation, calls++;
+    if (rarely(30)) meniscus_cancel_free(cancel), cancel = meniscus_cancel_new(), calls += 2;
+  }
+  meniscus_mesh_free(mesh), meniscus_frame_free(frame), meniscus_simulation_free(simulation), meniscus_cancel_free(cancel);
+  free(memory);
+  printf("%llu random calls in %lld s:", (unsigned long long)calls, (long long)(time(NULL) - begun));
+  for (int i = 0; i < 256; i++) {
+    if (codes[i]) printf(" %llu returned %d,", (unsigned long long)codes[i], i);
+  }
+  puts(" none crashed");
+  // Otherwise it is calls that do nothing.
+  CHECK(wanted < 2000 || (codes[0] > calls / 5 && codes[MENISCUS_STATUS_REQUEST] > calls / 20 && codes[MENISCUS_STATUS_INPUT] && codes[MENISCUS_STATUS_CANCELLED]));
+  return 0;
+}

@@ -1,0 +1,158 @@
+// The library writes the same bytes as the program, for the same input and options: `same_bytes PROGRAM FOLDER`.
+#include "water.h"
+
+#include <stdarg.h>
+
+static const char *program, *folder;
+
+static void run(const char *format, ...) {
+  char command[4096];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(command, sizeof command, format, arguments);
+  va_end(arguments);
+  int code = system(command);
+  if (code != 0) {
+    fprintf(stderr, "%s: %d\n", command, code);
+    exit(1);
+  }
+}
+
+/// Compares the meshes, and the files that they name, of the program and the library.
+static void compare(const char *extension, const MeniscusMesh *mesh, const char *input, const char *options) {
+  char path[512];
+  run("rm -rf %s/program %s/library && mkdir %s/program %s/library", folder, folder, folder, folder);
+  run("%s reconstruct %s -o %s/program/mesh.%s --quiet --backend cpu %s", program, input, folder, extension, options);
+  snprintf(path, sizeof path, "%s/library/mesh.%s", folder, extension);
+  uint64_t bytes = 0;
+  OK(meniscus_mesh_write(mesh, path, 0, &bytes));
+  CHECK(bytes > 0);
+  run("diff -r %s/program %s/library", folder, folder);
+}
+
+static void save(const char *name, const char *head, size_t head_bytes, const void *values, size_t bytes) {
+  char path[512];
+  snprintf(path, sizeof path, "%s/%s", folder, name);
+  FILE *file = fopen(path, "wb");
+  CHECK(file && fwrite(head, 1, head_bytes, file) == head_bytes && fwrite(values, 1, bytes, file) == bytes);
+  CHECK(fclose(file) == 0);
+}
+
+static int test(int count, char **arguments) {
+  CHECK(count == 3);
+  program = arguments[1], folder = arguments[2];
+  static float positions[COUNT][3];
+  static double wide[COUNT][3];
+  static struct { double mass; float velocity[3]; float pad; double at[3]; } structures[COUNT];
+  pour(positions, 0);
+  for (int i = 0; i < COUNT; i++) {
+    structures[i].velocity[1] = (float)i;
+    for (int axis = 0; axis < 3; axis++) {
+      // More digits than a float has.
+      structures[i].at[axis] = wide[i][axis] = positions[i][axis] + 1e-9 * i;
+    }
+  }
+  char narrow_file[512], wide_file[512];
+  snprintf(narrow_file, sizeof narrow_file, "%s/water.xyz", folder);
+  snprintf(wide_file, sizeof wide_file, "%s/water.npy", folder);
+  save("water.xyz", "", 0, positions, sizeof positions);
+  char head[128] = "\x93NUMPY\1\0\x76\0{'descr': '<f8', 'fortran_order': False, 'shape': (1005, 3), }";
+  size_t used = 10 + strlen(head + 10);
+  memset(head + used, ' ', sizeof head - used);
+  head[127] = '\n';
+  CHECK(COUNT == 1005);
+  save("water.npy", head, sizeof head, wide, sizeof wide);
+
+  // Every format, from numbers of 32 bits and of 64, in memory and in a file.
+  const char *formats[] = {"ply", "obj", "vtk", "vtp", "pvtp", "vtkhdf", "stl", "usdc", "glb"};
+  MeniscusParticles narrow = particles_of(positions);
+  MeniscusParticles doubles = {
+      .size = sizeof doubles, .count = COUNT, .positions = wide, .number = MENISCUS_TYPE_F64};
+  MeniscusMesh *of_narrow, *of_wide, *of_file;
+  OK(meniscus_reconstruct(&narrow, NULL, &of_narrow));
+  OK(meniscus_reconstruct(&doubles, NULL, &of_wide));
+  OK(meniscus_reconstruct_file(wide_file, NULL, &of_file));
+  for (size_t i = 0; i < sizeof formats / sizeof *formats; i++) {
+    compare(formats[i], of_narrow, narrow_file, "");
+    compare(formats[i], of_wide, wide_file, "");
+    compare(formats[i], of_file, wide_file, "");
+  }
+  meniscus_mesh_free(of_narrow);
+  meniscus_mesh_free(of_wide);
+  meniscus_mesh_free(of_file);
+
+  // Options by their names, and positions among other numbers.
+  const double origin[] = {0.01, 0, 0}, tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
+  const double box[] = {-0.3, -INFINITY, -0.3, 0.9, INFINITY, 0.9};
+  struct { const char *said; MeniscusOptions options; } all[] = {
+      {"--spacing 0.05 --cell 0.3 --smooth 2", {.spacing = 0.05, .cell = 0.3, .smooth = 2}},
+      {"--radius 0.025 --cell-size 0.03 --normals", {.radius = 0.025, .cell_size = 0.03, .normals = 1}},
+      {"--indicator counting --detail --sigma 1.5", {.indicator = MENISCUS_INDICATOR_COUNTING, .detail = 1, .sigma = 1.5}},
+      {"--indicator counting --mu0 0.3 --cell 0.7", {.indicator = MENISCUS_INDICATOR_COUNTING, .mu0 = 0.3, .cell = 0.7}},
+      {"--indicator symmetry --iso 0.2 --cell 1 --origin 0.01,0,0",
+       {.indicator = MENISCUS_INDICATOR_SYMMETRY, .iso = 0.2, .cell = 1, .origin = origin}},
+      {"--domain -0.02,-,-,0.4,-,- --simplify 0.5", {.domain = tank, .simplify = 0.5}},
+      {"--periodic -0.3,-,-0.3,0.9,-,0.9 --periodic-mesh overlap",
+       {.periodic = box, .periodic_mesh = MENISCUS_PERIODIC_MESH_OVERLAP}},
+      {"--method mueller", {.method = MENISCUS_METHOD_MUELLER}},
+      {"--method zhu-bridson", {.method = MENISCUS_METHOD_ZHU_BRIDSON}},
+      {"--method yu-turk --iso 0.4", {.method = MENISCUS_METHOD_YU_TURK, .iso = 0.4}},
+      {"--memory 24MiB --threads 1 --smallest-drop 5", {.memory = 24 << 20, .threads = 1, .smallest_drop = 5}},
+      {"--smallest-component 20 --up z --skip-invalid", {.smallest_component = 20, .up = MENISCUS_UP_Z, .skip_invalid = 1}},
+  };
+  MeniscusParticles strided = {.size = sizeof strided,
+                               .count = COUNT,
+                               .positions = structures[0].at,
+                               .stride = sizeof *structures,
+                               .number = MENISCUS_TYPE_F64};
+  for (size_t i = 0; i < sizeof all / sizeof *all; i++) {
+    all[i].options.size = sizeof all[i].options;
+    MeniscusMesh *mesh;
+    OK(meniscus_reconstruct(&strided, &all[i].options, &mesh));
+    compare("ply", mesh, wide_file, all[i].said);
+    meniscus_mesh_free(mesh);
+  }
+  MeniscusOptions small = {.size = sizeof small, .compress = 1, .particles_up = MENISCUS_UP_Z};
+  MeniscusMesh *mesh;
+  OK(meniscus_reconstruct(&strided, &small, &mesh));
+  compare("glb", mesh, wide_file, "--compress --particles-up z");
+  meniscus_mesh_free(mesh);
+
+  // A frame that is packed is the program's, too, and so is its mesh.
+  char packed[512];
+  snprintf(packed, sizeof packed, "%s/library.mnf", folder);
+  MeniscusFrame *frame;
+  OK(meniscus_sample_file(wide_file, NULL, &frame));
+  OK(meniscus_frame_pack(frame, packed, 1, NULL));
+  meniscus_frame_free(frame);
+  run("%s pack %s -o %s/program.mnf --quiet --backend cpu --overwrite", program, wide_file, folder);
+  run("cmp %s/program.mnf %s", folder, packed);
+  MeniscusOptions calm = {.size = sizeof calm, .smooth = 2};
+  OK(meniscus_reconstruct_file(packed, &calm, &mesh));
+  compare("ply", mesh, wide_file, "--smooth 2");
+  meniscus_mesh_free(mesh);
+
+  // A simulation from files to files: all that is written but times.
+  run("rm -rf %s/frames %s/by_*; mkdir %s/frames", folder, folder, folder);
+  for (int number = 1; number <= 3; number++) {
+    char name[64];
+    pour(positions, 0.01f * (float)number);
+    snprintf(name, sizeof name, "frames/water_%d.xyz", number);
+    save(name, "", 0, positions, sizeof positions);
+  }
+  char frames[512], meshes[512];
+  snprintf(frames, sizeof frames, "%s/frames", folder);
+  snprintf(meshes, sizeof meshes, "%s/by_library/mesh_{:04}.vtp", folder);
+  const char *inputs[] = {frames};
+  const uint64_t end = 3;
+  MeniscusConversion conversion = {.size = sizeof conversion, .inputs = inputs, .input_count = 1, .output = meshes};
+  conversion.start = 1, conversion.end = &end, conversion.step = 2, conversion.fps = 25;
+  MeniscusSummary summary = {.size = sizeof summary};
+  OK(meniscus_convert(&conversion, NULL, &summary));
+  CHECK(summary.made == 2 && summary.failed == 0 && summary.missing == 0 && summary.particles == 2 * COUNT);
+  run("%s reconstruct %s -o '%s/by_program/mesh_{:04}.vtp' --start 1 --end 3 --step 2 --fps 25 --quiet --backend cpu",
+      program, frames, folder);
+  run("cd %s/by_library && for file in *.vtp *.pvd *.series *.json; do cmp $file ../by_program/$file; done", folder);
+  puts("same bytes as the program");
+  return 0;
+}

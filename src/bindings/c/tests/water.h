@@ -1,0 +1,98 @@
+// What all tests need: water of a few hundred particles, and sentences that must be true.
+#ifndef WATER_H
+#define WATER_H
+
+#include <meniscus.h>
+
+#include <dirent.h>
+#include <math.h>
+#include <pthread.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#define CHECK(what)                                                                                            \
+  do {                                                                                                         \
+    if (!(what)) {                                                                                             \
+      fprintf(stderr, "%s:%d: %s\n  last error: %s\n", __FILE__, __LINE__, #what, meniscus_last_error());      \
+      exit(1);                                                                                                 \
+    }                                                                                                          \
+  } while (0)
+
+#define OK(call) CHECK((call) == MENISCUS_STATUS_OK)
+
+/// A number from 0 to 1, the same on every machine.
+static inline double next(uint64_t *state) {
+  *state = *state * 6364136223846793005u + 1442695040888963407u;
+  return (double)(*state >> 40) / (double)(1 << 24);
+}
+
+enum { SIDE = 10, DROPS = 5, COUNT = SIDE * SIDE * SIDE + DROPS };
+
+#define SPACING 0.05
+
+/// A cube of water with so many particles along each edge, in some disorder, moved by `shift`. Coordinates are numbers of 32 bits.
+static inline void pour_cube(float (*positions)[3], int side, float shift) {
+  uint64_t state = 7;
+  for (int i = 0; i < side * side * side; i++) {
+    const int at[3] = {i % side, i / side % side, i / side / side};
+    for (int axis = 0; axis < 3; axis++) {
+      double jitter = 0.4 * (next(&state) - 0.5);
+      positions[i][axis] = (float)((at[axis] + jitter) * SPACING) + (axis == 1 ? shift : 0);
+    }
+  }
+}
+
+/// Water of COUNT particles: a cube, and drops above it.
+static inline void pour(float positions[COUNT][3], float shift) {
+  pour_cube(positions, SIDE, shift);
+  for (int drop = 0; drop < DROPS; drop++) {
+    float *at = positions[COUNT - DROPS + drop];
+    at[0] = at[2] = (float)(2 * drop * SPACING), at[1] = (float)((SIDE + 6) * SPACING) + shift;
+  }
+}
+
+static inline MeniscusParticles particles_of(float positions[COUNT][3]) {
+  MeniscusParticles particles = {.size = sizeof particles, .count = COUNT, .positions = positions};
+  return particles;
+}
+
+/// Makes sure that the library leaves no thread behind: those that were asked to end may take a moment.
+static inline void wait_for_threads(void) {
+  for (int tries = 0;; tries++) {
+    int threads = 0;
+    DIR *tasks = opendir("/proc/self/task");
+    for (struct dirent *task; tasks && (task = readdir(tasks));) {
+      threads += *task->d_name != '.';
+    }
+    CHECK(tasks && closedir(tasks) == 0);
+    if (threads == 1) {
+      return;
+    }
+    CHECK(tries < 1000);
+    usleep(10000);
+  }
+}
+
+/// The test itself.
+static int test(int count, char **arguments);
+
+static struct { int count; char **arguments; int code; } given;
+
+static inline void *run_test(void *unused) {
+  given.code = test(given.count, given.arguments);
+  return unused;
+}
+
+/// Runs the test on a thread that ends: what the library keeps for a thread is freed then, and valgrind sees what is not.
+int main(int count, char **arguments) {
+  pthread_t thread;
+  given.count = count, given.arguments = arguments;
+  CHECK(pthread_create(&thread, NULL, run_test, NULL) == 0 && pthread_join(thread, NULL) == 0);
+  wait_for_threads();
+  return given.code;
+}
+
+#endif

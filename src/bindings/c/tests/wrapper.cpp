@@ -1,0 +1,94 @@
+// The C++ wrapper: what it frees, throws and lends: `wrapper FOLDER`.
+#include <meniscus.hpp>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <thread>
+
+#define CHECK(what)                                                            \
+  do {                                                                         \
+    if (!(what)) {                                                             \
+      std::fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #what);          \
+      std::exit(1);                                                            \
+    }                                                                          \
+  } while (0)
+
+template <class Call>
+static MeniscusStatus failure(Call call, const char *message) {
+  try {
+    call();
+  } catch (const meniscus::Error &error) {
+    CHECK(std::string(error.what()).find(message) != std::string::npos);
+    return error.status;
+  }
+  return MENISCUS_STATUS_OK;
+}
+
+static void test(const std::string &folder) {
+  std::vector<std::array<double, 3>> water;
+  std::vector<float> speeds;
+  for (int i = 0; i < 512; i++) {
+    water.push_back({0.1 * (i % 8), 0.1 * (i / 8 % 8), 0.1 * (i / 64) + 0.01 * (i % 3)});
+    speeds.push_back(2);
+  }
+  meniscus::Options options;
+  options.spacing = 0.1, options.normals = 1, options.carried = {"speed"};
+  int told = 0;
+  options.on_progress = [&](const MeniscusProgress &) { return ++told > 0; };
+  auto particles = meniscus::Particles(water).attribute("speed", speeds.data(), 1);
+  const meniscus::Mesh mesh = meniscus::reconstruct(particles, options);
+  CHECK(told > 2 && mesh.vertex_count() > 100 && mesh.checked().is_closed_oriented_manifold);
+  CHECK(mesh.positions().size() == 3 * mesh.vertex_count() && mesh.normals().size() == mesh.positions().size());
+  const auto copied = mesh.copy_positions<float>();
+  for (std::size_t i = 0; i < copied.size(); i++) CHECK(copied[i] == static_cast<float>(mesh.positions()[i]));
+  CHECK(mesh.copy_positions<double>()[5] == mesh.positions()[5]);
+  CHECK(mesh.copy_triangles()[7] == mesh.triangles()[7]);
+  for (float speed : mesh.attribute("speed")) CHECK(std::abs(speed - 2) < 1e-6f);
+  bool missing = false;
+  try {
+    mesh.attribute("heat");
+  } catch (const std::out_of_range &) {
+    missing = true;
+  }
+  CHECK(missing && mesh.report().particles == 512 && mesh.warnings().empty());
+  const std::string path = folder + "/wrapped.ply";
+  CHECK(mesh.overwrite(path) > 1000);
+  CHECK(failure([&] { mesh.write(path); }, "exists already") == MENISCUS_STATUS_REQUEST);
+
+  // What a callback says, and what it throws.
+  options.on_progress = [](const MeniscusProgress &) { return false; };
+  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
+  options.on_progress = [](const MeniscusProgress &) -> bool { throw 42; };
+  int caught = 0;
+  try {
+    meniscus::reconstruct(particles, options);
+  } catch (int thrown) {
+    caught = thrown;
+  }
+  CHECK(caught == 42);
+  options.on_progress = nullptr;
+  options.spacing = -1;
+  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "; -1 is not") == MENISCUS_STATUS_REQUEST);
+  CHECK(failure([&] { meniscus::reconstruct("none.bgeo"); }, "none.bgeo") == MENISCUS_STATUS_INPUT);
+  meniscus::Cancel cancel;
+  options.spacing = 0.1, options.cancel = cancel.c();
+  cancel.cancel();
+  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "cancelled") == MENISCUS_STATUS_CANCELLED);
+  options.cancel = nullptr;
+
+  const meniscus::Frame frame(particles, options);
+  meniscus::Options calm;
+  calm.smooth = 2, calm.carried = {"speed"};
+  CHECK(frame.surface(calm).triangle_count() != frame.surface().triangle_count());
+  meniscus::Simulation simulation(options);
+  CHECK(simulation.frame(particles).vertex_count() > 100);
+  meniscus::Simulation moved = std::move(simulation);
+  CHECK(moved.frame(particles).vertex_count() > 100);
+}
+
+int main(int count, char **arguments) {
+  CHECK(count == 2);
+  std::thread([&] { test(arguments[1]); }).join();
+  std::puts("the wrapper frees, throws and lends");
+}

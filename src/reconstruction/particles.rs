@@ -1,0 +1,36 @@
+//! Particles of a file for whoever works on them himself before he has a surface made.
+
+use std::path::Path;
+
+use crate::error::Error;
+use crate::io::ParticleFile;
+use crate::io::bytes::Unpacking;
+use crate::io::input::open_wanted;
+use crate::io::scene::spacing_beside;
+use crate::io::wanted::{Wanted, WantedAttributes, WantedPieces};
+use crate::system::memory::default_memory;
+
+/// Opens a file of particles with all of their attributes, for those of a type where it holds several. Where it does not say their
+/// spacing, that is the one of a scene beside it, if there is one.
+///
+/// ```no_run
+/// use meniscus::{Particles, Reconstruction, files};
+///
+/// let file = files::open_particles("frame_20.bgeo", None)?;
+/// let mut positions = vec![[0.0; 3]; file.particles.len()];
+/// file.particles.positions(0, &mut positions);
+/// positions.retain(|[_, height, _]| *height > 0.0);
+/// let surface = Reconstruction::new().run(&positions)?;
+/// # Ok::<(), meniscus::Error>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Read`], also where there is no such type.
+pub fn open_particles(path: impl AsRef<Path>, particle_type: Option<&str>) -> Result<ParticleFile, Error> {
+    let (path, scratch) = (path.as_ref(), std::env::temp_dir());
+    let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
+    let wanted = Wanted { particle_type, attributes: WantedAttributes::All, pieces: WantedPieces::All };
+    let mut file = open_wanted(path, wanted, unpacking)?;
+    file.spacing = file.spacing.or_else(|| spacing_beside(path).map(|(spacing, _)| spacing));
+    Ok(file)
+}

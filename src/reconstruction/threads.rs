@@ -1,0 +1,42 @@
+//! Threads that are not kept for work that may never come.
+
+use std::sync::{Arc, Weak};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+/// Threads of a request: as long as someone works they are his, and whoever comes later starts as many.
+///
+/// Surfaces are kept by the hundred, and in processes that fork, where threads of the parent are none of the child's.
+#[derive(Debug, Clone)]
+pub(crate) struct Threads {
+    pool: Weak<ThreadPool>,
+    count: usize,
+    /// The process that they run in.
+    process: u32,
+}
+
+impl Threads {
+    /// Starts them.
+    ///
+    /// # Errors
+    /// The system's refusal, in words.
+    pub(crate) fn start(count: usize) -> Result<Arc<ThreadPool>, String> {
+        let pool = ThreadPoolBuilder::new().num_threads(count).build();
+        pool.map(Arc::new).map_err(|fault| fault.to_string())
+    }
+
+    /// Returns those that are at work, or starts as many.
+    ///
+    /// # Errors
+    /// The system's refusal, in words.
+    pub(crate) fn started(&self) -> Result<Arc<ThreadPool>, String> {
+        let running = self.pool.upgrade().filter(|_| self.process == std::process::id());
+        running.map_or_else(|| Self::start(self.count), Ok)
+    }
+}
+
+impl From<&Arc<ThreadPool>> for Threads {
+    fn from(pool: &Arc<ThreadPool>) -> Self {
+        Self { pool: Arc::downgrade(pool), count: pool.current_num_threads(), process: std::process::id() }
+    }
+}
