@@ -98,10 +98,12 @@ fn no_message_of_the_library_names_an_option_of_the_program() {
 }
 
 #[test]
-fn the_program_uses_nothing_of_the_library_but_its_facade() {
+fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
     let program = imports::files(&source().join("bin"));
+    let bindings = imports::files(&source().join("bindings"));
     assert!(program.len() > 15, "only {} files were seen", program.len());
-    for file in program {
+    assert!(bindings.len() > 5, "only {} files were seen", bindings.len());
+    for file in program.into_iter().chain(bindings) {
         let text = std::fs::read_to_string(&file).unwrap();
         assert!(!text.contains("internals"), "{}: uses what may change", file.display());
     }

@@ -122,7 +122,10 @@ impl Tree {
             }
             (module, File { name, syntax, uses })
         };
-        Self { modules: files(folder).into_iter().map(file).collect() }
+        // Bindings are crates of their own.
+        let bindings = folder.join("bindings");
+        let modules = files(folder).into_iter().filter(|path| !path.starts_with(&bindings));
+        Self { modules: modules.map(file).collect() }
     }
 
     /// The module in which what a path names is written, and the one by which the path names it; `None` where it is not of
