@@ -297,7 +297,7 @@ fn surfaces_that_are_kept_hold_no_threads() {
         threads() < 8 * 16
     });
     assert!(few, "{} threads", threads());
-    let [first, last] = [&surfaces[0], &surfaces[7]].map(|surface| bytes(surface));
+    let [first, last] = [&surfaces[0], &surfaces[7]].map(bytes);
     assert!(first == last);
 }
 

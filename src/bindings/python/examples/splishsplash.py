@@ -1,0 +1,54 @@
+"""An exporter for pySPlisHSPlasH that makes a mesh of each frame while it runs: python splishsplash.py SCENE.json FOLDER
+
+Needs pySPlisHSPlasH. Without a screen its wheel may want the system's own libGLX loaded first (LD_PRELOAD).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pysplishsplash as sph  # type: ignore[import-not-found, unused-ignore]
+
+import meniscus
+
+
+class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
+    """Writes the surface of the first fluid, by one simulation for all frames."""
+
+    def __init__(self, base: Any, folder: Path) -> None:
+        super().__init__(base)
+        self.folder = folder
+        self.simulation: meniscus.Simulation | None = None
+
+    def step(self, frame: int) -> None:
+        """Is called by the simulator for each frame that it exports."""
+        now = sph.Simulation.getCurrent()
+        model, radius = now.getFluidModel(0), now.getParticleRadius()
+        if self.simulation is None:
+            self.simulation = meniscus.Simulation(radius=radius)
+        # Views of the simulator's own memory, which is as long as its most particles.
+        count = model.numActiveParticles()
+        positions, velocity = (np.asarray(model.getFieldBuffer(name))[:count] for name in ("position", "velocity"))
+        mesh = self.simulation.frame(positions, velocity=velocity)
+        mesh.write(self.folder / f"fluid_{frame:04}.ply", overwrite=True)
+        print(f"frame {frame}: {count} particles, {mesh}")
+
+    def reset(self) -> None:
+        """Is called when the simulation begins anew."""
+        self.simulation = None
+
+
+if __name__ == "__main__":
+    base = sph.Exec.SimulatorBase()
+    base.init(sceneFile=str(Path(sys.argv[1]).resolve()), useGui=False, stopAt=0.5, outputDir=str(Path(sys.argv[2]).resolve()))
+    exporter = MeshExporter(base, Path(sys.argv[2]))
+    base.addParticleExporter("enableMesh", "Mesh exporter", "Makes a mesh of each frame", exporter)
+    base.activateExporter("Mesh exporter", True)
+    base.run()
+    sys.stdout.flush()
+    # The simulator deletes its exporters, and so would the interpreter at its end: again.
+    os._exit(0)

@@ -1,0 +1,47 @@
+"""Watertight surface meshes from particle fluids (SPH, PBD, FLIP, MPM).
+
+>>> import numpy, meniscus
+>>> steps = numpy.arange(-6.0, 7.0)
+>>> lattice = numpy.stack(numpy.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+>>> ball = lattice[(lattice**2).sum(axis=1) < 36.0]
+>>> mesh = meniscus.reconstruct(ball, spacing=1.0)
+>>> bool(mesh.check())
+True
+
+``reconstruct`` makes a mesh of arrays, ``Simulation`` the meshes of a simulation's frames, ``Frame`` is sampled once and drawn often, and
+``read_particles`` reads files. ``meniscus.compat.pysplashsurf`` takes pysplashsurf's calls.
+"""
+
+from ._errors import DeviceError, Error, FileError, InputError, MeshWarning
+from ._meniscus import (
+    Check,
+    Event,
+    Frame,
+    Mesh,
+    Particles,
+    Report,
+    Simulation,
+    Summary,
+    __version__,
+    read_particles,
+    reconstruct,
+)
+
+__all__ = [
+    "Check",
+    "DeviceError",
+    "Error",
+    "Event",
+    "FileError",
+    "Frame",
+    "InputError",
+    "Mesh",
+    "MeshWarning",
+    "Particles",
+    "Report",
+    "Simulation",
+    "Summary",
+    "__version__",
+    "read_particles",
+    "reconstruct",
+]

@@ -1,0 +1,364 @@
+import os
+import pathlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, Protocol, TypeAlias, final
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import Buffer
+
+__all__ = [
+    "Check",
+    "Event",
+    "Frame",
+    "Mesh",
+    "Particles",
+    "Report",
+    "Simulation",
+    "Summary",
+    "__version__",
+    "read_particles",
+    "reconstruct",
+]
+
+__version__: str
+
+class _DLPack(Protocol):
+    def __dlpack_device__(self) -> tuple[Any, Any]: ...
+
+_Array: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64] | _DLPack | Buffer
+_Path: TypeAlias = str | os.PathLike[str]
+_Point: TypeAlias = Sequence[float] | npt.NDArray[Any]
+_Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | npt.NDArray[Any]
+_Progress: TypeAlias = Callable[[str, float], object]
+
+def reconstruct(
+    positions: _Array,
+    *,
+    velocity: _Array | None = None,
+    attributes: Mapping[str, _Array] | None = None,
+    spacing: float | None = None,
+    radius: float | None = None,
+    cell: float | None = None,
+    cell_size: float | None = None,
+    origin: _Point | None = None,
+    domain: _Box | None = None,
+    periodic: _Box | None = None,
+    periodic_mesh: Literal["cut", "overlap"] | None = None,
+    indicator: Literal["cloud", "counting", "symmetry"] | None = None,
+    mu0: float | None = None,
+    method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
+    skip_invalid: bool | None = None,
+    smooth: float | None = None,
+    sigma: float | None = None,
+    iso: float | Literal["auto"] | None = None,
+    detail: bool | None = None,
+    normals: bool | None = None,
+    simplify: float | None = None,
+    smallest_component: float | None = None,
+    smallest_drop: int | None = None,
+    compress: bool | None = None,
+    up: Literal["y", "z"] | None = None,
+    particles_up: Literal["y", "z"] | None = None,
+    backend: Literal["auto", "cpu", "vulkan"] | None = None,
+    device: str | None = None,
+    threads: int | None = None,
+    memory: int | str | None = None,
+    scratch: _Path | None = None,
+    progress: _Progress | None = None,
+) -> Mesh: ...
+def read_particles(path: _Path, *, particle_type: str | None = None) -> Particles: ...
+
+@final
+class Mesh:
+    @property
+    def vertices(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def triangles(self) -> npt.NDArray[np.uint32]: ...
+    @property
+    def triangles_u64(self) -> npt.NDArray[np.uint64]: ...
+    @property
+    def normals(self) -> npt.NDArray[np.float32] | None: ...
+    @property
+    def attributes(self) -> dict[str, npt.NDArray[np.float32]]: ...
+    @property
+    def volume(self) -> float: ...
+    @property
+    def area(self) -> float: ...
+    @property
+    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None: ...
+    @property
+    def report(self) -> Report: ...
+    def check(self) -> Check: ...
+    def write(self, path: _Path, *, overwrite: bool = False) -> int: ...
+    def for_trimesh(self) -> dict[str, Any]: ...
+    def for_meshio(self) -> dict[str, Any]: ...
+
+@final
+class Frame:
+    def __new__(
+        cls,
+        positions: _Array,
+        *,
+        velocity: _Array | None = None,
+        attributes: Mapping[str, _Array] | None = None,
+        spacing: float | None = None,
+        radius: float | None = None,
+        cell: float | None = None,
+        cell_size: float | None = None,
+        origin: _Point | None = None,
+        domain: _Box | None = None,
+        periodic: _Box | None = None,
+        periodic_mesh: Literal["cut", "overlap"] | None = None,
+        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
+        mu0: float | None = None,
+        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
+        skip_invalid: bool | None = None,
+        smooth: float | None = None,
+        sigma: float | None = None,
+        iso: float | Literal["auto"] | None = None,
+        detail: bool | None = None,
+        normals: bool | None = None,
+        simplify: float | None = None,
+        smallest_component: float | None = None,
+        smallest_drop: int | None = None,
+        compress: bool | None = None,
+        up: Literal["y", "z"] | None = None,
+        particles_up: Literal["y", "z"] | None = None,
+        backend: Literal["auto", "cpu", "vulkan"] | None = None,
+        device: str | None = None,
+        threads: int | None = None,
+        memory: int | str | None = None,
+        scratch: _Path | None = None,
+        progress: _Progress | None = None,
+    ) -> Frame: ...
+    @staticmethod
+    def load(
+        path: _Path,
+        *,
+        periodic_mesh: Literal["cut", "overlap"] | None = None,
+        smooth: float | None = None,
+        sigma: float | None = None,
+        iso: float | Literal["auto"] | None = None,
+        detail: bool | None = None,
+        normals: bool | None = None,
+        simplify: float | None = None,
+        smallest_component: float | None = None,
+        smallest_drop: int | None = None,
+        compress: bool | None = None,
+        up: Literal["y", "z"] | None = None,
+        particles_up: Literal["y", "z"] | None = None,
+        backend: Literal["auto", "cpu", "vulkan"] | None = None,
+        device: str | None = None,
+        threads: int | None = None,
+        memory: int | str | None = None,
+        scratch: _Path | None = None,
+        progress: _Progress | None = None,
+    ) -> Frame: ...
+    def surface(
+        self,
+        *,
+        periodic_mesh: Literal["cut", "overlap"] | None = None,
+        smooth: float | None = None,
+        sigma: float | None = None,
+        iso: float | Literal["auto"] | None = None,
+        detail: bool | None = None,
+        normals: bool | None = None,
+        simplify: float | None = None,
+        smallest_component: float | None = None,
+        smallest_drop: int | None = None,
+        compress: bool | None = None,
+        up: Literal["y", "z"] | None = None,
+        particles_up: Literal["y", "z"] | None = None,
+        progress: _Progress | None = None,
+    ) -> Mesh: ...
+    def save(self, path: _Path, *, overwrite: bool = False) -> int: ...
+
+@final
+class Simulation:
+    def __new__(
+        cls,
+        inputs: _Path | Sequence[_Path] | None = None,
+        output: _Path | None = None,
+        *,
+        start: int | None = None,
+        end: int | None = None,
+        step: int | None = None,
+        frames: tuple[int, int] | None = None,
+        resume: bool | None = None,
+        overwrite: bool | None = None,
+        watch: float | None = None,
+        fps: float | None = None,
+        attributes: Iterable[str] | None = None,
+        particle_type: str | None = None,
+        spacing: float | None = None,
+        radius: float | None = None,
+        cell: float | None = None,
+        cell_size: float | None = None,
+        origin: _Point | None = None,
+        domain: _Box | None = None,
+        periodic: _Box | None = None,
+        periodic_mesh: Literal["cut", "overlap"] | None = None,
+        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
+        mu0: float | None = None,
+        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
+        skip_invalid: bool | None = None,
+        smooth: float | None = None,
+        sigma: float | None = None,
+        iso: float | Literal["auto"] | None = None,
+        detail: bool | None = None,
+        normals: bool | None = None,
+        simplify: float | None = None,
+        smallest_component: float | None = None,
+        smallest_drop: int | None = None,
+        compress: bool | None = None,
+        up: Literal["y", "z"] | None = None,
+        particles_up: Literal["y", "z"] | None = None,
+        backend: Literal["auto", "cpu", "vulkan"] | None = None,
+        device: str | None = None,
+        threads: int | None = None,
+        memory: int | str | None = None,
+        scratch: _Path | None = None,
+    ) -> Simulation: ...
+    @property
+    def settled(self) -> bool: ...
+    def frame(
+        self,
+        positions: _Array,
+        *,
+        velocity: _Array | None = None,
+        attributes: Mapping[str, _Array] | None = None,
+        progress: _Progress | None = None,
+    ) -> Mesh: ...
+    def run(self, *, progress: Callable[[Event], object] | None = None) -> list[Summary]: ...
+    def plan(self, *, progress: Callable[[Event], object] | None = None) -> list[int]: ...
+
+@final
+class Particles:
+    @property
+    def positions(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def velocity(self) -> npt.NDArray[np.float32] | None: ...
+    @property
+    def attributes(self) -> dict[str, npt.NDArray[np.float32]]: ...
+    @property
+    def spacing(self) -> float | None: ...
+    @property
+    def time(self) -> float | None: ...
+    @property
+    def up(self) -> Literal["y", "z"]: ...
+    @property
+    def format(self) -> str: ...
+    def __len__(self) -> int: ...
+
+@final
+class Report:
+    @property
+    def spacing(self) -> float | None: ...
+    @property
+    def spacing_source(self) -> str | None: ...
+    @property
+    def cell_size(self) -> float: ...
+    @property
+    def origin(self) -> tuple[float, float, float]: ...
+    @property
+    def indicator(self) -> str | None: ...
+    @property
+    def smooth(self) -> float | None: ...
+    @property
+    def sigma(self) -> float | None: ...
+    @property
+    def iso(self) -> float | None: ...
+    @property
+    def particles(self) -> int: ...
+    @property
+    def not_finite(self) -> int: ...
+    @property
+    def too_far(self) -> int: ...
+    @property
+    def outside(self) -> int: ...
+    @property
+    def lost(self) -> int: ...
+    @property
+    def too_small(self) -> int: ...
+    @property
+    def whole_triangles(self) -> int: ...
+    @property
+    def backend(self) -> str: ...
+    @property
+    def threads(self) -> int: ...
+    @property
+    def seconds(self) -> dict[str, float]: ...
+    @property
+    def warnings(self) -> list[str]: ...
+
+@final
+class Check:
+    @property
+    def closed(self) -> bool: ...
+    @property
+    def oriented(self) -> bool: ...
+    @property
+    def manifold(self) -> bool: ...
+    @property
+    def boundary_edges(self) -> int: ...
+    @property
+    def misoriented_edges(self) -> int: ...
+    @property
+    def crowded_edges(self) -> int: ...
+    @property
+    def pinched_vertices(self) -> int: ...
+    @property
+    def degenerate_triangles(self) -> int: ...
+    @property
+    def non_finite_positions(self) -> int: ...
+    @property
+    def vertices(self) -> int: ...
+    @property
+    def triangles(self) -> int: ...
+    @property
+    def components(self) -> int: ...
+    @property
+    def euler_characteristic(self) -> int: ...
+    @property
+    def genus(self) -> int | None: ...
+    @property
+    def area(self) -> float: ...
+    @property
+    def volume(self) -> float | None: ...
+    def __bool__(self) -> bool: ...
+
+@final
+class Event:
+    @property
+    def kind(self) -> str: ...
+    @property
+    def message(self) -> str: ...
+    @property
+    def frame(self) -> int | None: ...
+    @property
+    def output(self) -> pathlib.Path | None: ...
+    @property
+    def done(self) -> int | None: ...
+    @property
+    def total(self) -> int | None: ...
+    @property
+    def failed(self) -> int | None: ...
+
+@final
+class Summary:
+    @property
+    def folder(self) -> pathlib.Path: ...
+    @property
+    def made(self) -> int: ...
+    @property
+    def failed(self) -> int: ...
+    @property
+    def missing(self) -> list[str]: ...
+    @property
+    def complete(self) -> bool: ...
+    @property
+    def lost(self) -> int: ...
+    @property
+    def seconds(self) -> float: ...
+

@@ -1,0 +1,229 @@
+//! Arrays of Python's, read where they are: NumPy's own, and others by DLPack, the array interface or the buffer protocol.
+//!
+//! Nobody keeps another thread from writing to an array while it is read without the interpreter's lock. So no slice is ever made of one,
+//! which would promise that its numbers stay: every number is loaded once, by a volatile read through a pointer, and whatever it is then is
+//! used. The library bears positions that differ from one reading to the next, and says so.
+
+use numpy::prelude::*;
+use numpy::{PyArrayDescrMethods, PyUntypedArray};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+
+use crate::errors::InputError;
+
+/// Kinds of device, in DLPack's numbers, whose memory the processor reads: its own, and its own pinned for CUDA and for ROCm.
+const HOST: [i32; 3] = [1, 3, 11];
+
+/// The numbers of an array: so many rows of so many, at any distances.
+#[derive(Debug, Clone, Copy)]
+pub struct Numbers {
+    first: *const u8,
+    rows: usize,
+    columns: usize,
+    /// Bytes from a row to the next, and from a column to the next.
+    strides: [isize; 2],
+    kind: Kind,
+    aligned: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    F32,
+    F64,
+}
+
+// SAFETY: the numbers are only read, each at once, whoever else reads or writes them meanwhile.
+unsafe impl Send for Numbers {}
+// SAFETY: as above.
+unsafe impl Sync for Numbers {}
+
+/// An array that is held, and where its numbers are: they are there as long as it is.
+pub struct Held<'py> {
+    pub array: Bound<'py, PyUntypedArray>,
+    pub numbers: Numbers,
+}
+
+impl Held<'_> {
+    /// Bytes of all numbers.
+    pub fn bytes(&self) -> u64 {
+        let each = if self.numbers.kind == Kind::F32 { 4 } else { 8 };
+        (self.numbers.rows * self.numbers.columns * each) as u64
+    }
+}
+
+impl Numbers {
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Hands out the numbers of rows from `first` on, row by row, until no more are taken.
+    ///
+    /// # Panics
+    /// If there are not so many rows.
+    pub fn read(&self, first: usize, rows: usize, mut put: impl FnMut(usize, f64)) {
+        assert!(first.checked_add(rows).is_some_and(|end| end <= self.rows), "rows of an array");
+        let mut number = 0;
+        for row in first..first + rows {
+            for column in 0..self.columns {
+                let [down, along] = self.strides;
+                let offset = row as isize * down + column as isize * along;
+                // SAFETY: row and column are the array's, which is held as long as it is read.
+                put(number, unsafe { self.load(self.first.offset(offset)) });
+                number += 1;
+            }
+        }
+    }
+
+    /// Loads the number at a place.
+    ///
+    /// # Safety
+    /// One of the array's numbers is there.
+    #[inline(always)]
+    unsafe fn load(&self, at: *const u8) -> f64 {
+        // SAFETY: the number is there; where it is not aligned it is loaded byte by byte.
+        unsafe {
+            match (self.kind, self.aligned) {
+                (Kind::F32, true) => at.cast::<f32>().read_volatile().into(),
+                (Kind::F64, true) => at.cast::<f64>().read_volatile(),
+                (Kind::F32, false) => f32::from_ne_bytes(at.cast::<[u8; 4]>().read_volatile()).into(),
+                (Kind::F64, false) => f64::from_ne_bytes(at.cast::<[u8; 8]>().read_volatile()),
+            }
+        }
+    }
+}
+
+/// Takes positions or velocities: an array of N x 3.
+pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+    let held = held(name, object)?;
+    let shape = held.array.shape();
+    if shape.len() != 2 || shape[1] != 3 {
+        return Err(InputError::new_err(format!(
+            "{name}: an array of shape (N, 3) is needed, not {}",
+            shown(shape)
+        )));
+    }
+    Ok(held)
+}
+
+/// Takes a value or several for each particle: an array of N, or of N x K.
+pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+    let held = held(name, object)?;
+    let shape = held.array.shape();
+    if !(1..=2).contains(&shape.len()) || held.numbers.columns == 0 {
+        return Err(InputError::new_err(format!(
+            "{name}: an array of shape (N,) or (N, K) is needed, not {}",
+            shown(shape)
+        )));
+    }
+    Ok(held)
+}
+
+/// Refuses an array of another length than the positions'.
+pub fn refuse_length(name: &str, held: &Held<'_>, particles: usize) -> PyResult<()> {
+    if held.numbers.rows == particles {
+        return Ok(());
+    }
+    let rows = held.numbers.rows;
+    Err(InputError::new_err(format!("{name}: {rows} rows for {particles} particles")))
+}
+
+/// A shape as Python writes it.
+fn shown(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        _ => format!("({})", shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn held<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
+    let array = as_array(name, object)?;
+    let dtype = array.dtype();
+    let called = || dtype.str().map_or_else(|_| "another".into(), |text| text.to_string());
+    let kind = match (dtype.kind(), dtype.itemsize()) {
+        (b'f', 4) => Kind::F32,
+        (b'f', 8) => Kind::F64,
+        _ => {
+            return Err(PyTypeError::new_err(format!(
+                "{name}: numbers of type float32 or float64 are needed, not {}; .astype(\"float32\") makes them",
+                called()
+            )));
+        }
+    };
+    if dtype.is_native_byteorder() == Some(false) {
+        return Err(PyTypeError::new_err(format!(
+            "{name}: its numbers are byte-swapped ({}); .astype(\"{}\") turns them",
+            called(),
+            if kind == Kind::F32 { "float32" } else { "float64" },
+        )));
+    }
+    let (shape, strides) = (array.shape(), array.strides());
+    let part = |axis: usize| (shape.get(axis).copied().unwrap_or(1), strides.get(axis).copied().unwrap_or(0));
+    let ((rows, down), (columns, along)) = (part(0), part(1));
+    // SAFETY: the object is an array, as its type says.
+    let first = unsafe { (*array.as_array_ptr()).fields.data.cast_const().cast::<u8>() };
+    let aligned = array.is_aligned();
+    let numbers = Numbers { first, rows, columns, strides: [down, along], kind, aligned };
+    Ok(Held { array, numbers })
+}
+
+/// The array that an object is, or shares its memory with: nothing is copied.
+fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
+    let py = object.py();
+    if let Ok(array) = object.cast::<PyUntypedArray>() {
+        if object.hasattr("mask")? {
+            let what = format!("{name}: an array with a mask; .compressed() leaves out what is masked");
+            return Err(PyTypeError::new_err(what));
+        }
+        return Ok(array.clone());
+    }
+    let numpy = py.import("numpy")?;
+    let because = |error: PyErr| {
+        let what = format!("{name}: {} cannot be read as an array: {}", type_of(object), error.value(py));
+        PyTypeError::new_err(what)
+    };
+    let array = if object.hasattr("__dlpack__")? {
+        refuse_device(name, object)?;
+        numpy.call_method1("from_dlpack", (object,)).map_err(because)?
+    } else if object.hasattr("__cuda_array_interface__")? {
+        return Err(on_device(name, object, "a CUDA device"));
+    } else if object.hasattr("__array_interface__")? {
+        numpy.call_method1("asarray", (object,)).map_err(because)?
+    } else {
+        let view = py.import("builtins")?.call_method1("memoryview", (object,));
+        let view = view.map_err(|_| {
+            PyTypeError::new_err(format!(
+                "{name}: an array is needed, not {}; numpy.asarray may make one",
+                type_of(object)
+            ))
+        })?;
+        numpy.call_method1("asarray", (view,)).map_err(because)?
+    };
+    array
+        .cast_into::<PyUntypedArray>()
+        .map_err(|_| PyTypeError::new_err(format!("{name}: {} cannot be read as an array", type_of(object))))
+}
+
+fn type_of(object: &Bound<'_, PyAny>) -> String {
+    object.get_type().name().map_or_else(|_| "an object".into(), |name| name.to_string())
+}
+
+/// Refuses an array whose numbers are where the processor does not read them.
+fn refuse_device(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
+    let (kind, _): (i32, i32) = object.call_method0("__dlpack_device__")?.extract()?;
+    if HOST.contains(&kind) {
+        return Ok(());
+    }
+    let device = match object.getattr("device") {
+        Ok(device) => device.str()?.to_string(),
+        Err(_) => format!("device of kind {kind}"),
+    };
+    Err(on_device(name, object, &device))
+}
+
+fn on_device(name: &str, object: &Bound<'_, PyAny>, device: &str) -> PyErr {
+    PyTypeError::new_err(format!("{name}: {} is on {device}; .cpu() brings it to the host", type_of(object)))
+}

@@ -1,0 +1,78 @@
+//! Where work runs, as the keywords `backend` and `device` say it: a device is opened once, and kept for the calls that follow.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+
+use meniscus::devices::{self, Backend, DeviceChoice};
+use meniscus::{Error, MemoryBudget};
+use pyo3::prelude::*;
+
+use crate::errors::{InputError, exception};
+use crate::values::Given;
+
+/// The processor or a device, as it is asked for.
+#[derive(Default)]
+pub struct Device {
+    backend: Option<Name>,
+    device: Option<String>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Name {
+    Auto,
+    Cpu,
+    Vulkan,
+}
+
+/// Devices that are open, by the process that opened them, by whether one was asked for, and by their names. A child that was forked cannot
+/// use its parent's.
+type Open = HashMap<(u32, bool, Option<String>), Arc<dyn Backend>>;
+
+static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
+
+impl Device {
+    pub fn backend(&mut self, given: &Given<'_, '_>) -> PyResult<()> {
+        let known = [("auto", Name::Auto), ("cpu", Name::Cpu), ("vulkan", Name::Vulkan)];
+        self.backend = Some(given.one_of(&known)?);
+        Ok(())
+    }
+
+    pub fn named(&mut self, device: String) {
+        self.device = Some(device);
+    }
+
+    /// Refuses a device for the processor.
+    pub fn check(&self) -> PyResult<()> {
+        if self.backend == Some(Name::Cpu) && self.device.is_some() {
+            return Err(InputError::new_err("device: the backend is the processor"));
+        }
+        Ok(())
+    }
+
+    /// Opens it; `None` for the processor.
+    pub fn open(&self, budget: MemoryBudget, input_bytes: Option<u64>) -> PyResult<Option<Arc<dyn Backend>>> {
+        let wanted = match (self.backend, &self.device) {
+            (Some(Name::Cpu), _) => return Ok(None),
+            (Some(Name::Vulkan), _) | (_, Some(_)) => true,
+            (None | Some(Name::Auto), None) => false,
+        };
+        let key = (std::process::id(), wanted, self.device.clone());
+        let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(backend) = open.get(&key) {
+            return Ok(Some(Arc::clone(backend)));
+        }
+        let cache: Option<PathBuf> = dirs::cache_dir().map(|folder| folder.join("meniscus"));
+        let backend = if wanted {
+            let choice = self.device.clone().map_or(DeviceChoice::Best, DeviceChoice::Named);
+            devices::device(&choice, cache.as_deref()).map_err(|error| exception(Error::Vulkan(error)))?
+        } else {
+            match devices::fastest(budget, || input_bytes, cache.as_deref()) {
+                (backend, None) => backend,
+                (_, Some(_)) => return Ok(None),
+            }
+        };
+        open.insert(key, Arc::clone(&backend));
+        Ok(Some(backend))
+    }
+}

@@ -1,0 +1,64 @@
+//! Errors of the library as exceptions: by kind, with the library's sentence.
+
+use meniscus::error::{FrameError, WholeMeshError, WriteError, WriteFault};
+use meniscus::{Cause, Error};
+use pyo3::import_exception;
+use pyo3::prelude::*;
+
+import_exception!(meniscus._errors, DeviceError);
+import_exception!(meniscus._errors, FileError);
+import_exception!(meniscus._errors, InputError);
+import_exception!(meniscus._errors, MeshWarning);
+
+mod base {
+    pyo3::import_exception!(meniscus._errors, Error);
+}
+
+/// Whether an error is of a file, and not of what is asked for.
+fn is_of_file(error: &Error) -> bool {
+    let exists =
+        |error: &WriteError| matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation);
+    match (error.cause(), error) {
+        (Cause::Output, _) => true,
+        (_, Error::Write(error)) => exists(error),
+        (Cause::Input, Error::Frame { path, .. } | Error::NoSpacing { path, .. }) => path.is_some(),
+        (cause, _) => cause == Cause::Input,
+    }
+}
+
+/// The exception that an error is.
+pub fn exception(error: Error) -> PyErr {
+    let text = error.to_string();
+    match error.cause() {
+        Cause::Device => DeviceError::new_err(text),
+        _ if matches!(error, Error::Cancelled | Error::Frame { fault: FrameError::Cancelled, .. }) => {
+            other(text)
+        }
+        _ if is_of_file(&error) => FileError::new_err(text),
+        Cause::Request | Cause::Input => InputError::new_err(text),
+        _ => other(text),
+    }
+}
+
+/// The exception for a mesh that does not become arrays.
+pub fn of_arrays(error: &WholeMeshError) -> PyErr {
+    match error {
+        WholeMeshError::Scratch(_) => FileError::new_err(error.to_string()),
+        _ => other(error.to_string()),
+    }
+}
+
+/// An exception of the base kind.
+pub fn other(text: impl Into<String>) -> PyErr {
+    base::Error::new_err(text.into())
+}
+
+/// Warns as Python does: an exception where whoever runs this wants warnings to be such.
+pub fn warn(py: Python<'_>, texts: impl IntoIterator<Item = String>) -> PyResult<()> {
+    let category = py.get_type::<MeshWarning>();
+    texts.into_iter().try_for_each(|text| {
+        // A zero byte would end it; none of the library's sentences has one, but for names of attributes.
+        let text = std::ffi::CString::new(text.replace('\0', "\u{fffd}"))?;
+        PyErr::warn(py, &category, &text, 1)
+    })
+}

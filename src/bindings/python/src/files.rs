@@ -1,0 +1,120 @@
+//! Particles of files as arrays.
+
+use std::path::PathBuf;
+
+use meniscus::Particles;
+use meniscus::files::{open_particles, usual_up, velocity_attribute};
+use numpy::prelude::*;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::work::Work;
+
+/// The particles of a file: what ``read_particles`` returns.
+///
+/// Attributes
+/// ----------
+/// positions : float64 array of shape (N, 3)
+///     In the file's unit of length.
+/// velocity : float32 array of shape (N, 3) or None
+///     The attribute that the file calls so, or ``v``, or the like.
+/// attributes : dict from names to float32 arrays of shape (N,) or (N, K)
+///     All attributes, under the names that the file gives them.
+/// spacing : float or None
+///     Distance between neighbouring particles, by the file or a scene beside it.
+/// time : float or None
+///     The simulation's time in seconds, by the file.
+/// up : str
+///     "y" or "z": the axis that points up in such files, for the keyword ``particles_up``.
+/// format : str
+///     The kind of file.
+#[pyclass(frozen, get_all, name = "Particles", module = "meniscus")]
+pub struct ParticleData {
+    positions: Py<PyArray2<f64>>,
+    velocity: Option<Py<PyAny>>,
+    attributes: Py<PyDict>,
+    spacing: Option<f64>,
+    time: Option<f64>,
+    up: String,
+    format: &'static str,
+}
+
+#[pymethods]
+impl ParticleData {
+    fn __len__(&self, py: Python<'_>) -> usize {
+        self.positions.bind(py).shape()[0]
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        format!("<meniscus.Particles: {} of {}>", self.__len__(py), self.format)
+    }
+}
+
+/// Reads the particles of a file: .bgeo, .vtk, .vtu, .vtp, .pvtu, .pvtp, .ply, .npy, .npz, .csv, .txt, .xyz, .bi4, or HDF5, gzipped or not.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     The file; ``sim.h5part#12`` is a step of one that holds several.
+/// particle_type : str, optional
+///     The type of particles, of a file that holds several; gas or fluid by default.
+///
+/// Returns
+/// -------
+/// Particles
+///
+/// Raises
+/// ------
+/// meniscus.FileError
+///     For a file that is not there, or damaged; an OSError.
+/// meniscus.InputError
+///     For an unknown extension; a ValueError.
+#[pyfunction]
+#[pyo3(signature = (path, *, particle_type=None))]
+pub fn read_particles(py: Python<'_>, path: PathBuf, particle_type: Option<&str>) -> PyResult<ParticleData> {
+    let read = || {
+        let file = open_particles(&path, particle_type)?;
+        let particles = &file.particles;
+        let mut positions = vec![[0.0; 3]; particles.len()];
+        particles.positions(0, &mut positions);
+        let values: Vec<Vec<f32>> = (particles.attributes().iter().enumerate())
+            .map(|(index, info)| {
+                let mut values = vec![0.0; info.components * particles.len()];
+                particles.attribute(index, 0, &mut values);
+                values
+            })
+            .collect();
+        particles
+            .check()
+            .map_err(|fault| meniscus::Error::Frame { path: Some(path.clone()), fault: fault.into() })?;
+        Ok((file, positions, values))
+    };
+    let (file, positions, values) = Work::<()>::new().run(py, |()| Ok(()), read)?;
+    let count = positions.len();
+    let positions = PyArray1::from_vec(py, positions.into_flattened()).reshape([count, 3])?;
+    let attributes = PyDict::new(py);
+    let infos = file.particles.attributes();
+    let velocity = velocity_attribute(infos);
+    let mut found = None;
+    for (index, (info, values)) in infos.iter().zip(values).enumerate() {
+        let values = PyArray1::from_vec(py, values);
+        let values = match info.components {
+            1 => values.into_any(),
+            components => values.reshape([count, components])?.into_any(),
+        };
+        if velocity == Some(index) {
+            found = Some(values.clone().unbind());
+        }
+        attributes.set_item(&info.name, values)?;
+    }
+    Ok(ParticleData {
+        positions: positions.unbind(),
+        velocity: found,
+        attributes: attributes.unbind(),
+        spacing: file.spacing,
+        time: file.time,
+        up: usual_up(&path).to_string().to_lowercase(),
+        format: file.format,
+    })
+}

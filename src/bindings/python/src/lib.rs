@@ -1,0 +1,48 @@
+//! The Python module `meniscus._meniscus`: the library's facade with NumPy arrays in and out, and nothing of its own.
+//!
+//! Arrays are read where they are ([`arrays`]), work runs without the interpreter's lock and ends on Ctrl-C ([`work`]), keywords are those
+//! of the program's options ([`options`]), and errors are exceptions with the library's sentences ([`errors`]).
+
+mod arrays;
+mod backends;
+mod errors;
+mod files;
+mod frame;
+mod memory;
+mod mesh;
+mod options;
+mod particles;
+mod reconstruct;
+mod report;
+mod simulation;
+mod summary;
+mod values;
+mod work;
+
+use pyo3::prelude::*;
+
+/// Watertight surface meshes from particle fluids: see the package `meniscus`, which exports all of this.
+#[pymodule]
+mod _meniscus {
+    #[pymodule_export]
+    use crate::files::{ParticleData, read_particles};
+    #[pymodule_export]
+    use crate::frame::Frame;
+    #[pymodule_export]
+    use crate::mesh::Mesh;
+    #[pymodule_export]
+    use crate::reconstruct::reconstruct;
+    #[pymodule_export]
+    use crate::report::{Check, Report};
+    #[pymodule_export]
+    use crate::simulation::Simulation;
+    #[pymodule_export]
+    use crate::summary::{Event, Summary};
+
+    use super::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

@@ -1,0 +1,235 @@
+//! A mesh as NumPy's arrays, and the surface that it was made of, which writes files.
+
+use std::path::PathBuf;
+use std::sync::OnceLock;
+
+use meniscus::files::Replace;
+use meniscus::mesh::{Measures, VertexAttribute, check, measure};
+use meniscus::{Reconstruction, Surface};
+use numpy::prelude::*;
+use numpy::{Element, PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use crate::errors::{of_arrays, warn};
+use crate::memory::give_back;
+use crate::report::{Check, Report};
+use crate::work::{Work, with_progress};
+
+/// A closed, oriented, 2-manifold triangle mesh around the fluid, which is what ``reconstruct`` and its kin return.
+///
+/// Its arrays are made when one is first asked for, are the caller's to write to, and stay the same objects. What is written to them does
+/// not show in files: ``write`` writes the surface as it was made.
+#[pyclass(frozen, module = "meniscus")]
+pub struct Mesh {
+    surface: Surface,
+    request: Reconstruction,
+    arrays: PyOnceLock<Arrays>,
+    measures: OnceLock<Measures>,
+}
+
+/// A point, as a tuple.
+type Point = (f64, f64, f64);
+
+struct Arrays {
+    vertices: Py<PyArray2<f64>>,
+    triangles: Py<PyArray2<u32>>,
+    normals: Option<Py<PyArray2<f32>>>,
+    attributes: Py<PyDict>,
+}
+
+impl Mesh {
+    /// Takes a surface by the request for it, and warns of what is doubtful.
+    pub fn new(py: Python<'_>, surface: Surface, request: Reconstruction) -> PyResult<Self> {
+        warn(py, surface.report().warnings.iter().map(ToString::to_string))?;
+        Ok(Self { surface, request, arrays: PyOnceLock::new(), measures: OnceLock::new() })
+    }
+
+    fn whole(&self, py: Python<'_>) -> PyResult<meniscus::mesh::Mesh> {
+        py.detach(|| self.surface.to_mesh()).map_err(|error| of_arrays(&error))
+    }
+
+    fn arrays(&self, py: Python<'_>) -> PyResult<&Arrays> {
+        self.arrays.get_or_try_init(py, || {
+            let mesh = self.whole(py)?;
+            let attributes = PyDict::new(py);
+            for VertexAttribute { name, components, values } in mesh.attributes {
+                let values = PyArray1::from_vec(py, values);
+                if components == 1 {
+                    attributes.set_item(name, values)?;
+                } else {
+                    attributes.set_item(name, values.reshape([values.len() / components, components])?)?;
+                }
+            }
+            Ok(Arrays {
+                vertices: threes(py, mesh.positions)?,
+                triangles: threes(py, mesh.triangles)?,
+                normals: mesh.normals.map(|normals| threes(py, normals)).transpose()?,
+                attributes: attributes.unbind(),
+            })
+        })
+    }
+
+    fn measures(&self, py: Python<'_>) -> PyResult<&Measures> {
+        if let Some(measures) = self.measures.get() {
+            return Ok(measures);
+        }
+        let mesh = self.whole(py)?;
+        let measures = py.detach(|| {
+            let measures = measure(&mesh);
+            drop(mesh);
+            give_back();
+            measures
+        });
+        Ok(self.measures.get_or_init(|| measures))
+    }
+}
+
+/// An array of N x 3 that takes the numbers over as they are.
+fn threes<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2<T>>> {
+    let count = rows.len();
+    Ok(PyArray1::from_vec(py, rows.into_flattened()).reshape([count, 3])?.unbind())
+}
+
+#[pymethods]
+impl Mesh {
+    /// Positions: float64 of shape (V, 3), in the unit of the particles' positions.
+    #[getter]
+    fn vertices(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        Ok(self.arrays(py)?.vertices.clone_ref(py))
+    }
+
+    /// Triangles as indices of vertices: uint32 of shape (T, 3), counter-clockwise seen from outside.
+    #[getter]
+    fn triangles(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u32>>> {
+        Ok(self.arrays(py)?.triangles.clone_ref(py))
+    }
+
+    /// Triangles as uint64 of shape (T, 3), for programs that want such: made anew each time.
+    #[getter]
+    fn triangles_u64(&self, py: Python<'_>) -> PyResult<Py<PyArray2<u64>>> {
+        Ok(self.arrays(py)?.triangles.bind(py).cast_array::<u64>(false)?.unbind())
+    }
+
+    /// Unit vertex normals, outward: float32 of shape (V, 3), or None unless ``normals=True`` asked for them.
+    #[getter]
+    fn normals(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f32>>>> {
+        Ok(self.arrays(py)?.normals.as_ref().map(|normals| normals.clone_ref(py)))
+    }
+
+    /// Further values on the vertices by their names: float32 of shape (V,), or (V, K) for K numbers a vertex.
+    #[getter]
+    fn attributes(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        Ok(self.arrays(py)?.attributes.clone_ref(py))
+    }
+
+    /// The volume inside, in the cube of the unit of length; 0 for an empty mesh.
+    #[getter]
+    fn volume(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.measures(py)?.volume.unwrap_or(f64::NAN))
+    }
+
+    /// The area of all triangles, in the square of the unit of length.
+    #[getter]
+    fn area(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.measures(py)?.area)
+    }
+
+    /// The lowest and the highest corner of the box around it, or None for an empty mesh.
+    #[getter]
+    fn bounds(&self, py: Python<'_>) -> PyResult<Option<(Point, Point)>> {
+        Ok(self.measures(py)?.bounds.map(|[low, high]| (low.into(), high.into())))
+    }
+
+    /// How it was made.
+    #[getter]
+    fn report(&self) -> Report {
+        self.surface.report().into()
+    }
+
+    /// Checks that it is closed, oriented and 2-manifold, and measures it: what the program's ``check`` says of a file.
+    fn check(&self, py: Python<'_>) -> PyResult<Check> {
+        let measures = self.measures(py)?;
+        let mesh = self.whole(py)?;
+        let found = py.detach(|| {
+            let found = check(&mesh);
+            drop(mesh);
+            give_back();
+            found
+        });
+        Ok(Check::of(&found, measures))
+    }
+
+    /// Writes it to a file whose extension says the format: .ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc or .glb.
+    ///
+    /// The file appears whole or not at all, and is, byte for byte, what the program writes for the same particles and options.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str or os.PathLike
+    ///     The file.
+    /// overwrite : bool
+    ///     Whether a file that is there may be replaced.
+    ///
+    /// Returns
+    /// -------
+    /// int
+    ///     Its size in bytes.
+    ///
+    /// Raises
+    /// ------
+    /// meniscus.FileError
+    ///     Where it is there already, or cannot be written; an OSError.
+    /// meniscus.InputError
+    ///     For an unknown extension, or what the format cannot hold; a ValueError.
+    #[pyo3(signature = (path, *, overwrite=false))]
+    fn write(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<u64> {
+        let work = Work::new();
+        let request = work.holds(self.request.clone(), false);
+        let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
+        let (bytes, warnings) = with_progress(py, None, work, || {
+            let output = request.output(&path, replace)?;
+            let warnings = self.surface.warnings_in(output.format())?;
+            Ok((self.surface.write_to(output)?, warnings))
+        })?;
+        warn(py, warnings.iter().map(|warning| format!("{}: {warning}", path.display())))?;
+        Ok(bytes)
+    }
+
+    /// Keyword arguments for ``trimesh.Trimesh``: ``trimesh.Trimesh(**mesh.for_trimesh())``.
+    fn for_trimesh<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let arrays = self.arrays(py)?;
+        let keywords = PyDict::new(py);
+        keywords.set_item("vertices", &arrays.vertices)?;
+        keywords.set_item("faces", &arrays.triangles)?;
+        keywords.set_item("vertex_normals", &arrays.normals)?;
+        keywords.set_item("vertex_attributes", &arrays.attributes)?;
+        // It would merge vertices that lie close, which are two on purpose.
+        keywords.set_item("process", false)?;
+        Ok(keywords)
+    }
+
+    /// Keyword arguments for ``meshio.Mesh``: ``meshio.Mesh(**mesh.for_meshio())``.
+    fn for_meshio<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let arrays = self.arrays(py)?;
+        let cells = PyTuple::new(
+            py,
+            ["triangle".into_pyobject(py)?.into_any(), arrays.triangles.bind(py).clone().into_any()],
+        )?;
+        let point_data = arrays.attributes.bind(py).copy()?;
+        if let Some(normals) = &arrays.normals {
+            point_data.set_item("normals", normals)?;
+        }
+        let keywords = PyDict::new(py);
+        keywords.set_item("points", &arrays.vertices)?;
+        keywords.set_item("cells", PyList::new(py, [cells])?)?;
+        keywords.set_item("point_data", point_data)?;
+        Ok(keywords)
+    }
+
+    fn __repr__(&self) -> String {
+        let mesh = self.surface.mesh();
+        format!("<meniscus.Mesh: {} vertices, {} triangles>", mesh.vertex_count(), mesh.triangle_count())
+    }
+}

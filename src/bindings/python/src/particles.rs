@@ -1,0 +1,104 @@
+//! Particles as arrays hold them: positions, and what else each carries.
+
+use meniscus::Particles;
+use meniscus::files::AttributeInfo;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::PyMapping;
+
+use crate::arrays::{Held, Numbers, columns, refuse_length, vectors};
+
+/// Arrays that are held while they are read.
+pub struct Arrays<'py> {
+    pub positions: Held<'py>,
+    others: Vec<(String, Held<'py>)>,
+}
+
+/// The particles that arrays hold.
+#[derive(Debug)]
+pub struct Water {
+    positions: Numbers,
+    attributes: Vec<AttributeInfo>,
+    values: Vec<Numbers>,
+}
+
+impl<'py> Arrays<'py> {
+    /// Takes positions, a velocity for each if one is given, and further attributes by their names.
+    pub fn take(
+        positions: &Bound<'py, PyAny>,
+        velocity: Option<&Bound<'py, PyAny>>,
+        attributes: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Self> {
+        let positions = vectors("positions", positions)?;
+        let mut others = Vec::new();
+        if let Some(velocity) = velocity {
+            let held = vectors("velocity", velocity)?;
+            refuse_length("velocity", &held, positions.numbers.rows())?;
+            others.push(("velocity".to_owned(), held));
+        }
+        if let Some(attributes) = attributes {
+            let mapping = attributes
+                .cast::<PyMapping>()
+                .map_err(|_| PyTypeError::new_err("attributes: a mapping from names to arrays is needed"))?;
+            for item in mapping.items()?.iter() {
+                let (name, array): (Bound<'_, PyAny>, Bound<'_, PyAny>) = item.extract()?;
+                let name: String = name.extract().map_err(|_| {
+                    PyTypeError::new_err(format!("attributes: {name} is no name of an attribute"))
+                })?;
+                if others.iter().any(|(known, _)| *known == name) {
+                    return Err(PyTypeError::new_err("velocity: it is given as an attribute, too"));
+                }
+                let shown = format!("attributes[{name:?}]");
+                let held = columns(&shown, &array)?;
+                refuse_length(&shown, &held, positions.numbers.rows())?;
+                others.push((name, held));
+            }
+        }
+        Ok(Self { positions, others })
+    }
+
+    /// The particles, to be read as long as the arrays are held.
+    pub fn water(&self) -> Water {
+        let info = |(name, held): &(String, Held<'_>)| AttributeInfo {
+            name: name.clone(),
+            components: held.numbers.columns(),
+        };
+        Water {
+            positions: self.positions.numbers,
+            attributes: self.others.iter().map(info).collect(),
+            values: self.others.iter().map(|(_, held)| held.numbers).collect(),
+        }
+    }
+
+    /// The names of all attributes.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.others.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// The names of all attributes, if there are others than the velocity, which goes along unasked.
+    pub fn named(&self) -> Option<Vec<String>> {
+        let names: Vec<_> = self.others.iter().map(|(name, _)| name.clone()).collect();
+        names.iter().any(|name| name != "velocity").then_some(names)
+    }
+}
+
+impl Particles for Water {
+    fn len(&self) -> usize {
+        self.positions.rows()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        let rows = out.len();
+        let out = out.as_flattened_mut();
+        self.positions.read(first, rows, |at, number| out[at] = number);
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        &self.attributes
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        let values = &self.values[index];
+        values.read(first, out.len() / values.columns(), |at, number| out[at] = number as f32);
+    }
+}

@@ -1,0 +1,182 @@
+//! Reports on a mesh, beside its numbers.
+
+use std::collections::BTreeMap;
+
+use meniscus::mesh::{CheckReport, Measures};
+use meniscus::{Report as Found, SpacingSource};
+use pyo3::prelude::*;
+
+/// How a surface was made: lengths are in the unit of the positions.
+///
+/// Attributes
+/// ----------
+/// spacing : float or None
+///     Distance between neighbouring particles; None where cells have a size of their own and nothing tells it.
+/// spacing_source : str or None
+///     Where the spacing comes from, in words; None for frames of a simulation and packed ones.
+/// cell_size : float
+///     Edge of a cell.
+/// origin : tuple of three floats
+///     A corner of the grid's cells.
+/// indicator : str or None
+///     The indicator that made the field; None for kernel methods.
+/// smooth, sigma, iso : float or None
+///     The width of smoothing in spacings, that of the Gaussian in cells, and the isovalue, where there is one.
+/// particles : int
+///     Particles that the surface was made of.
+/// not_finite, too_far, outside : int
+///     Particles that were left out: with a coordinate that is not finite, beyond the grid, outside of the domain.
+/// lost : int
+///     Particles that are in no surface, at the least.
+/// too_small : int
+///     Drops and bubbles that were left out as too small.
+/// whole_triangles : int
+///     Triangles before simplifying and leaving out.
+/// backend : str
+///     The processor, or the device by its name.
+/// threads : int
+///     Threads that made it.
+/// seconds : dict
+///     How long each stage took.
+/// warnings : list of str
+///     Doubts about the surface, which were warned of as ``meniscus.MeshWarning``, too.
+#[pyclass(frozen, get_all, module = "meniscus")]
+pub struct Report {
+    spacing: Option<f64>,
+    spacing_source: Option<String>,
+    cell_size: f64,
+    origin: (f64, f64, f64),
+    indicator: Option<&'static str>,
+    smooth: Option<f64>,
+    sigma: Option<f64>,
+    iso: Option<f64>,
+    particles: usize,
+    not_finite: usize,
+    too_far: usize,
+    outside: usize,
+    lost: u64,
+    too_small: u64,
+    whole_triangles: u64,
+    backend: String,
+    threads: usize,
+    seconds: BTreeMap<&'static str, f64>,
+    warnings: Vec<String>,
+}
+
+impl From<&Found> for Report {
+    fn from(found: &Found) -> Self {
+        let source = found.cells.as_ref().and_then(|cells| cells.spacing.as_ref());
+        let census = found.facts.census;
+        let mut seconds = BTreeMap::new();
+        found.timings.seconds().iter().for_each(|(stage, took)| *seconds.entry(*stage).or_default() += took);
+        Self {
+            spacing: found.facts.spacing,
+            spacing_source: source.map(|(_, source): &(f64, SpacingSource)| source.to_string()),
+            cell_size: found.facts.grid.cell_size(),
+            origin: found.facts.grid.origin().into(),
+            indicator: found.indicator.map(|indicator| indicator.kind().name()),
+            smooth: found.smooth,
+            sigma: found.sigma,
+            iso: found.isovalue(),
+            particles: census.binned,
+            not_finite: census.not_finite,
+            too_far: census.too_far,
+            outside: census.outside,
+            lost: found.lost,
+            too_small: found.too_small.map_or(0, |small| small.total()),
+            whole_triangles: found.whole_triangles,
+            backend: found.backend.clone(),
+            threads: found.threads,
+            seconds,
+            warnings: found.warnings.iter().map(ToString::to_string).collect(),
+        }
+    }
+}
+
+#[pymethods]
+impl Report {
+    fn __repr__(&self) -> String {
+        let Self { particles, cell_size, warnings, .. } = self;
+        format!("<meniscus.Report: {particles} particles, cells of {cell_size}, {} warnings>", warnings.len())
+    }
+}
+
+/// Whether a mesh is closed, oriented and 2-manifold, and what it measures. True where it is all three.
+///
+/// Attributes
+/// ----------
+/// closed, oriented, manifold : bool
+///     No edge on a boundary; no edge run along twice the same way; no edge of more than two triangles and no vertex of several fans.
+/// boundary_edges, misoriented_edges, crowded_edges, pinched_vertices, degenerate_triangles, non_finite_positions : int
+///     How often each defect occurs.
+/// vertices, triangles, components : int
+///     Counts; components share no vertex.
+/// euler_characteristic : int
+///     Vertices - edges + triangles.
+/// genus : int or None
+///     Handles of all components together; None unless closed, oriented and 2-manifold.
+/// area : float
+///     In the square of the unit of length.
+/// volume : float or None
+///     In the cube of the unit of length; None unless closed and oriented.
+#[pyclass(frozen, get_all, module = "meniscus")]
+pub struct Check {
+    closed: bool,
+    oriented: bool,
+    manifold: bool,
+    boundary_edges: usize,
+    misoriented_edges: usize,
+    crowded_edges: usize,
+    pinched_vertices: usize,
+    degenerate_triangles: usize,
+    non_finite_positions: usize,
+    vertices: usize,
+    triangles: usize,
+    components: usize,
+    euler_characteristic: i64,
+    genus: Option<i64>,
+    area: f64,
+    volume: Option<f64>,
+}
+
+impl Check {
+    pub fn of(found: &CheckReport, measures: &Measures) -> Self {
+        let topology = &found.topology;
+        Self {
+            closed: topology.is_closed(),
+            oriented: topology.is_oriented(),
+            manifold: topology.is_manifold(),
+            boundary_edges: topology.boundary_edges.count,
+            misoriented_edges: topology.misoriented_edges.count,
+            crowded_edges: topology.crowded_edges.count,
+            pinched_vertices: topology.pinched_vertices.count,
+            degenerate_triangles: topology.degenerate_triangles.count,
+            non_finite_positions: found.non_finite_positions.count,
+            vertices: found.vertices,
+            triangles: found.triangles,
+            components: measures.components,
+            euler_characteristic: measures.euler_characteristic,
+            genus: measures.genus,
+            area: measures.area,
+            volume: measures.volume,
+        }
+    }
+}
+
+#[pymethods]
+impl Check {
+    fn __bool__(&self) -> bool {
+        self.closed && self.oriented && self.manifold && self.non_finite_positions == 0
+    }
+
+    fn __repr__(&self) -> String {
+        let no = |is: bool| if is { "" } else { "not " };
+        format!(
+            "<meniscus.Check: {}closed, {}oriented, {}manifold, {} components>",
+            no(self.closed),
+            no(self.oriented),
+            no(self.manifold),
+            self.components
+        )
+    }
+}

@@ -1,0 +1,296 @@
+//! The frames of a simulation: from memory while it runs, or from files to files.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, TryLockError};
+
+use meniscus::{LiveSimulation, Reconstruction, Simulation as Files};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::{InputError, exception, other, warn};
+use crate::mesh::Mesh;
+use crate::options::{FILES, Keywords, MACHINE, SAMPLING, SURFACE};
+use crate::particles::Arrays;
+use crate::summary::{Event, Summary};
+use crate::values::Given;
+use crate::work::{News, Work, with_progress};
+
+/// The keywords of which frames are made, and how it goes.
+const SIMULATION: [&str; 8] = ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps"];
+
+/// The frames of a simulation, all alike: cells, grid and calibration are measured once, and frozen.
+///
+/// While a simulation runs, make one without inputs, and call ``frame(positions)`` for each: it is measured on the first frame with fluid
+/// deeper than the filters reach (see ``settled``). A frame without particles is an empty mesh. It keeps threads, and is of the process that
+/// made it.
+///
+/// With inputs and an output, ``run()`` makes the meshes of files, as the program does.
+///
+/// Parameters
+/// ----------
+/// inputs : path or list of paths, optional
+///     A name with ``{}`` for the number, a folder, a glob, a file of several steps, or files one by one.
+/// output : path, optional
+///     A name with ``{}`` or ``{:04}`` for the number, or a folder.
+/// start, end, step : int, optional
+///     The first and the last frame of the simulation, and every how many.
+/// frames : pair of int, optional
+///     Convert these frames only, both ends included, as one of several jobs.
+/// resume : bool, optional
+///     Go on with a conversion that was begun.
+/// overwrite : bool, optional
+///     Replace outputs that exist.
+/// watch : float, optional
+///     Follow a simulation that runs, until nothing has come for so many seconds.
+/// fps : float, optional
+///     Frames a second, for times where the files have none.
+/// attributes : list of str, optional
+///     The attributes that vertices carry; their velocity by default.
+/// particle_type : str, optional
+///     The type of particles, of files that hold several.
+///
+/// Further keywords are those of ``reconstruct``.
+///
+/// Raises
+/// ------
+/// TypeError, meniscus.InputError, meniscus.FileError, meniscus.DeviceError
+///     As ``reconstruct``.
+#[pyclass(frozen, module = "meniscus")]
+pub struct Simulation {
+    kind: Kind,
+    request: Reconstruction,
+    /// Attributes by their names, where some were named.
+    names: Option<Vec<String>>,
+    process: u32,
+}
+
+enum Kind {
+    Live(Mutex<LiveSimulation>),
+    Files(Box<Files>),
+}
+
+impl Simulation {
+    /// Refuses arrays that no vertex would carry.
+    fn refuse_unnamed(&self, arrays: &Arrays<'_>) -> PyResult<()> {
+        let unnamed = arrays.names().find(|name| match &self.names {
+            Some(names) => !names.iter().any(|known| known == name),
+            None => *name != "velocity",
+        });
+        unnamed.map_or(Ok(()), |name| {
+            Err(InputError::new_err(format!(
+                "attributes: {name:?} is none of those that the simulation was made with; its keyword attributes names them"
+            )))
+        })
+    }
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(
+        signature = (inputs=None, output=None, **keywords),
+        text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
+            overwrite=None, watch=None, fps=None, attributes=None, particle_type=None, spacing=None, radius=None, cell=None, \
+            cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
+            skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
+            smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
+            memory=None, scratch=None)"
+    )]
+    fn new(
+        inputs: Option<&Bound<'_, PyAny>>,
+        output: Option<PathBuf>,
+        keywords: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let process = std::process::id();
+        let names = match keywords.map(|keywords| keywords.get_item("attributes")).transpose()?.flatten() {
+            Some(value) if !value.is_none() => Some(Given { name: "attributes", value: &value }.names()?),
+            _ => None,
+        };
+        let known: &[&[&str]] = &[&SAMPLING, &SURFACE, &MACHINE, &FILES, &SIMULATION];
+        let asked = Keywords::of("Simulation", keywords, known)?;
+        let (Some(inputs), Some(output)) = (inputs, &output) else {
+            if inputs.is_some() || output.is_some() {
+                return Err(InputError::new_err("output: inputs and an output go together"));
+            }
+            refuse_of_files(keywords)?;
+            let request = asked.on_machine(None)?;
+            let live = LiveSimulation::new(&request).map_err(exception)?;
+            return Ok(Self { kind: Kind::Live(Mutex::new(live)), request, names, process });
+        };
+        let files = of_files(files(inputs)?, output.clone(), keywords)?;
+        let files = files.reconstruction(asked.request.clone());
+        files.check().map_err(exception)?;
+        let request = asked.on_machine(files.input_bytes())?;
+        let files = files.reconstruction(request.clone());
+        Ok(Self { kind: Kind::Files(Box::new(files)), request, names, process })
+    }
+
+    /// Reconstructs the next frame of a running simulation.
+    ///
+    /// Parameters
+    /// ----------
+    /// positions : array of shape (N, 3), float32 or float64
+    ///     Read where it is, as by ``reconstruct``. N may be 0: an empty mesh.
+    /// velocity : array of shape (N, 3), optional
+    ///     Velocities, which the vertices carry.
+    /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
+    ///     Values of the attributes that the simulation was made with.
+    /// progress : callable, optional
+    ///     Is called with the name of a stage and the share of it that is done.
+    ///
+    /// Returns
+    /// -------
+    /// Mesh
+    #[pyo3(signature = (positions, *, velocity=None, attributes=None, progress=None))]
+    fn frame(
+        &self,
+        py: Python<'_>,
+        positions: &Bound<'_, PyAny>,
+        velocity: Option<&Bound<'_, PyAny>>,
+        attributes: Option<&Bound<'_, PyAny>>,
+        progress: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Mesh> {
+        let Kind::Live(live) = &self.kind else {
+            return Err(InputError::new_err("the simulation is of files: run() makes its meshes"));
+        };
+        if self.process != std::process::id() {
+            let what = "the simulation was made in another process, whose threads are not there in this one";
+            return Err(other(what));
+        }
+        let arrays = Arrays::take(positions, velocity, attributes)?;
+        self.refuse_unnamed(&arrays)?;
+        // Whoever waited for it here would keep the interpreter's lock from whoever works.
+        let mut live = match live.try_lock() {
+            Ok(live) => live,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return Err(other("another thread is at work on a frame of it")),
+        };
+        let live = &mut *live;
+        let work = Work::new();
+        let request = work.holds(self.request.clone(), progress.is_some());
+        live.controlled_by(&request);
+        let water = arrays.water();
+        let surface = with_progress(py, progress, work, || live.frame(&water))?;
+        Mesh::new(py, surface, request)
+    }
+
+    /// Whether all that frames have in common is frozen; always so for files, which are measured first.
+    #[getter]
+    fn settled(&self) -> PyResult<bool> {
+        match &self.kind {
+            Kind::Live(live) => match live.try_lock() {
+                Ok(live) => Ok(live.is_settled()),
+                Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner().is_settled()),
+                Err(TryLockError::WouldBlock) => Err(other("another thread is at work on a frame of it")),
+            },
+            Kind::Files(_) => Ok(true),
+        }
+    }
+
+    /// Makes the meshes of all frames, files to files.
+    ///
+    /// A frame that cannot be made is an event, and the others are made all the same: see ``Summary.complete``.
+    ///
+    /// Parameters
+    /// ----------
+    /// progress : callable, optional
+    ///     Is called with each ``Event``, on the caller's thread. What it raises ends the work.
+    ///
+    /// Returns
+    /// -------
+    /// list of Summary
+    ///     One for each simulation that there is.
+    #[pyo3(signature = (*, progress=None))]
+    fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
+        let ended = self.on_files(py, progress, |files, tell| files.run(tell))?;
+        Ok(ended.into_iter().map(Summary::from).collect())
+    }
+
+    /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers of the frames: for several jobs, each
+    /// of which converts some.
+    ///
+    /// Returns
+    /// -------
+    /// list of int
+    #[pyo3(signature = (*, progress=None))]
+    fn plan(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<u64>> {
+        self.on_files(py, progress, |files, tell| files.plan(tell))
+    }
+}
+
+impl Simulation {
+    fn on_files<T: Send>(
+        &self,
+        py: Python<'_>,
+        progress: Option<&Bound<'_, PyAny>>,
+        act: impl FnOnce(&Files, &(dyn Fn(meniscus::Event<'_>) + Sync)) -> Result<T, meniscus::Error> + Send,
+    ) -> PyResult<T> {
+        let Kind::Files(files) = &self.kind else {
+            return Err(InputError::new_err("the simulation is one that runs: frame() makes its meshes"));
+        };
+        let work = Work::<(Event, Vec<String>)>::new();
+        let files = files.as_ref().clone().reconstruction(self.request.clone().cancel(work.cancel.clone()));
+        let teller = work.teller.clone();
+        let hear = |(event, warnings): (Event, Vec<String>)| {
+            warn(py, warnings)?;
+            progress.map_or(Ok(()), |callback| callback.call1((event,)).map(drop))
+        };
+        work.run(py, hear, || {
+            act(&files, &|event| {
+                // The caller waits for the end, and hears of everything before.
+                let _ = teller.send(News::Told(Event::of(&event)));
+            })
+        })
+    }
+}
+
+/// Refuses what has no meaning for frames from memory.
+fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+    for (name, value) in keywords.into_iter().flatten() {
+        let name: String = name.extract()?;
+        if !value.is_none() && (name == "particle_type" || SIMULATION.contains(&name.as_str())) {
+            return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
+        }
+    }
+    Ok(())
+}
+
+/// One path or several.
+fn files(inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
+    if let Ok(path) = inputs.extract::<PathBuf>() {
+        return Ok(vec![path]);
+    }
+    let several = inputs.try_iter().and_then(|paths| paths.map(|path| path?.extract()).collect());
+    several.map_err(|_| PyTypeError::new_err("inputs: a path or a list of paths is needed"))
+}
+
+fn of_files(inputs: Vec<PathBuf>, output: PathBuf, keywords: Option<&Bound<'_, PyDict>>) -> PyResult<Files> {
+    let mut files = Files::of_files(inputs, output);
+    for (name, value) in keywords.into_iter().flatten() {
+        let name: String = name.extract()?;
+        if value.is_none() {
+            continue;
+        }
+        let given = Given { name: &name, value: &value };
+        files = match name.as_str() {
+            "start" => files.start(given.count()?),
+            "end" => files.end(given.count()?),
+            "step" => files.step(given.count()?),
+            "frames" => {
+                let wrong = |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
+                let (first, last): (u64, u64) = value.extract().map_err(wrong)?;
+                if first > last {
+                    return Err(InputError::new_err(format!("frames: {first} is after {last}")));
+                }
+                files.frames(first..=last)
+            }
+            "resume" if given.switch()? => files.resume(),
+            "overwrite" if given.switch()? => files.overwrite(),
+            "watch" => files.watch(given.number()?),
+            "fps" => files.fps(given.number()?),
+            _ => files,
+        };
+    }
+    Ok(files)
+}

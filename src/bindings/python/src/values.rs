@@ -1,0 +1,122 @@
+//! Values of keywords: what they may be, and a sentence that names the keyword where they are not.
+
+use std::path::PathBuf;
+
+use bytesize::ByteSize;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+
+use crate::errors::InputError;
+
+/// A keyword and what it was given.
+pub struct Given<'a, 'py> {
+    pub name: &'a str,
+    pub value: &'a Bound<'py, PyAny>,
+}
+
+impl<'py> Given<'_, 'py> {
+    /// Refuses a value of another type.
+    fn wants(&self, what: &str) -> PyErr {
+        let kind = self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
+        PyTypeError::new_err(format!("{}: {what} is needed, not {kind}", self.name))
+    }
+
+    pub fn number(&self) -> PyResult<f64> {
+        self.value.extract().map_err(|_| self.wants("a number"))
+    }
+
+    /// Takes a whole number that is not negative.
+    pub fn count<T: TryFrom<u64>>(&self) -> PyResult<T> {
+        let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
+        let count = u64::try_from(number).ok().and_then(|number| T::try_from(number).ok());
+        count.ok_or_else(|| InputError::new_err(format!("{}: {number} is out of range", self.name)))
+    }
+
+    pub fn switch(&self) -> PyResult<bool> {
+        // Also those of NumPy's own type.
+        let is_bool = self.value.extract::<bool>();
+        is_bool.map_err(|_| self.wants("True or False"))
+    }
+
+    pub fn text(&self) -> PyResult<String> {
+        self.value.extract().map_err(|_| self.wants("a str"))
+    }
+
+    pub fn path(&self) -> PyResult<PathBuf> {
+        self.value.extract().map_err(|_| self.wants("a str or a path"))
+    }
+
+    /// Takes the one of some words that was given.
+    pub fn one_of<T: Copy>(&self, known: &[(&str, T)]) -> PyResult<T> {
+        let word = self.text()?;
+        let found = known.iter().find(|(name, _)| *name == word).map(|(_, value)| *value);
+        found.ok_or_else(|| {
+            let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
+            InputError::new_err(format!("{}: {word:?} is none of {}", self.name, names.join(", ")))
+        })
+    }
+
+    /// Takes names, and not one alone, whose letters would each be one.
+    pub fn names(&self) -> PyResult<Vec<String>> {
+        if self.value.is_instance_of::<PyString>() {
+            return Err(self.wants("a list of names"));
+        }
+        let names = self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
+        names.map_err(|_| self.wants("a list of names"))
+    }
+
+    /// Takes a point.
+    pub fn point(&self) -> PyResult<[f64; 3]> {
+        let ends = self.ends()?;
+        let numbers: Option<Vec<f64>> = ends.into_iter().collect();
+        numbers
+            .and_then(|numbers| numbers.try_into().ok())
+            .ok_or_else(|| InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name)))
+    }
+
+    /// Takes a box by its lowest and its highest corner: six numbers or two times three, `None` for both ends of an axis that is open.
+    pub fn faces(&self) -> PyResult<[Option<[f64; 2]>; 3]> {
+        let refused = |what: &str| InputError::new_err(format!("{}: {what}", self.name));
+        let ends: [Option<f64>; 6] =
+            self.ends()?.try_into().map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
+        let mut faces = [None; 3];
+        for (axis, face) in faces.iter_mut().enumerate() {
+            *face = match (ends[axis], ends[axis + 3]) {
+                (Some(low), Some(high)) => Some([low, high]),
+                (None, None) => None,
+                _ => return Err(refused("both ends of an axis are numbers, or both are None")),
+            };
+        }
+        Ok(faces)
+    }
+
+    /// Numbers in sequences, at most one within another; `None` is none.
+    fn ends(&self) -> PyResult<Vec<Option<f64>>> {
+        let wanted = |_| self.wants("a sequence of numbers");
+        let mut ends = Vec::new();
+        for item in self.value.try_iter().map_err(wanted)? {
+            let item = item?;
+            if let Ok(end) = item.extract::<Option<f64>>() {
+                ends.push(end);
+                continue;
+            }
+            for end in item.try_iter().map_err(wanted)? {
+                ends.push(end?.extract().map_err(wanted)?);
+            }
+        }
+        Ok(ends)
+    }
+
+    /// Takes bytes, or a size such as `"512MiB"`.
+    pub fn bytes(&self) -> PyResult<u64> {
+        if self.value.is_instance_of::<PyString>() {
+            let text = self.text()?;
+            let size: Result<ByteSize, _> = text.parse();
+            return size.map(|size| size.as_u64()).map_err(|_| {
+                InputError::new_err(format!("{}: {text:?} is no size such as \"512MiB\"", self.name))
+            });
+        }
+        self.count()
+    }
+}

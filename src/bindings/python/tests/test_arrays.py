@@ -1,0 +1,169 @@
+"""Arrays of every kind are read where they are."""
+
+from __future__ import annotations
+
+import array
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+
+
+class OnlyDLPack:
+    """An array of another library's, on some device."""
+
+    def __init__(self, of: Any, device: tuple[int, int] = (1, 0), name: str = "") -> None:
+        self.of, self.where, self.device = of, device, name
+
+    def __dlpack__(self, **keywords: Any) -> Any:
+        assert self.where[0] == 1, "nobody asks for what is on a device"
+        return self.of.__dlpack__(**keywords)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self.where
+
+
+def same(mesh: meniscus.Mesh, other: meniscus.Mesh) -> bool:
+    return np.array_equal(mesh.vertices, other.vertices) and np.array_equal(mesh.triangles, other.triangles)
+
+
+def strided(ball: Any) -> Any:
+    wide = np.full((2 * len(ball), 7), np.nan, ball.dtype)
+    view = wide[::-2, 5::-2]
+    view[:] = ball
+    return view
+
+
+def unaligned(ball: Any) -> Any:
+    raw = np.zeros(ball.nbytes + 1, np.uint8)[1:]
+    view = raw.view(ball.dtype).reshape(ball.shape)
+    view[:] = ball
+    assert not view.flags.aligned
+    return view
+
+
+def of_structure(ball: Any) -> Any:
+    record = np.zeros(len(ball), [("id", "u1"), ("x", ball.dtype, 3)])
+    record["x"] = ball
+    return record["x"]
+
+
+def buffer(ball: Any) -> Any:
+    return memoryview(np.ascontiguousarray(ball))
+
+
+def read_only(ball: Any) -> Any:
+    copy = ball.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+KINDS = {
+    "fortran": np.asfortranarray,
+    "strided": strided,
+    "reversed": lambda ball: ball[::-1].copy()[::-1],
+    "unaligned": unaligned,
+    "of a structure": of_structure,
+    "read-only": read_only,
+    "DLPack": OnlyDLPack,
+    "buffer": buffer,
+    "a view of bytes": lambda ball: np.frombuffer(ball.tobytes(), ball.dtype).reshape(-1, 3),
+}
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_arrays_of_this_kind_give_the_mesh_of_plain_ones(ball: Any, kind: str, dtype: str) -> None:
+    plain = ball.astype(dtype)
+    kept = plain.copy()
+    heat = plain[:, 1].copy()
+    mesh = meniscus.reconstruct(KINDS[kind](plain), velocity=KINDS[kind](plain), attributes={"heat": heat}, spacing=1.0)
+    wanted = meniscus.reconstruct(plain, velocity=plain, attributes={"heat": heat}, spacing=1.0)
+    assert same(mesh, wanted)
+    for name in "velocity", "heat":
+        assert np.array_equal(mesh.attributes[name], wanted.attributes[name])
+    assert np.array_equal(plain, kept)
+
+
+def test_positions_are_never_copied_whole() -> None:
+    # One row, as often as would take 192 MB.
+    code = """
+import re, numpy, meniscus
+def peak(): return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1024
+many = numpy.broadcast_to(numpy.zeros((1, 3)), (8_000_000, 3))
+before = peak()
+meniscus.reconstruct(many, spacing=1.0, memory="64MiB", threads=2)
+print(peak() - before)
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 150
+
+
+def test_torch_on_the_host_is_read_by_dlpack(ball: Any) -> None:
+    torch = pytest.importorskip("torch")
+    assert same(meniscus.reconstruct(torch.from_numpy(ball.copy())), meniscus.reconstruct(ball))
+
+
+@pytest.mark.parametrize("keyword", ["positions", "velocity"])
+def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword: str) -> None:
+    arrays = {"positions": ball, keyword: OnlyDLPack(ball, (2, 0), "cuda:0")}
+    with pytest.raises(TypeError, match=rf"^{keyword}: OnlyDLPack is on cuda:0; \.cpu\(\) brings it to the host"):
+        meniscus.reconstruct(**arrays)
+
+    class Cuda:
+        __cuda_array_interface__: dict[str, Any] = {}
+
+    with pytest.raises(TypeError, match=r"is on a CUDA device; \.cpu\(\)"):
+        meniscus.reconstruct(Cuda())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("positions", "error", "what"),
+    [
+        (np.zeros((5, 2)), meniscus.InputError, r"shape \(N, 3\) is needed, not \(5, 2\)"),
+        (np.zeros(3), meniscus.InputError, r"not \(3,\)"),
+        (np.zeros((1, 5, 3)), meniscus.InputError, r"not \(1, 5, 3\)"),
+        (np.zeros((5, 3), np.int64), TypeError, r"not int64; \.astype"),
+        (np.zeros((5, 3), np.float16), TypeError, "not float16"),
+        (np.zeros((5, 3), np.complex64), TypeError, "not complex64"),
+        (np.zeros((5, 3), object), TypeError, "not object"),
+        (np.zeros((5, 3), ">f8"), TypeError, r"byte-swapped \(>f8\)"),
+        (np.zeros((5, 3), ">f4"), TypeError, r'\.astype\("float32"\)'),
+        (np.ma.masked_array(np.zeros((5, 3))), TypeError, "with a mask"),
+        ([[0.0, 0.0, 0.0]], TypeError, "not list"),
+        ("positions", TypeError, "not str"),
+        (None, TypeError, "not NoneType"),
+        (array.array("d", [0.0] * 9), meniscus.InputError, r"not \(9,\)"),
+        (b"bytes", TypeError, "not uint8"),
+    ],
+)
+def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error: type[Exception], what: str) -> None:
+    with pytest.raises(error, match=f"^positions: .*{what}"):
+        meniscus.reconstruct(positions)
+    with pytest.raises(error, match=f"^positions: .*{what}"):
+        meniscus.Frame(positions)
+    with pytest.raises(error, match=f"^positions: .*{what}"):
+        meniscus.Simulation().frame(positions)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "what"),
+    [
+        ({"velocity": np.zeros((4, 3))}, meniscus.InputError, "velocity: 4 rows for 5 particles"),
+        ({"velocity": np.zeros((5, 2))}, meniscus.InputError, r"velocity: .*not \(5, 2\)"),
+        ({"attributes": {"t": np.zeros(6)}}, meniscus.InputError, r'attributes\["t"\]: 6 rows for 5'),
+        ({"attributes": {"t": np.zeros((5, 2, 2))}}, meniscus.InputError, r'attributes\["t"\]: .*\(5, 2, 2\)'),
+        ({"attributes": {"t": np.zeros((5, 0))}}, meniscus.InputError, r'attributes\["t"\]'),
+        ({"attributes": {"t": np.zeros(5, int)}}, TypeError, r'attributes\["t"\]: .*int64'),
+        ({"attributes": {3: np.zeros(5)}}, TypeError, "attributes: 3 is no name"),
+        ({"attributes": ["t"]}, TypeError, "attributes: a mapping"),
+        ({"attributes": {"velocity": np.zeros(5)}, "velocity": np.zeros((5, 3))}, TypeError, "velocity: "),
+    ],
+)
+def test_other_arrays_are_refused_by_their_names(keywords: dict[str, Any], error: type[Exception], what: str) -> None:
+    with pytest.raises(error, match=what):
+        meniscus.reconstruct(np.zeros((5, 3)), **keywords)

@@ -1,0 +1,52 @@
+"""Frames that are sampled once, drawn often, and packed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+
+
+def same(mesh: meniscus.Mesh, other: meniscus.Mesh) -> bool:
+    return np.array_equal(mesh.vertices, other.vertices) and np.array_equal(mesh.triangles, other.triangles)
+
+
+def test_its_surface_is_that_of_its_particles_by_whatever_keywords(ball: Any) -> None:
+    frame = meniscus.Frame(ball, spacing=1.0, velocity=ball, normals=True)
+    asked = meniscus.reconstruct(ball, spacing=1.0, velocity=ball, normals=True)
+    assert same(frame.surface(), asked) and np.array_equal(frame.surface().normals, asked.normals)  # type: ignore[arg-type]
+    assert np.array_equal(frame.surface().attributes["velocity"], asked.attributes["velocity"])
+    # What is given here goes before, and what is not stays.
+    calm = frame.surface(smooth=2.5)
+    assert same(calm, meniscus.reconstruct(ball, spacing=1.0, smooth=2.5)) and calm.normals is not None
+    assert frame.surface(normals=False).normals is None
+    with pytest.raises(TypeError, match="unexpected keyword argument 'spacing'"):
+        frame.surface(spacing=2.0)  # type: ignore[call-arg]
+
+
+def test_it_does_not_need_its_particles_any_more(ball: Any) -> None:
+    positions = ball.copy()
+    frame = meniscus.Frame(positions, spacing=1.0)
+    positions[:] = np.nan
+    assert same(frame.surface(), meniscus.reconstruct(ball, spacing=1.0))
+
+
+def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program: Any, ball: Any) -> None:
+    np.save(tmp_path / "in.npy", ball)
+    program("pack", tmp_path / "in.npy", "-o", tmp_path / "theirs.mnf", "-q", "--spacing", 1)
+    frame = meniscus.Frame(ball, spacing=1.0)
+    size = frame.save(tmp_path / "ours.mnf")
+    assert size == (tmp_path / "ours.mnf").stat().st_size
+    assert (tmp_path / "ours.mnf").read_bytes() == (tmp_path / "theirs.mnf").read_bytes()
+    opened = meniscus.Frame.load(tmp_path / "ours.mnf", smooth=2.0)
+    assert same(opened.surface(), meniscus.reconstruct(ball, spacing=1.0, smooth=2.0))
+    assert same(opened.surface(smooth=None), frame.surface())
+    with pytest.raises(meniscus.FileError, match="exists already"):
+        frame.save(tmp_path / "ours.mnf")
+    assert frame.save(tmp_path / "ours.mnf", overwrite=True) == size
+    with pytest.raises(meniscus.InputError, match="kernel method"):
+        meniscus.Frame(ball, method="mueller").save(tmp_path / "kernels.mnf")

@@ -1,0 +1,115 @@
+"""Keywords are the program's options, and all of them."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+
+# What belongs to the end of a call, to files, or to a terminal.
+OF_FILES = {
+    "output": "Mesh.write() takes it",
+    "overwrite": "Mesh.write() takes it, too",
+    "particle_type": "arrays are of one type; read_particles() and Simulation have it",
+    "start": "Simulation has it",
+    "end": "Simulation has it",
+    "step": "Simulation has it",
+    "frames": "Simulation has it",
+    "resume": "Simulation has it",
+    "watch": "Simulation has it",
+    "fps": "Simulation has it",
+}
+OF_THE_PROGRAM = {
+    "plan": "Simulation.plan() is it",
+    "parts": "a mesh in parts is one of files, on many machines: jobs call the program",
+    "part": "as parts",
+    "merge": "as parts",
+    "dry_run": "it prints",
+    "stats": "Mesh.report has them",
+    "preview": "a mesh is drawn by the program alone",
+    "quiet": "nothing is printed",
+    "verbose": "nothing is printed",
+    "help": "it prints",
+    "version": "meniscus.__version__ is it",
+}
+SIMULATION = set(OF_FILES) - {"output"}
+# What is no option: arrays beside the positions, and the bars of a terminal, which are a callback here.
+OWN = {"velocity", "attributes", "progress"}
+
+
+def keywords(function: Any) -> set[str]:
+    """All that may be said by its name."""
+    parameters = inspect.signature(function).parameters.values()
+    return {parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY}
+
+
+@pytest.fixture(scope="module")
+def options(program: Any) -> set[str]:
+    text = program("reconstruct", "--help")
+    found = re.findall(r"^\s+(?:-\w, )?--([a-z0-9-]+)", text, re.MULTILINE)
+    return {name.replace("-", "_") for name in found}
+
+
+def test_every_option_of_reconstruct_is_a_keyword(options: set[str]) -> None:
+    assert len(options) > 40
+    assert set(OF_FILES) | set(OF_THE_PROGRAM) <= options, "an exception is no option any more"
+    wanted = options - set(OF_FILES) - set(OF_THE_PROGRAM)
+    for function in meniscus.reconstruct, meniscus.Frame:
+        assert keywords(function) == wanted | OWN
+
+
+def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
+    wanted = options - set(OF_THE_PROGRAM) - {"output", "progress"}
+    assert keywords(meniscus.Simulation) == wanted
+    assert "output" in inspect.signature(meniscus.Simulation).parameters
+    # As in the program, attributes are named there.
+    assert "attributes" in wanted
+
+
+def test_a_frame_that_is_sampled_has_the_keywords_of_its_surface(options: set[str]) -> None:
+    of_surface = keywords(meniscus.Frame.surface) - {"progress"}
+    assert {"smooth", "simplify", "normals"} <= of_surface <= options
+    assert keywords(meniscus.Frame.load) - {"progress"} == of_surface | {"backend", "device", "threads", "memory", "scratch"}
+
+
+@pytest.mark.parametrize("name", sorted(keywords(meniscus.reconstruct) - OWN))
+def test_every_keyword_is_read_and_refuses_nonsense_by_its_name(name: str, ball: Any) -> None:
+    calls = [lambda value: meniscus.reconstruct(ball, **{name: value}), lambda value: meniscus.Simulation(**{name: value})]
+    if name in keywords(meniscus.Frame.load):
+        calls.append(lambda value: meniscus.Frame.load("none.mnf", **{name: value}))
+    if name in keywords(meniscus.Frame.surface):
+        frame = meniscus.Frame(ball)
+        calls.append(lambda value: frame.surface(**{name: value}))
+    for call in calls:
+        with pytest.raises((TypeError, meniscus.InputError), match=f"^{name}: "):
+            call(object())
+
+
+@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "particle_type", "resume"])
+def test_every_keyword_of_simulations_is_read(name: str, tmp_path: Any) -> None:
+    with pytest.raises(TypeError, match=f"^{name}: "):
+        meniscus.Simulation("in_{}.bgeo", tmp_path / "out_{}.ply", **{name: object()})
+
+
+def test_an_unknown_keyword_is_a_type_error(ball: Any) -> None:
+    calls: list[Any] = [meniscus.reconstruct, meniscus.Frame]
+    for call in calls:
+        with pytest.raises(TypeError, match="unexpected keyword argument 'spacng'"):
+            call(ball, spacng=1.0)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'spacng'"):
+        meniscus.Simulation(spacng=1.0)  # type: ignore[call-arg]
+
+
+def test_none_says_nothing(ball: Any) -> None:
+    nothing = dict.fromkeys(keywords(meniscus.reconstruct))
+    mesh = meniscus.reconstruct(ball, **nothing)
+    assert np.array_equal(mesh.triangles, meniscus.reconstruct(ball).triangles)
+
+
+def test_the_version_is_the_programs(program: Any) -> None:
+    assert program("--version").split()[1] == meniscus.__version__

@@ -1,0 +1,171 @@
+"""Meshes: their arrays, what is measured of them, and files."""
+
+from __future__ import annotations
+
+import gc
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+
+
+def test_arrays_have_the_documented_shapes_and_types_and_are_the_callers(ball: Any) -> None:
+    mesh = meniscus.reconstruct(ball, velocity=ball, attributes={"heat": ball[:, 0], "pair": ball[:, :2]}, normals=True)
+    count = len(mesh.vertices)
+    assert mesh.vertices.shape == (count, 3) and mesh.vertices.dtype == np.float64
+    assert mesh.triangles.shape == (2 * count - 4, 3) and mesh.triangles.dtype == np.uint32
+    assert mesh.triangles_u64.dtype == np.uint64 and np.array_equal(mesh.triangles_u64, mesh.triangles)
+    assert mesh.normals is not None and mesh.normals.shape == (count, 3) and mesh.normals.dtype == np.float32
+    assert {name: values.shape for name, values in mesh.attributes.items()} == {
+        "velocity": (count, 3),
+        "heat": (count,),
+        "pair": (count, 2),
+    }
+    for values in mesh.vertices, mesh.triangles, mesh.triangles_u64, mesh.normals, *mesh.attributes.values():
+        assert values.flags.writeable and values.flags.c_contiguous
+    mesh.vertices[0] = 7.0
+    assert mesh.vertices[0, 0] == 7.0, "they are the same objects"
+    assert meniscus.reconstruct(ball).normals is None
+
+
+def test_values_of_vertices_are_those_of_the_particles_near_them(ball: Any) -> None:
+    mesh = meniscus.reconstruct(ball, attributes={"height": ball[:, 1]}, normals=True, spacing=1.0)
+    assert np.abs(mesh.attributes["height"] - mesh.vertices[:, 1]).max() < 1.5
+    outward = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    assert mesh.normals is not None and (mesh.normals * outward).sum(axis=1).min() > 0.5
+
+
+def test_arrays_outlive_their_mesh(ball: Any) -> None:
+    mesh = meniscus.reconstruct(ball)
+    vertices, copy = mesh.vertices, mesh.vertices.copy()
+    del mesh
+    gc.collect()
+    meniscus.reconstruct(ball, cell=0.4)
+    assert np.array_equal(vertices, copy)
+
+
+def test_a_ball_measures_what_it_is_and_is_checked(ball: Any) -> None:
+    mesh = meniscus.reconstruct(ball, spacing=1.0)
+    assert mesh.volume == pytest.approx(len(ball), rel=0.05)
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+    assert mesh.volume == pytest.approx((a * np.cross(b, c)).sum() / 6, rel=1e-9)
+    assert mesh.area == pytest.approx(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2, rel=1e-9)
+    assert mesh.bounds is not None and np.array_equal(mesh.bounds, [mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+    check = mesh.check()
+    assert check and check.closed and check.oriented and check.manifold and check.genus == 0 and check.components == 1
+    assert check.volume == mesh.volume and check.triangles == len(mesh.triangles)
+    assert not any([check.boundary_edges, check.misoriented_edges, check.pinched_vertices, check.degenerate_triangles])
+
+
+def test_the_report_says_how_it_was_made(ball: Any) -> None:
+    report = meniscus.reconstruct(ball, threads=2).report
+    assert report.spacing == pytest.approx(1.0, rel=0.1) and report.cell_size == pytest.approx(report.spacing / 2)
+    assert report.spacing_source == "estimated from the particles" and report.indicator == "cloud" and report.smooth == 1.6
+    assert report.particles == len(ball) and report.threads == 2 and report.warnings == []
+    assert set(report.seconds) >= {"count", "bin", "mesh"} and sum(report.seconds.values()) > 0
+    dirty = np.concatenate([ball, [[np.nan, 0, 0], [1e300, 0, 0], [0, 90, 0]]])
+    report = meniscus.reconstruct(dirty, spacing=1.0, skip_invalid=True, domain=(-9, -9, -9, 9, 9, 9)).report
+    assert (report.not_finite, report.outside) == (1, 2) and report.particles == len(ball)
+
+
+def test_doubts_are_python_warnings(ball: Any) -> None:
+    with pytest.warns(meniscus.MeshWarning, match="times as many particles"):
+        mesh = meniscus.reconstruct(ball, spacing=3.0)
+    assert any("times as many" in warning for warning in mesh.report.warnings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(meniscus.MeshWarning):
+            meniscus.reconstruct(ball, spacing=3.0)
+        meniscus.reconstruct(ball, spacing=1.0)
+
+
+def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_path: Path, ball: Any) -> None:
+    mesh = meniscus.reconstruct(ball)
+    path = tmp_path / "mesh.ply"
+    size = mesh.write(str(path))
+    assert size == path.stat().st_size
+    with pytest.raises(meniscus.FileError, match=r"mesh\.ply: exists already") as raised:
+        mesh.write(path)
+    assert isinstance(raised.value, OSError)
+    assert mesh.write(path, overwrite=True) == size
+    with pytest.raises(OSError, match="there is no folder"):
+        mesh.write(tmp_path / "none" / "mesh.ply")
+    with pytest.raises(ValueError, match="unknown extension"):
+        mesh.write(tmp_path / "mesh.abc")
+    with pytest.raises(meniscus.InputError, match="cannot hold vertex normals"):
+        meniscus.reconstruct(ball, normals=True).write(tmp_path / "mesh.stl")
+    assert os.listdir(tmp_path) == ["mesh.ply"]
+
+
+def test_trimesh_and_meshio_take_it_as_it_is(ball: Any) -> None:
+    trimesh, meshio = pytest.importorskip("trimesh"), pytest.importorskip("meshio")
+    mesh = meniscus.reconstruct(ball, velocity=ball, normals=True)
+    theirs = trimesh.Trimesh(**mesh.for_trimesh())
+    assert theirs.is_watertight and theirs.is_winding_consistent and theirs.volume == pytest.approx(mesh.volume)
+    assert len(theirs.vertices) == len(mesh.vertices)
+    cells = meshio.Mesh(**mesh.for_meshio())
+    assert len(cells.cells[0].data) == len(mesh.triangles) and set(cells.point_data) == {"velocity", "normals"}
+
+
+def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
+    for keywords, what in [
+        ({"spacing": -1.0}, "the spacing .* -1"),
+        ({"spacing": float("nan")}, "the spacing .* NaN"),
+        ({"cell": 0.0}, "the cell size in spacings"),
+        ({"smooth": 99.0}, "99"),
+        ({"radius": -0.5}, "^radius: "),
+        ({"threads": 0}, "threads"),
+        ({"threads": -1}, "^threads: -1 is out of range"),
+        ({"memory": "lots"}, "^memory: "),
+        ({"memory": 1}, "memory of at least"),
+        ({"spacing": 1.0, "radius": 0.5}, "^radius: spacing is given|^spacing: radius is given"),
+        ({"cell": 0.5, "cell_size": 0.5}, "is given, and both say the same"),
+        ({"domain": (0, 0, 0, 1, 1)}, "^domain: six numbers"),
+        ({"domain": (0, None, 0, 1, 1, 1)}, "^domain: both ends"),
+        ({"domain": (5, 5, 5, 1, 1, 1)}, "corner"),
+        ({"origin": (0, 0)}, "^origin: three numbers"),
+        ({"indicator": "fog"}, "^indicator: \"fog\" is none of cloud, counting, symmetry"),
+        ({"sigma": 1.0}, "sigma.* has no meaning for the indicator cloud"),
+        ({"periodic_mesh": "cut"}, "periodic"),
+        ({"device": "0", "backend": "cpu"}, "^device: "),
+        ({"simplify": -1.0}, "-1"),
+        ({"smallest_drop": 2**40}, "^smallest_drop: "),
+    ]:
+        with pytest.raises(meniscus.InputError, match=what) as raised:
+            meniscus.reconstruct(ball, **keywords)
+        assert isinstance(raised.value, ValueError) and isinstance(raised.value, meniscus.Error)
+
+
+def test_particles_that_have_no_surface_say_which_and_why(ball: Any) -> None:
+    bad = ball.copy()
+    bad[7, 1] = np.inf
+    with pytest.raises(ValueError, match="particle 7 has a coordinate that is not finite"):
+        meniscus.reconstruct(bad, spacing=1.0)
+    with pytest.raises(ValueError, match="no particles to reconstruct"):
+        meniscus.reconstruct(np.zeros((0, 3)), spacing=1.0)
+    with pytest.raises(ValueError, match="spacing of 1 particles cannot be estimated"):
+        meniscus.reconstruct(np.zeros((1, 3), np.float32))
+    with pytest.raises(ValueError, match="all of its 1 components are below"):
+        meniscus.reconstruct(ball, smallest_drop=10**6)
+
+
+def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> None:
+    with pytest.raises(meniscus.FileError, match=r"none\.bgeo: No such file"):
+        meniscus.read_particles(tmp_path / "none.bgeo")
+    (tmp_path / "bad.npy").write_bytes(b"\x93NUMPY bad")
+    with pytest.raises(OSError, match=r"bad\.npy: "):
+        meniscus.read_particles(tmp_path / "bad.npy")
+    with pytest.raises(meniscus.InputError, match="unknown extension"):
+        meniscus.read_particles("particles.abc")
+    with pytest.raises(meniscus.FileError, match="No such file"):
+        meniscus.Frame.load(tmp_path / "none.mnf")
+
+
+def test_a_device_that_is_not_there_is_a_device_error(ball: Any) -> None:
+    with pytest.raises(meniscus.DeviceError):
+        meniscus.reconstruct(ball, backend="vulkan", device="no device is called so")

@@ -1,0 +1,142 @@
+"""Frames of simulations: all alike, from memory and from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+from conftest import lattice
+
+
+@pytest.fixture(scope="module")
+def pool() -> Any:
+    """Fluid that is deeper than the filters reach."""
+    rng = np.random.default_rng(5)
+    steps = np.arange(0.5, 30.0)
+    points = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    return points + rng.uniform(-0.2, 0.2, points.shape)
+
+
+def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> None:
+    simulation = meniscus.Simulation()
+    assert not simulation.settled
+    first = simulation.frame(pool)
+    assert simulation.settled
+    # Alone, particles twice as far apart would have cells twice as large.
+    later = simulation.frame(2.0 * pool)
+    assert later.report.cell_size == first.report.cell_size
+    assert meniscus.reconstruct(2.0 * pool).report.cell_size > 1.5 * first.report.cell_size
+
+
+def test_an_empty_frame_is_an_empty_mesh(pool: Any, tmp_path: Path) -> None:
+    simulation = meniscus.Simulation(spacing=1.0, normals=True)
+    for _ in range(2):
+        mesh = simulation.frame(np.zeros((0, 3), np.float32), velocity=np.zeros((0, 3), np.float32))
+        assert mesh.vertices.shape == (0, 3) and mesh.triangles.shape == (0, 3) and mesh.volume == 0.0
+        assert mesh.normals is not None and mesh.normals.shape == (0, 3) and mesh.attributes["velocity"].shape == (0, 3)
+        assert mesh.check() and mesh.bounds is None
+        assert mesh.write(tmp_path / "empty.ply", overwrite=True) > 0
+        assert len(simulation.frame(pool).triangles) > 0
+
+
+def test_attributes_are_named_when_it_is_made(pool: Any) -> None:
+    simulation = meniscus.Simulation(spacing=1.0, attributes=["heat"])
+    mesh = simulation.frame(pool, attributes={"heat": pool[:, 0]})
+    assert set(mesh.attributes) == {"heat"}
+    with pytest.raises(meniscus.InputError, match='"cold" is none of those'):
+        simulation.frame(pool, attributes={"heat": pool[:, 0], "cold": pool[:, 1]})
+    with pytest.raises(meniscus.InputError, match='"velocity" is none of those'):
+        simulation.frame(pool, velocity=pool, attributes={"heat": pool[:, 0]})
+    with pytest.raises(meniscus.InputError, match='no attribute "heat"'):
+        simulation.frame(pool)
+    with pytest.raises(TypeError, match="attributes: a list of names is needed, not str"):
+        meniscus.Simulation(attributes="heat")
+    assert set(meniscus.Simulation().frame(pool, velocity=pool).attributes) == {"velocity"}
+
+
+def test_a_frame_that_fails_does_not_end_the_simulation(pool: Any) -> None:
+    simulation = meniscus.Simulation(spacing=1.0)
+    good = simulation.frame(pool)
+
+    def stop(stage: str, done: float) -> None:
+        raise ZeroDivisionError(stage)
+
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            simulation.frame(pool, progress=stop)
+        with pytest.raises(ValueError, match="not finite"):
+            simulation.frame(pool * np.nan)
+    assert np.array_equal(simulation.frame(pool).vertices, good.vertices)
+
+
+def test_requests_are_refused_when_it_is_made(tmp_path: Path) -> None:
+    for keywords in [{"spacing": -1.0}, {"sigma": 1.0}, {"start": 3}, {"resume": True}, {"particle_type": "gas"}]:
+        with pytest.raises(meniscus.InputError):
+            meniscus.Simulation(**keywords)  # type: ignore[arg-type]
+    with pytest.raises(meniscus.InputError, match="go together"):
+        meniscus.Simulation("in_{}.bgeo")
+    with pytest.raises(meniscus.InputError, match="frames: 3 is after 2"):
+        meniscus.Simulation("in_{}.bgeo", tmp_path / "{}.ply", frames=(3, 2))
+    with pytest.raises(meniscus.InputError, match="run"):
+        meniscus.Simulation("in_{}.bgeo", tmp_path / "{}.ply").frame(np.zeros((1, 3)))
+    with pytest.raises(meniscus.InputError, match="frame"):
+        meniscus.Simulation().run()
+
+
+def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dambreak: Path) -> None:
+    inputs = dambreak / "ParticleData_Fluid_{}.bgeo"
+    program("reconstruct", inputs, "-o", tmp_path / "theirs" / "{:03}.ply", "-q", "--normals")
+    events: list[meniscus.Event] = []
+    simulation = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True)
+    (summary,) = simulation.run(progress=events.append)
+    assert summary.complete and summary.made == 3 and summary.failed == 0 and summary.folder == tmp_path / "ours"
+    for number in 1, 10, 20:
+        ours, theirs = (tmp_path / by / f"{number:03}.ply" for by in ("ours", "theirs"))
+        assert ours.read_bytes() == theirs.read_bytes()
+    done = [event for event in events if event.kind == "done"]
+    assert [event.frame for event in done] == [1, 10, 20] or {event.frame for event in done} == {1, 10, 20}
+    assert done[-1].done == done[-1].total == 3 and done[-1].failed == 0
+    assert {event.output for event in done} == {tmp_path / "ours" / f"{number:03}.ply" for number in (1, 10, 20)}
+    assert str(done[0]) == done[0].message and "triangles" in done[0].message
+    assert {"measured", "begins", "stage", "ended"} <= {event.kind for event in events}
+    # A second run has nothing to do where it may go on, and refuses to replace where not.
+    (again,) = meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True, resume=True).run()
+    assert again.made == 0 and again.complete
+    with pytest.raises(meniscus.FileError, match="exists already"):
+        meniscus.Simulation(inputs, tmp_path / "ours" / "{:03}.ply", normals=True).run()
+    assert meniscus.Simulation(inputs, tmp_path / "plan" / "{}.ply").plan() == [1, 10, 20]
+
+
+def test_choices_of_frames_and_files_one_by_one(tmp_path: Path, dambreak: Path) -> None:
+    inputs = [dambreak / f"ParticleData_Fluid_{number}.bgeo" for number in (1, 10, 20)]
+    (summary,) = meniscus.Simulation(inputs, tmp_path / "{}.ply", start=5, end=15).run()
+    assert summary.made == 1 and (tmp_path / "10.ply").exists()
+
+
+def test_what_a_callback_raises_ends_a_conversion(tmp_path: Path, dambreak: Path) -> None:
+    simulation = meniscus.Simulation(dambreak / "ParticleData_Fluid_{}.bgeo", tmp_path / "{}.ply")
+
+    def stop(event: meniscus.Event) -> None:
+        raise ZeroDivisionError(event.kind)
+
+    with pytest.raises(ZeroDivisionError):
+        simulation.run(progress=stop)
+    assert not list(tmp_path.glob("*.ply"))
+    # Neither was it for good.
+    (summary,) = simulation.run()
+    assert summary.made == 3
+
+
+def test_frames_that_cannot_be_made_are_counted(tmp_path: Path, dambreak: Path) -> None:
+    for number in 1, 2:
+        (tmp_path / f"in_{number}.xyz").write_bytes(lattice(6.0).astype("<f4").tobytes())
+    (tmp_path / "in_3.xyz").write_bytes(b"12345")
+    events: list[meniscus.Event] = []
+    (summary,) = meniscus.Simulation(tmp_path / "in_{}.xyz", tmp_path / "out_{}.ply").run(progress=events.append)
+    assert (summary.made, summary.failed, summary.complete) == (2, 1, False)
+    failed = [event for event in events if event.kind == "failed"]
+    assert [event.frame for event in failed] == [3] and "in_3.xyz" in failed[0].message

@@ -1,0 +1,60 @@
+"""Types: what the stubs say is what the module has, and examples keep to it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meniscus
+
+HERE = Path(__file__).resolve().parent
+BINDINGS = HERE.parent
+
+pytest.importorskip("mypy")
+
+
+def stubtest(*arguments: Any, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mypy.stubtest", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **keywords)
+
+
+def test_the_stubs_are_those_of_the_module() -> None:
+    done = stubtest("meniscus", "--mypy-config-file", BINDINGS / "pyproject.toml")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_stubs_of_another_signature_are_found_out(tmp_path: Path) -> None:
+    package = Path(meniscus.__file__).parent
+    stub = (package / "_meniscus.pyi").read_text()
+    changed = re.sub(r"\n    smooth: float \| None = None,", "", stub, count=1)
+    assert changed != stub
+    copy = tmp_path / "meniscus"
+    copy.mkdir()
+    (copy / "_meniscus.pyi").write_text(changed)
+    (copy / "__init__.pyi").write_text("")
+    done = stubtest("meniscus._meniscus", env={"MYPYPATH": str(tmp_path), "PATH": ""})
+    assert done.returncode != 0 and "reconstruct" in done.stdout and "smooth" in done.stdout, done.stdout + done.stderr
+
+
+def test_examples_and_the_package_are_strictly_typed() -> None:
+    for what in ["-p", "meniscus"], [str(path) for path in (BINDINGS / "examples").glob("*.py")]:
+        command = [sys.executable, "-m", "mypy", "--config-file", str(BINDINGS / "pyproject.toml"), "--strict", *what]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_everything_is_documented() -> None:
+    for name in meniscus.__all__:
+        item = getattr(meniscus, name)
+        if isinstance(item, str):
+            continue
+        assert item.__doc__, name
+        public = [getattr(item, member) for member in vars(item) if not member.startswith("_")] if isinstance(item, type) else []
+        if item.__module__ == "meniscus" and not issubclass(item if isinstance(item, type) else int, BaseException):
+            undocumented = [member for member in public if callable(member) and not member.__doc__]
+            assert not undocumented, (name, undocumented)

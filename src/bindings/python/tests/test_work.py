@@ -1,0 +1,180 @@
+"""Work: without the interpreter's lock, ended at any time, and nothing left of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+import meniscus
+from conftest import lattice
+
+
+@pytest.fixture(scope="module")
+def long() -> Any:
+    """Keywords of work that takes a while."""
+    return {"positions": lattice(16.0), "spacing": 1.0, "cell": 0.1, "threads": 1}
+
+
+def test_progress_is_told_on_the_callers_thread_stage_by_stage(ball: Any) -> None:
+    told: list[tuple[str, float, int]] = []
+    meniscus.reconstruct(ball, simplify=0.5, progress=lambda stage, done: told.append((stage, done, threading.get_ident())))
+    assert {thread for *_, thread in told} == {threading.get_ident()}
+    stages = list(dict.fromkeys(stage for stage, *_ in told))
+    assert stages == ["counting", "sampling", "meshing", "simplifying"]
+    for stage in stages:
+        shares = [done for name, done, _ in told if name == stage]
+        assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
+
+
+def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
+    begin = time.monotonic()
+    meniscus.reconstruct(**long)
+    whole = time.monotonic() - begin
+
+    def stop(stage: str, done: float) -> None:
+        raise ZeroDivisionError(stage)
+
+    begin = time.monotonic()
+    with pytest.raises(ZeroDivisionError, match="counting"):
+        meniscus.reconstruct(**long, progress=stop)
+    assert time.monotonic() - begin < whole / 2
+
+
+def test_ctrl_c_ends_the_work(long: Any) -> None:
+    begin = time.monotonic()
+    meniscus.reconstruct(**long)
+    whole = time.monotonic() - begin
+    timer = threading.Timer(whole / 8, os.kill, (os.getpid(), signal.SIGINT))
+    begin = time.monotonic()
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        meniscus.reconstruct(**long)
+    assert time.monotonic() - begin < 0.75 * whole
+
+
+def test_other_threads_go_on_meanwhile(long: Any) -> None:
+    ticks = 0
+    over = threading.Event()
+
+    def count() -> None:
+        nonlocal ticks
+        while not over.wait(0.002):
+            ticks += 1
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    before = ticks
+    begin = time.monotonic()
+    meniscus.reconstruct(**long)
+    seconds = time.monotonic() - begin
+    counted = ticks - before
+    over.set()
+    thread.join()
+    assert counted > seconds / 0.002 / 20
+
+
+def test_threads_work_side_by_side_and_one_simulation_is_one_threads(long: Any, ball: Any) -> None:
+    wanted = meniscus.reconstruct(ball).vertices
+    results: list[Any] = []
+    threads = [threading.Thread(target=lambda: results.append(meniscus.reconstruct(ball).vertices)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(results) == 8 and all(np.array_equal(vertices, wanted) for vertices in results)
+
+    simulation = meniscus.Simulation(**{name: value for name, value in long.items() if name != "positions"})
+    busy = threading.Thread(target=simulation.frame, args=(long["positions"],))
+    busy.start()
+    errors = 0
+    while busy.is_alive():
+        try:
+            simulation.frame(ball)
+        except meniscus.Error as error:
+            errors += "another thread" in str(error)
+        time.sleep(0.01)
+    assert errors > 0
+
+
+def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception() -> None:
+    calm = lattice(8.0)
+    positions = calm.copy()
+    over = threading.Event()
+
+    def disturb() -> None:
+        rng = np.random.default_rng(1)
+        while not over.is_set():
+            positions[rng.integers(len(calm), size=200)] = rng.choice([0.0, 1.0, -4.0, 1e30, np.nan, np.inf], (200, 3))
+            positions[:] = calm
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    meshes = errors = 0
+    try:
+        for number in range(40):
+            try:
+                mesh = meniscus.reconstruct(positions, velocity=positions, spacing=1.0, cell=(0.2, 0.5)[number % 2], threads=2)
+                meshes += bool(mesh.check())
+            except meniscus.Error as error:
+                assert "a bug" not in str(error)
+                errors += 1
+    finally:
+        over.set()
+        thread.join()
+    assert meshes + errors == 40 and meshes > 0
+
+
+RESIDENT = """
+import sys, numpy, meniscus
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 2**20
+count, calls = map(int, sys.argv[1:])
+positions = numpy.random.default_rng(1).uniform(0, count ** (1 / 3), (count, 3)).astype(numpy.float32)
+def call():
+    mesh = meniscus.reconstruct(positions, velocity=positions, spacing=1.0, normals=True)
+    return len(mesh.vertices) + len(mesh.triangles)
+for _ in range(40):
+    call()
+before = resident()
+for _ in range(calls):
+    call()
+print(before, resident(), len(meniscus.reconstruct(positions, spacing=1.0).triangles))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_is_given_back_after_each_call() -> None:
+    command = [sys.executable, "-W", "ignore", "-c", RESIDENT, "5000", "100"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    before, after, _ = map(float, done.stdout.split())
+    # A mesh that stays takes 0.7 MiB; arenas of threads come and go.
+    assert after < before + 12, f"{before} MiB grew to {after}"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_child_that_is_forked_works_for_itself(ball: Any) -> None:
+    mesh, frame, simulation = meniscus.reconstruct(ball), meniscus.Frame(ball), meniscus.Simulation()
+    simulation.frame(ball)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(30)
+        try:
+            good = len(meniscus.reconstruct(ball).triangles) == len(mesh.triangles)
+            for call in frame.surface, lambda: simulation.frame(ball):
+                try:
+                    call()
+                    good = False
+                except meniscus.Error as error:
+                    good = good and "another process" in str(error)
+        finally:
+            os._exit(0 if good else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
