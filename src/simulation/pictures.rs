@@ -276,11 +276,10 @@ impl Pictures {
         };
         match target {
             Target::One(file) => {
-                for next in drawn {
+                if let Some(next) = drawn.next() {
                     let (n, frame, image) = next?;
                     file.write(&image)?;
                     done(n, frame, &output);
-                    break;
                 }
             }
             Target::Each(files) => {

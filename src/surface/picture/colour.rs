@@ -29,7 +29,7 @@ pub enum Colour {
 }
 
 /// Colours for values from 0 to 1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ColourMap(usize);
 
 /// Maps by their names, first those that are fair to all eyes (Liu and Heer 2018).
@@ -63,12 +63,6 @@ impl ColourMap {
             return [128; 3];
         }
         MAPS[self.0].1.eval_continuous(f64::from(value.clamp(0.0, 1.0))).as_array()
-    }
-}
-
-impl Default for ColourMap {
-    fn default() -> Self {
-        Self(0)
     }
 }
 

@@ -125,19 +125,16 @@ impl Picture {
         }
         let finite = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
         match self.view {
-            Some(View::From { azimuth, elevation, zoom }) => {
-                if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 {
-                    return Err(PictureError::View("angles must be finite, and a zoom positive"));
-                }
+            Some(View::From { azimuth, elevation, zoom })
+                if !finite(&[azimuth, elevation, zoom]) || zoom <= 0.0 =>
+            {
+                Err(PictureError::View("angles must be finite, and a zoom positive"))
             }
-            Some(View::At { eye, target }) => {
-                if !finite(&[eye, target].concat()) || eye == target {
-                    return Err(PictureError::View("the eye and what it looks at must be two places"));
-                }
+            Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
+                Err(PictureError::View("the eye and what it looks at must be two places"))
             }
-            None => {}
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// The box of a mesh, and the range of the values that it would be coloured by.
