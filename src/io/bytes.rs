@@ -375,7 +375,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     }
 }
 
-/// So many bytes of a file, in memory.
+/// Reads so many bytes of a file into memory.
 fn file_bytes(file: &File, count: u64) -> Result<Bytes, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;

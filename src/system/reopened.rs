@@ -60,7 +60,7 @@ impl FileStamp {
 /// A file that cannot be read as it was.
 #[derive(Debug)]
 pub enum Lost {
-    /// It was written to, or another has its name.
+    /// Written to meanwhile, or replaced by another of its name.
     Changed,
     /// The system's refusal.
     Io(io::Error),

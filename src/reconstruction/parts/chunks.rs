@@ -29,7 +29,7 @@ pub(super) struct Chunk {
     bins: Option<CellBox>,
 }
 
-/// What a part reads of the input.
+/// Particles of the input that a part reads.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Reading {
     /// Numbers of the pieces of which it reads anything, and of how many particles they are.
