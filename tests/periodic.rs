@@ -297,6 +297,8 @@ fn what_cannot_be_periodic_is_refused_with_what_is_wrong() {
         (&["--periodic", "0,-,0,24,-,20"], 2, "20 wide along z, less than two reaches"),
         (&["--periodic", BOX, "--domain", "0,0,0,24,20,24"], 2, "x is periodic"),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
+        (&["--periodic", BOX, "--cell", "1e-12"], 2, "less than 0.1 spacings"),
+        (&["--periodic", BOX, "--cell", "1e-12", "--method", "mueller"], 2, "cells a spacing are more than"),
         (&["--periodic-mesh", "overlap"], 2, "without a periodic box"),
         (&["--periodic", "0,-,0,23,-,24"], 3, "is outside of the periodic box along x"),
         (&["--periodic", BOX, "--domain", "-,0,-,-,inf,-"], 2, "corners must be finite"),

@@ -165,7 +165,8 @@ impl SamplingRequest {
     /// Samples on a grid that is known, by a field whose mu0 may be known.
     ///
     /// # Errors
-    /// [`Error::Domain`] and [`Error::Periodic`].
+    /// [`Error::Domain`] and [`Error::Periodic`]; [`Error::Frame`] for cells that are too fine to tell how far a periodic box's images have
+    /// to reach.
     pub fn sampling_on(
         &self,
         grid: Grid,
@@ -174,19 +175,23 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
-        let periodic = |(faces, surfacing): (_, Surfacing)| {
-            Periodic::new(&grid, faces, surfacing.reach(field, spacing, &grid))
-        };
-        Ok(Sampling {
+        let mut sampling = Sampling {
             grid,
             domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
-            periodic: self.periodic.map(periodic).transpose()?,
+            periodic: None,
             field,
             invalid: self.invalid,
             side: field.brick_side(),
             carried,
             spacing,
             resources,
-        })
+        };
+        if let Some((faces, surfacing)) = self.periodic {
+            // How far filters reach can only be told of cells that they can be made for.
+            sampling.refuse_unfit(&surfacing)?;
+            let reach = surfacing.reach(field, spacing, &grid);
+            sampling.periodic = Some(Periodic::new(&grid, faces, reach)?);
+        }
+        Ok(sampling)
     }
 }

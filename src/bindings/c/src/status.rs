@@ -95,12 +95,18 @@ fn panicked(payload: &(dyn Any + Send)) -> Failure {
     Failure { status: MeniscusStatus::Internal, message }
 }
 
+/// Drops what a panic carries, which could panic again: that is forgotten.
+fn dropped(payload: Box<dyn Any + Send>) {
+    if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
+        std::mem::forget(another);
+    }
+}
+
 /// Does the work of a call: what fails is a code and a message, and a panic goes no farther.
 pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let failure = panicked(&*payload);
-        // What drops could panic again.
-        std::mem::forget(payload);
+        dropped(payload);
         Err(failure)
     });
     match outcome {
@@ -116,7 +122,7 @@ pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
 pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         keep(panicked(&*payload).message);
-        std::mem::forget(payload);
+        dropped(payload);
         otherwise
     })
 }
