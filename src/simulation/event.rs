@@ -14,7 +14,7 @@ use crate::reconstruction::{Doubt, Report, Warning, lost_warning};
 use crate::system::control::Stage;
 
 use super::frozen::{Frozen, Trust};
-use super::inputs::Gaps;
+use super::gaps::Gaps;
 
 /// News of a conversion, which prints as a line for people.
 #[derive(Debug, Clone, Copy)]

@@ -17,7 +17,8 @@ use crate::surface::mesh::source::MeshSource;
 use crate::system::timings::Timings;
 
 use super::frozen::Frozen;
-use super::inputs::{FrameFile, Gaps, gaps};
+use super::gaps::{Gaps, gaps};
+use super::inputs::FrameFile;
 use super::records::Records;
 use super::setup::Setup;
 use super::state::{State, Store};

@@ -14,6 +14,7 @@ mod event;
 mod forecast;
 mod freeze;
 pub mod frozen;
+mod gaps;
 pub mod inputs;
 mod lanes;
 mod live;

@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use super::inputs::{FrameFile, gaps, missing_path};
+use super::gaps::{gaps, missing_path};
+use super::inputs::FrameFile;
 use super::records::Records;
 use crate::error::{Cause, Error};
 use crate::field::indicator::IndicatorKind;
