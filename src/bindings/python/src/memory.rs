@@ -11,3 +11,12 @@ pub fn give_back() {
 /// Others give back by themselves.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn give_back() {}
+
+/// Gives back what was freed before it, as the last of its fellows.
+pub struct GiveBack;
+
+impl Drop for GiveBack {
+    fn drop(&mut self) {
+        give_back();
+    }
+}

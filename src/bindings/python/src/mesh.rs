@@ -13,7 +13,7 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::errors::{of_arrays, warn};
-use crate::memory::give_back;
+use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
 use crate::work::{Work, with_progress};
 
@@ -27,6 +27,8 @@ pub struct Mesh {
     request: Reconstruction,
     arrays: PyOnceLock<Arrays>,
     measures: OnceLock<Measures>,
+    /// After all others.
+    _emptied: GiveBack,
 }
 
 /// A point, as a tuple.
@@ -43,7 +45,13 @@ impl Mesh {
     /// Takes a surface by the request for it, and warns of what is doubtful.
     pub fn new(py: Python<'_>, surface: Surface, request: Reconstruction) -> PyResult<Self> {
         warn(py, surface.report().warnings.iter().map(ToString::to_string))?;
-        Ok(Self { surface, request, arrays: PyOnceLock::new(), measures: OnceLock::new() })
+        Ok(Self {
+            surface,
+            request,
+            arrays: PyOnceLock::new(),
+            measures: OnceLock::new(),
+            _emptied: GiveBack,
+        })
     }
 
     fn whole(&self, py: Python<'_>) -> PyResult<meniscus::mesh::Mesh> {
