@@ -6,6 +6,7 @@ mod common;
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -99,22 +100,15 @@ fn a_mesh_is_merged_of_more_parts_than_may_be_open() {
     assert!(one == many);
 }
 
-/// What becomes of a frame of which a piece is changed after it was opened: one that was closed since, and the last, which is open.
-fn after(change: impl Fn(&Path)) -> [Result<u64, Error>; 2] {
+/// The outcome of a frame of which pieces are changed after it was opened.
+fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
     let (folder, pieces, _) = scene();
-    let last = (0..).take_while(|&number| piece(folder.path(), number).exists()).count() - 1;
-    [last / 2, last].map(|number| {
-        let path = piece(folder.path(), number);
-        let before = fs::read(&path).unwrap();
-        let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
-        change(&path);
-        let surface = opened.sample().and_then(|frame| frame.surface());
-        let _ = fs::remove_file(&path);
-        fs::write(&path, before).unwrap();
-        surface.map(|surface| surface.mesh().triangle_count()).inspect_err(|error| {
-            assert!(error.to_string().starts_with(&format!("{}: ", pieces.display())), "{error}");
-            assert_eq!(error.cause(), Cause::Input, "{error}");
-        })
+    let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
+    changed.for_each(|number| change(&piece(folder.path(), number)));
+    let surface = opened.sample().and_then(|frame| frame.surface());
+    surface.map(|surface| surface.mesh().triangle_count()).inspect_err(|error| {
+        assert!(error.to_string().starts_with(&format!("{}: ", pieces.display())), "{error}");
+        assert_eq!(error.cause(), Cause::Input, "{error}");
     })
 }
 
@@ -128,11 +122,14 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
         let modified = fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
         File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
     };
+    // Any may have been closed since, but not the last.
     for change in [shorter as fn(&Path), longer, later] {
-        for result in after(change) {
-            assert!(is_changed(&result.unwrap_err()));
+        for changed in [PIECES / 2, PIECES - 20] {
+            assert!(is_changed(&after(changed..changed + 1, change).unwrap_err()));
         }
     }
+    // So many that some are not open any more.
+    let many = 0..MAY_BE_OPEN;
     // Another file of its name, size and time.
     let replaced = |path: &Path| {
         let (bytes, modified) = (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());
@@ -141,10 +138,9 @@ fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
         File::options().write(true).open(&other).unwrap().set_modified(modified).unwrap();
         fs::rename(other, path).unwrap();
     };
-    let [closed, _] = after(replaced);
-    assert!(is_changed(&closed.unwrap_err()));
-    let [closed, _] = after(|path| fs::remove_file(path).unwrap());
-    assert!(matches!(closed, Err(Error::Frame { fault: FrameError::Unread(Unread::Io(_)), .. })));
+    assert!(is_changed(&after(many.clone(), replaced).unwrap_err()));
+    let removed = after(many, |path| fs::remove_file(path).unwrap());
+    assert!(matches!(removed, Err(Error::Frame { fault: FrameError::Unread(Unread::Io(_)), .. })));
 }
 
 #[test]
