@@ -75,7 +75,7 @@ impl Frame {
     /// Doubts about the frame, its spacing and its attributes.
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
-        of_frame(&self.sampled.engine)
+        self.ready.threads.install(|| of_frame(&self.sampled.engine))
     }
 
     /// Draws the surface that was asked for when the particles were sampled.

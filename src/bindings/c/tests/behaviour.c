@@ -189,6 +189,10 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
   meniscus_frame_free(frame);
+  // Its doubts take a look at all cells, by threads that end with it.
+  MeniscusOptions symmetry = {.size = sizeof symmetry, .spacing = SPACING, .indicator = MENISCUS_INDICATOR_SYMMETRY};
+  OK(meniscus_sample(&particles, &symmetry, &frame));
+  meniscus_frame_free(frame);
   OK(meniscus_sample_file(path, NULL, &frame));
   OK(meniscus_frame_surface(frame, NULL, &mesh));
   meniscus_frame_free(frame);

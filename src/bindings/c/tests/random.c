@@ -111,7 +111,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
       particles->attribute_count = particles->attribute_count > 0;
     }
   }
-  if (rarely(25)) {
+  if (particles->size == sizeof *particles && rarely(25)) {
     // Refused before anything is read there.
     const ptrdiff_t far[] = {PTRDIFF_MAX, PTRDIFF_MIN, PTRDIFF_MAX / 2};
     particles->count = count + 4, particles->stride = far[pick(3)];
@@ -157,7 +157,7 @@ static MeniscusOptions *some_options(MeniscusOptions *options, const char *folde
   options->memory = rarely(8) ? (uint64_t)fabs(number(1 << 20)) % (1u << 30) : 200 << 20;
   if (rarely(20)) options->scratch = rarely(2) ? folder : "there/is/none";
   // Devices are not looked for: most of the time would go to them.
-  if (rarely(30)) options->backend = code(3), options->device = rarely(2) ? NULL : options->backend ? "none" : NULL;
+  if (options->size == sizeof *options && rarely(30)) options->backend = code(3), options->device = rarely(2) ? NULL : options->backend ? "none" : NULL;
   if (options->backend == MENISCUS_BACKEND_AUTO) options->device = NULL;
   if (rarely(6)) options->progress = end_sometimes, options->user = &left, left = (int)pick(12);
   if (rarely(15)) {
