@@ -202,7 +202,14 @@ fn what_no_picture_can_show_is_refused() {
     let error = small().memory(1 << 20).draw(&ball).unwrap_err();
     assert!(matches!(error, PictureError::Memory { needed, allowed } if needed > allowed), "{error}");
     let weird = Mesh { positions: vec![[f64::NAN; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
-    assert_eq!(small().draw(&weird).unwrap(), small().draw(&Mesh::default()).unwrap());
+    let nothing = small().draw(&Mesh::default()).unwrap();
+    assert_eq!(small().draw(&weird).unwrap(), nothing);
+    let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird.clone() };
+    assert_eq!(small().draw(&endless).unwrap().rgb().len(), nothing.rgb().len());
+    // Vertices that are not there, of triangles that are drawn without those.
+    let mut lacking = ball.clone();
+    lacking.triangles.push([0, 1, 1 << 20]);
+    assert_eq!(small().draw(&lacking).unwrap(), small().draw(&ball).unwrap());
 }
 
 /// Balls that move, in numbered files, and something else beside them.

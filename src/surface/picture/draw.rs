@@ -1,5 +1,7 @@
 //! A mesh to an image: its corners as they are seen, the raster, light on every sample, and the legend.
 
+use std::io;
+
 use embedded_graphics::text::Alignment;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -8,8 +10,7 @@ use crate::surface::mesh::bounds::Bounds;
 use crate::surface::mesh::source::MeshSource;
 
 use super::camera::Camera;
-use super::colour::{Colour, ColourMap};
-use super::colour::{Palette, values_of};
+use super::colour::{Colour, ColourMap, Palette, values_of};
 use super::error::PictureError;
 use super::image::Image;
 use super::light::{SUN, Seen, backdrop, byte, ground, linear, solid, water};
@@ -23,6 +24,7 @@ const SUN_SAMPLES: usize = 1024;
 /// Bytes of a vertex: its place, its normal and value, and as it is seen.
 const VERTEX_BYTES: u64 =
     (size_of::<[f64; 3]>() + size_of::<Corner>() + size_of::<Vec3>() + size_of::<f32>()) as u64;
+const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
 /// Triangles that are drawn at once.
 const BATCH: usize = 1 << 20;
 /// Distance of the sun's eye in radii: far enough for its rays to be parallel nearly.
@@ -55,20 +57,21 @@ impl Picture {
             Some(scope) => scope,
             None => self.scope_of(mesh)?,
         };
-        let needed = self.bytes(mesh.vertex_count());
+        let needed = self.bytes(mesh.vertex_count(), mesh.triangle_count());
         if let Some(allowed) = self.memory.filter(|&allowed| allowed < needed) {
             return Err(PictureError::Memory { needed, allowed });
         }
         draw(self, mesh, scope)
     }
 
-    /// Bytes that a picture of so many vertices takes.
-    fn bytes(&self, vertices: u64) -> u64 {
+    /// Bytes that a picture of so many vertices and triangles takes.
+    fn bytes(&self, vertices: u64, triangles: u64) -> u64 {
         let [width, height] = self.pixels();
         Raster::bytes(FINER * width, FINER * height)
             + Raster::bytes(SUN_SAMPLES, SUN_SAMPLES)
             + 3 * (width * height) as u64
             + vertices * VERTEX_BYTES
+            + triangles * TRIANGLE_BYTES
     }
 }
 
@@ -104,6 +107,10 @@ fn draw(picture: &Picture, mesh: &dyn MeshSource, scope: Scope) -> Result<Image,
 fn shape_of(picture: &Picture, mesh: &dyn MeshSource) -> Result<Shape, PictureError> {
     let outline = mesh.outline();
     let vertices = outline.vertices as usize;
+    if u32::try_from(vertices).is_err() {
+        let what = format!("a picture is drawn of no more than {} vertices", u32::MAX);
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, what).into());
+    }
     let mut shape = Shape {
         places: Vec::with_capacity(vertices),
         normals: Vec::with_capacity(vertices),
@@ -115,9 +122,11 @@ fn shape_of(picture: &Picture, mesh: &dyn MeshSource) -> Result<Shape, PictureEr
         shape.places.extend_from_slice(&vertices.positions);
         shape.normals.extend(vertices.normals.iter().map(|&normal| Vec3::from(normal)));
         values_of(&picture.colour, mesh, &vertices, &mut shape.values)?;
-        shape
-            .triangles
-            .extend(mesh.triangles(piece)?.iter().map(|corners| corners.map(|corner| corner as u32)));
+        // A file may name vertices that it does not have.
+        let triangles = mesh.triangles(piece)?;
+        let sound =
+            triangles.iter().filter(|corners| corners.iter().all(|&corner| corner < outline.vertices));
+        shape.triangles.extend(sound.map(|corners| corners.map(|corner| corner as u32)));
     }
     if shape.normals.len() < shape.places.len() {
         shape.normals = normals(&shape);
