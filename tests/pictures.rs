@@ -204,7 +204,7 @@ fn what_no_picture_can_show_is_refused() {
     let weird = Mesh { positions: vec![[f64::NAN; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
     let nothing = small().draw(&Mesh::default()).unwrap();
     assert_eq!(small().draw(&weird).unwrap(), nothing);
-    let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird.clone() };
+    let endless = Mesh { positions: vec![[f64::INFINITY, 0.0, 1.0]; 3], ..weird };
     assert_eq!(small().draw(&endless).unwrap().rgb().len(), nothing.rgb().len());
     // Vertices that are not there, of triangles that are drawn without those.
     let mut lacking = ball.clone();
