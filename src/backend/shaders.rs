@@ -1,4 +1,4 @@
-//! Every program that runs on a device, and the constants that their sources share with Rust.
+//! Every shader that runs on a device, and the constants that their sources share with Rust.
 
 use crate::brick::vulkan::{
     ELSEWHERE, ENTER, FULL_CELLS, GATHER, HALVE, NO_BIN, PAGE_WORDS, PLACE, PROBES, RUN, SETTLE, SETTLED,
@@ -21,7 +21,7 @@ use crate::surface::stitch::vulkan::{
 };
 use crate::vulkan::Shader;
 
-/// All programs, in the order in which a frame needs them.
+/// All shaders, in the order in which a frame needs them.
 pub const SHADERS: [&Shader; 28] = [
     &PLACE,
     &ENTER,

@@ -162,7 +162,7 @@ impl Batch {
     /// [`VulkanError::OutOfMemory`] where a buffer is larger than a shader can see.
     ///
     /// # Panics
-    /// If the arguments are not those of the shader's program.
+    /// If the arguments are not those of the shader.
     pub fn dispatch(
         &mut self,
         pipeline: &Arc<ComputePipeline>,
@@ -188,7 +188,7 @@ impl Batch {
     /// Those of [`dispatch`](Self::dispatch).
     ///
     /// # Panics
-    /// If the arguments are not those of the shader's program, or there are no three words.
+    /// If the arguments are not those of the shader, or there are no three words.
     pub fn dispatch_as(
         &mut self,
         pipeline: &Arc<ComputePipeline>,

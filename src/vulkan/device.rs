@@ -40,7 +40,7 @@ pub struct DeviceOptions {
     pub exports: bool,
     /// Further usages of the buffers of an adopted device, such as the building of acceleration structures.
     pub usage: vk::BufferUsageFlags,
-    /// SPIR-V that stands in for that of some programs, by their names: of the same sources, compiled otherwise.
+    /// SPIR-V that stands in for that of some shaders, by their names: of the same sources, compiled otherwise.
     pub binaries: HashMap<&'static str, Vec<u8>>,
 }
 

@@ -63,7 +63,7 @@ macro_rules! push_block {
 }
 pub(crate) use push_block;
 
-/// A program ready to run on a device.
+/// A shader ready to run on a device.
 pub struct ComputePipeline {
     pub(super) device: Arc<Shared>,
     pub(super) shader: &'static Shader,
@@ -79,10 +79,10 @@ impl fmt::Debug for ComputePipeline {
 }
 
 impl Device {
-    /// Compiles several programs side by side.
+    /// Compiles several shaders side by side.
     ///
     /// # Errors
-    /// Those of [`shader`](Self::shader).
+    /// Those of [`pipeline`](Self::pipeline).
     pub fn pipelines<const N: usize>(
         &self,
         shaders: [&'static Shader; N],
@@ -92,7 +92,7 @@ impl Device {
         Ok(compiled.try_into().expect("there are as many"))
     }
 
-    /// Compiles a program, or takes what the pipeline cache has of it.
+    /// Compiles a shader, or takes what the pipeline cache has of it.
     ///
     /// # Errors
     /// [`VulkanError`] where the driver refuses it.

@@ -1,6 +1,6 @@
 //! Pictures of meshes: water under a soft sky, a solid colour, or an attribute by a colour map.
 //!
-//! Drawn in two steps: what is seen at every sample ([`raster`]), then what light makes of it ([`light`]). The fluid is closed, so the
+//! Drawn in two steps: what is seen at every sample (`raster.rs`), then what light makes of it (`light.rs`). The fluid is closed, so the
 //! depths at which a line of sight leaves it less those at which it enters are the way through the water, which is what it is coloured
 //! by. A picture has the same bytes for any number of threads.
 
