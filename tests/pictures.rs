@@ -121,8 +121,6 @@ fn the_axis_that_points_up_does_so_in_the_picture() {
 fn deeper_water_is_bluer_and_no_water_is_the_backdrop() {
     let depth = |thick: f64| {
         let slab = cuboid([-1.0, -1.0, -thick], [1.0, 1.0, 0.0]);
-        let scope = Scope::default();
-        let _ = scope;
         let view = View::At { eye: [0.0, 0.0, 8.0], target: [0.0; 3] };
         let mut whole = Scope::default();
         whole.bounds = Some([[-1.0; 3], [1.0; 3]]);

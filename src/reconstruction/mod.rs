@@ -46,6 +46,8 @@ pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest};
 pub use surface::Surface;
 pub(crate) use surface::merged;
+#[cfg(feature = "pictures")]
+pub(crate) use threads::Threads;
 pub(crate) use warning::lost_warning;
 pub use warning::{Emptiness, Warning};
 pub use width::SinglePrecision;

@@ -3,13 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 
-use rayon::ThreadPoolBuilder;
-
 use crate::error::{Error, SimulationError};
 use crate::io::identity::is_same_file;
 use crate::io::output::{MeshFormat, read_mesh};
 use crate::io::whole::{Replace, WholeFile};
 use crate::io::{WriteError, WriteFault};
+use crate::reconstruction::Threads;
 use crate::surface::mesh::Mesh;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
 use crate::system::cancel::Cancel;
@@ -156,8 +155,7 @@ impl Pictures {
             return Err(SimulationError::Rate(self.fps).into());
         }
         let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-        let pool = pool.map_err(|fault| Error::Threads(fault.to_string()))?;
+        let pool = Threads::start(threads).map_err(Error::Threads)?;
         let mut frames = self.frames()?;
         let target = self.target(&frames)?;
         let size = match target {
