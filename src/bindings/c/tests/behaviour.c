@@ -244,9 +244,10 @@ static int32_t note(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
+/// Before the first frame: after the first that is done, the others may be done as well.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
-  return event->kind == MENISCUS_EVENT_KIND_DONE;
+  return event->kind == MENISCUS_EVENT_KIND_BEGINS;
 }
 
 static void a_conversion_tells_of_frames_and_of_those_that_fail(const char *folder) {
