@@ -261,6 +261,12 @@ impl Reconstruction {
         self
     }
 
+    /// Whether a backend has a part in it: kernel methods have none.
+    #[must_use]
+    pub fn uses_backend(&self) -> bool {
+        self.asked.baseline.is_none()
+    }
+
     /// Takes a handle by which the work can be ended early, from any thread.
     pub fn cancel(mut self, cancel: Cancel) -> Self {
         self.control.cancel = cancel;

@@ -1,7 +1,7 @@
 //! Writes the benchmark scene as a particle file: raw f32 (.xyz), binary little-endian .ply, or a .pvtp whose pieces each hold a box of
-//! space, as simulations on many nodes write them.
+//! space, as simulations on many nodes write them. In random order, or in rows of cells.
 //!
-//! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES]`
+//! `cargo run --release --example generate -- MILLIONS OUTPUT [PIECES | rows]`
 
 mod scene;
 
@@ -14,12 +14,16 @@ fn main() -> io::Result<()> {
     let (Some(millions), Some(path)) =
         (arguments.next().and_then(|a| a.parse::<f64>().ok()), arguments.next())
     else {
-        eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz|OUTPUT.pvtp [PIECES]");
+        eprintln!("usage: generate MILLIONS_OF_PARTICLES OUTPUT.ply|OUTPUT.xyz|OUTPUT.pvtp [PIECES | rows]");
         std::process::exit(2);
     };
-    let mut particles = scene::splash((millions * 1e6) as usize, 1);
+    let (count, last) = ((millions * 1e6) as usize, arguments.next());
+    let mut particles = match last.as_deref() {
+        Some("rows") => scene::splash_in_rows(count, &mut scene::Random::new(1)),
+        _ => scene::splash(count, 1),
+    };
     if path.ends_with(".pvtp") {
-        let count = arguments.next().and_then(|a| a.parse().ok()).unwrap_or(64);
+        let count = last.and_then(|a| a.parse().ok()).unwrap_or(64);
         let mut pieces = Vec::new();
         divide(&mut particles, count, &mut |piece| pieces.push(piece.len()));
         write_pieces(Path::new(&path), &particles, &pieces)?;

@@ -1,5 +1,5 @@
 //! A seeded scene of any size, in units of the particle spacing: a pool with waves, a sphere falling
-//! into it, a thin sheet and spray; a jittered lattice in random order.
+//! into it, a thin sheet and spray; a jittered lattice, in random order or in that of a simulation.
 
 /// A small generator of numbers that only have to look random, the same on every machine (splitmix64).
 pub struct Random(u64);
@@ -23,9 +23,19 @@ impl Random {
     }
 }
 
-/// About `count` particles at spacing 1.
+/// About `count` particles at spacing 1, in random order.
 pub fn splash(count: usize, seed: u64) -> Vec<[f32; 3]> {
     let mut random = Random::new(seed);
+    let mut particles = splash_in_rows(count, &mut random);
+    for i in (1..particles.len()).rev() {
+        particles.swap(i, (random.bits() % (i as u64 + 1)) as usize);
+    }
+    particles
+}
+
+/// About `count` particles at spacing 1, in the order of a simulation that sorts them by the cells of its search for neighbours: rows
+/// of cells, and the spray where it came up last.
+pub fn splash_in_rows(count: usize, random: &mut Random) -> Vec<[f32; 3]> {
     // The pool is four times as wide as deep and holds nearly all particles.
     let depth = (count as f64 * 0.96 / 16.0).cbrt();
     let width = 4.0 * depth;
@@ -53,9 +63,6 @@ pub fn splash(count: usize, seed: u64) -> Vec<[f32; 3]> {
     for _ in 0..count / 200 {
         let up = depth * (1.1 + random.unit());
         particles.push([random.unit() * width, up, random.unit() * width].map(|c| c as f32));
-    }
-    for i in (1..particles.len()).rev() {
-        particles.swap(i, (random.bits() % (i as u64 + 1)) as usize);
     }
     particles
 }

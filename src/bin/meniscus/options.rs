@@ -165,11 +165,10 @@ impl Options {
         };
         let mut request = self.sampling.request(Reconstruction::new())?;
         if let Some(method) = method {
-            if self.run.vulkan_given() {
-                let what = "--backend vulkan has no meaning for this --method";
-                return Err(Error::Request(what.into()));
-            }
             request = request.method(method);
+        }
+        if self.run.vulkan_given() && !request.uses_backend() {
+            return Err(Error::Request("--backend vulkan has no meaning for this --method".into()));
         }
         if let Some(spacings) = self.smooth {
             request = request.smooth(spacings);

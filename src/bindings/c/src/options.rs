@@ -240,6 +240,10 @@ impl Asked {
         let backend = match (self.backend, self.device.take()) {
             (Default | Cpu, None) => return Ok(self),
             (Cpu, Some(_)) => return Err(Failure::request("options.device: options.backend is the CPU")),
+            (Auto, None) if !self.request.uses_backend() => return Ok(self),
+            _ if !self.request.uses_backend() => {
+                return Err(Failure::request("options.backend: kernel methods run on the CPU"));
+            }
             (Auto, None) => fastest(self.memory, || input_bytes(&self.request), None).0,
             (Vulkan, None) => open(DeviceChoice::Best)?,
             (Default | Auto | Vulkan, Some(named)) => open(DeviceChoice::Named(named))?,

@@ -82,6 +82,8 @@ static void options_are_refused(void) {
   OPTION("options.particles_up is 3, which is no MeniscusUp", .particles_up = 3);
   OPTION("options.backend is 2147483647, which is no MeniscusBackend", .backend = INT32_MAX);
   OPTION("options.device: options.backend is the CPU", .backend = MENISCUS_BACKEND_CPU, .device = "0");
+  OPTION("options.backend: kernel methods run on the CPU", .backend = MENISCUS_BACKEND_VULKAN, .method = MENISCUS_METHOD_MUELLER);
+  OPTION("options.backend: kernel methods run on the CPU", .device = "0", .method = MENISCUS_METHOD_YU_TURK);
   OPTION("options.device is not UTF-8", .device = "\xff");
   OPTION("options.particle_type is not UTF-8", .particle_type = "\xff");
   OPTION("no attribute \"heat\"", .attributes = heat, .attribute_count = 1);

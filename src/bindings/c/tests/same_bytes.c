@@ -118,6 +118,17 @@ static int test(int count, char **arguments) {
   compare("glb", mesh, wide_file, "--compress --particles-up z");
   meniscus_mesh_free(mesh);
 
+  // A device makes the bytes of the CPU.
+  MeniscusOptions device = {.size = sizeof device, .backend = MENISCUS_BACKEND_VULKAN, .normals = 1};
+  MeniscusStatus status = meniscus_reconstruct(&strided, &device, &mesh);
+  if (status == MENISCUS_STATUS_DEVICE && !getenv("MENISCUS_REQUIRE_VULKAN")) {
+    printf("without a Vulkan device: %s\n", meniscus_last_error());
+  } else {
+    OK(status);
+    compare("ply", mesh, wide_file, "--normals");
+    meniscus_mesh_free(mesh);
+  }
+
   // A frame that is packed is the program's, too, and so is its mesh.
   char packed[512];
   snprintf(packed, sizeof packed, "%s/library.mnf", folder);

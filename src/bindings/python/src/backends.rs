@@ -50,13 +50,28 @@ impl Device {
         Ok(())
     }
 
+    /// Whether a device is asked for, and not only welcome.
+    fn is_wanted(&self) -> bool {
+        match (self.backend, &self.device) {
+            (Some(Name::Cpu), _) | (None | Some(Name::Auto), None) => false,
+            (Some(Name::Vulkan), _) | (_, Some(_)) => true,
+        }
+    }
+
+    /// Refuses a device that was asked for.
+    pub fn refuse(&self, why: &str) -> PyResult<()> {
+        if self.is_wanted() {
+            return Err(InputError::new_err(format!("backend: {why}")));
+        }
+        Ok(())
+    }
+
     /// Opens it; `None` for the processor.
     pub fn open(&self, budget: MemoryBudget, input_bytes: Option<u64>) -> PyResult<Option<Arc<dyn Backend>>> {
-        let wanted = match (self.backend, &self.device) {
-            (Some(Name::Cpu), _) => return Ok(None),
-            (Some(Name::Vulkan), _) | (_, Some(_)) => true,
-            (None | Some(Name::Auto), None) => false,
-        };
+        if self.backend == Some(Name::Cpu) {
+            return Ok(None);
+        }
+        let wanted = self.is_wanted();
         let key = (std::process::id(), wanted, self.device.clone());
         let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(backend) = open.get(&key) {

@@ -163,6 +163,10 @@ impl Keywords {
     /// The request, on a backend that suits inputs of so many bytes, if that is known.
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
+        if !request.uses_backend() {
+            self.device.refuse("kernel methods run on the processor")?;
+            return Ok(request);
+        }
         Ok(match self.device.open(self.memory, input_bytes)? {
             Some(backend) => request.backend(backend),
             None => request,

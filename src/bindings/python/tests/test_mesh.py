@@ -169,3 +169,24 @@ def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> 
 def test_a_device_that_is_not_there_is_a_device_error(ball: Any) -> None:
     with pytest.raises(meniscus.DeviceError):
         meniscus.reconstruct(ball, backend="vulkan", device="no device is called so")
+
+
+def test_a_device_makes_the_same_bytes_as_the_processor(ball: Any) -> None:
+    try:
+        by_device = meniscus.reconstruct(ball, backend="vulkan", normals=True)
+    except meniscus.DeviceError as error:
+        if os.environ.get("MENISCUS_REQUIRE_VULKAN"):
+            raise
+        pytest.skip(str(error))
+    mesh = meniscus.reconstruct(ball, backend="cpu", normals=True)
+    assert "cpu" not in by_device.report.backend.lower() and by_device.report.backend != mesh.report.backend
+    for name in ["vertices", "triangles", "normals"]:
+        assert getattr(mesh, name).tobytes() == getattr(by_device, name).tobytes()
+
+
+def test_a_device_has_no_part_in_a_kernel_method(ball: Any) -> None:
+    with pytest.raises(meniscus.InputError, match="kernel methods"):
+        meniscus.reconstruct(ball, backend="vulkan", method="zhu-bridson")
+    with pytest.raises(meniscus.InputError, match="kernel methods"):
+        meniscus.reconstruct(ball, device="0", method="zhu-bridson")
+    assert len(meniscus.reconstruct(ball, backend="auto", method="zhu-bridson").triangles) > 0
