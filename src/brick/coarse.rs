@@ -4,6 +4,7 @@
 //! for a constant, the width of what lies in them stay the same wherever it lies. Beyond walls the finer field repeats its
 //! edge cells, as for all filters.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::IVec3;
@@ -13,9 +14,10 @@ use rayon::prelude::*;
 
 use crate::grid::units::FULL;
 use crate::grid::{BIN, CellBox, MortonKey};
+use crate::system::scratch::Scratch;
 
 use super::elsewhere::FACTOR_BITS;
-use super::{BrickSide, DifField, Factor, PageInfo, PageShape, PageSource};
+use super::{BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape, PageSource};
 
 /// Bits that the weights of the cells around the middle of a wide one sum to.
 const WEIGHT_BITS: u32 = 9;
@@ -70,6 +72,30 @@ struct Halving {
     walls: Option<CellBox>,
     factor: Factor,
     bins: Vec<IVec3>,
+    /// The pages that a scratch file holds.
+    kept: Option<Kept>,
+}
+
+/// Pages in a scratch file: made again, each of a halved field that was halved before would take hundreds of pages of the finest.
+#[derive(Debug)]
+struct Kept {
+    scratch: Scratch,
+    /// Where each page begins, and how many words it takes; `None` for one that could not be written.
+    places: Vec<Option<(u64, usize)>>,
+}
+
+impl Kept {
+    fn keep(scratch: &Scratch, samples: &PageSamples) -> Option<(u64, usize)> {
+        let words = samples.to_words();
+        Some((scratch.append(bytemuck::cast_slice(&words)).ok()?, words.len()))
+    }
+
+    fn read(&self, page: usize) -> Option<Vec<u16>> {
+        let (at, len) = self.places[page]?;
+        let mut words = vec![0; len];
+        self.scratch.read_at(at, bytemuck::cast_slice_mut(&mut words)).ok()?;
+        Some(PageSamples::dense_of_words(words, HALVED))
+    }
 }
 
 impl Halving {
@@ -114,16 +140,17 @@ impl Halving {
 
 impl PageSource for Halving {
     fn samples(&self, page: usize) -> Vec<u16> {
-        self.dense(self.bins[page])
+        let kept = self.kept.as_ref().and_then(|kept| kept.read(page));
+        kept.unwrap_or_else(|| self.dense(self.bins[page]))
     }
 }
 
 impl DifField {
     /// The field in cells twice as wide, which hold what lies in them times `factor`, at most 1, and at most 65535. What is in
-    /// memory of this one is of that, too; else pages are made again as they are asked for, by as much of `cache_bytes`
-    /// as they need.
+    /// memory of this one is of that, too; else its pages go to a scratch file in a folder, or are made again as they are asked for where
+    /// there is none, or no room in it.
     #[must_use]
-    pub fn halved(self: &Arc<Self>, walls: Option<CellBox>, factor: f64) -> Self {
+    pub fn halved(self: &Arc<Self>, walls: Option<CellBox>, factor: f64, scratch: Option<&Path>) -> Self {
         let reach = self.ghost_layer();
         let touched = |cells: CellBox| CellBox { lo: (cells.lo - 1) >> 1, hi: (cells.hi + 2) >> 1 };
         let mut bins: Vec<IVec3> = self
@@ -138,17 +165,26 @@ impl DifField {
         let factor = Factor::new(factor);
         if let Some((infos, pages)) = self.elsewhere().and_then(|pages| pages.halved(&bins, walls, factor)) {
             let bins = infos.iter().map(|info| info.key.coord()).collect();
-            let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
+            let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
             return Self::elsewhere_paged(HALVED, infos, pages, Box::new(halving));
         }
-        let halving = Halving { fine: Arc::clone(self), walls, factor, bins };
+        let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
-        match self.cache_bytes() {
+        // A quarter of the finer field's memory: they are an eighth of its cells.
+        let share = self.cache_bytes().map(|bytes| bytes / 4);
+        let most = (halving.bins.len() * HALVED.bin_samples() * size_of::<u16>()) as u64;
+        match share.filter(|&share| share < most) {
             None => Self::in_memory(HALVED, halving.bins.par_iter().filter_map(page).collect()),
-            Some(cache_bytes) => {
-                let pages = halving.bins.par_iter().filter_map(|bin| Some((*bin, page(bin)?.0)));
-                let (bins, infos) = pages.collect::<Vec<_>>().into_iter().unzip();
-                Self::paged(HALVED, infos, Box::new(Halving { bins, ..halving }), cache_bytes / 4)
+            Some(share) => {
+                let scratch = scratch.and_then(|folder| Scratch::in_folder(folder).ok());
+                let pages = halving.bins.par_iter().filter_map(|bin| {
+                    let (info, samples) = page(bin)?;
+                    Some(((*bin, info), scratch.as_ref().and_then(|scratch| Kept::keep(scratch, &samples))))
+                });
+                let (pages, places): (Vec<_>, Vec<_>) = pages.collect::<Vec<_>>().into_iter().unzip();
+                let (bins, infos) = pages.into_iter().unzip();
+                let kept = scratch.map(|scratch| Kept { scratch, places });
+                Self::paged(HALVED, infos, Box::new(Halving { bins, kept, ..halving }), share)
             }
         }
     }
@@ -156,6 +192,8 @@ impl DifField {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
     use crate::brick::Pages;
 
@@ -206,7 +244,7 @@ mod tests {
         let fine = noise();
         let odd = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
         for (walls, factor) in [(None, 1.0), (None, 0.421_875), (Some(odd), 0.25)] {
-            let wide = fine.halved(walls, factor);
+            let wide = fine.halved(walls, factor, None);
             let cells = CellBox { lo: IVec3::new(-10, -3, -3), hi: IVec3::new(34, 11, 19) };
             let cells = walls.map_or(cells, halved_box);
             let block = wide.gather(cells);
@@ -216,6 +254,39 @@ mod tests {
                 any += i32::from(block.at(cell) > 0);
             }
             assert!(any > 200);
+        }
+    }
+
+    /// Pages in memory, which counts how often they are asked for.
+    #[derive(Debug)]
+    struct Counting {
+        field: Arc<DifField>,
+        asked: Arc<AtomicUsize>,
+    }
+
+    impl PageSource for Counting {
+        fn samples(&self, page: usize) -> Vec<u16> {
+            self.asked.fetch_add(1, Ordering::Relaxed);
+            self.field.stored(page).into_owned()
+        }
+    }
+
+    #[test]
+    fn pages_beyond_memory_are_made_once_where_there_is_scratch_and_are_those_in_memory() {
+        let fine = noise();
+        let folder = tempfile::tempdir().unwrap();
+        let cells = CellBox { lo: IVec3::splat(-10), hi: IVec3::splat(40) };
+        let expected = Arc::new(fine.halved(None, 0.5, None)).halved(None, 0.5, None).gather(cells);
+        for scratch in [Some(folder.path()), None, Some(Path::new("/nowhere"))] {
+            let asked = Arc::new(AtomicUsize::new(0));
+            let source = Counting { field: Arc::clone(&fine), asked: Arc::clone(&asked) };
+            // No page fits into so little memory.
+            let beyond = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
+            let wide = Arc::new(Arc::new(beyond).halved(None, 0.5, scratch));
+            let made = asked.swap(0, Ordering::Relaxed);
+            let wider = wide.halved(None, 0.5, scratch);
+            assert!(made > 0 && wider.gather(cells).samples() == expected.samples(), "{scratch:?}");
+            assert_eq!(asked.load(Ordering::Relaxed) == 0, scratch == Some(folder.path()));
         }
     }
 }

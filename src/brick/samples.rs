@@ -91,6 +91,29 @@ impl PageSamples {
         }
     }
 
+    /// The samples as words for a file: all of them, or the places and values of those that are not 0.
+    #[must_use]
+    pub fn to_words(&self) -> Cow<'_, [u16]> {
+        match self {
+            Self::Dense(samples) => samples.as_ref().into(),
+            Self::Sparse(sparse) => sparse.iter().flat_map(|&(place, sample)| [place.0, sample]).collect(),
+        }
+    }
+
+    /// All samples of a page, brick after brick, from its words: those of few samples are fewer than of all.
+    ///
+    /// # Panics
+    /// For words of another shape.
+    #[must_use]
+    pub fn dense_of_words(words: Vec<u16>, shape: PageShape) -> Vec<u16> {
+        if !Self::are_sparse(words.len() / 2, shape) {
+            return words;
+        }
+        let (pairs, _) = words.as_chunks::<2>();
+        let sparse = pairs.iter().map(|&[place, sample]| (SamplePlace(place), sample)).collect();
+        Self::Sparse(sparse).dense(shape).into_owned()
+    }
+
     /// Bytes that they take in memory.
     #[must_use]
     pub fn bytes(&self) -> usize {
@@ -161,6 +184,7 @@ mod tests {
             assert_eq!(matches!(kept, PageSamples::Sparse(_)), nonzero <= samples.len() / ONE_IN);
             assert_eq!(kept.bytes(), PageSamples::most_bytes(nonzero, 1, shape));
             assert_eq!(kept.dense(shape), samples, "{nonzero} of {shape:?}");
+            assert_eq!(PageSamples::dense_of_words(kept.to_words().into_owned(), shape), samples);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::backend::Stages;
@@ -24,6 +24,7 @@ pub(super) enum FieldSink {
         writer: FrameWriter<File>,
         full_cells: u64,
         cache_bytes: u64,
+        folder: PathBuf,
     },
 }
 
@@ -34,7 +35,8 @@ impl FieldSink {
             Plan::OutOfCore(shares) if estimate.field > shares.field => {
                 let file = tempfile::tempfile_in(folder)?;
                 let writer = FrameWriter::create(file.try_clone()?, shape)?;
-                Ok(Self::File { file, writer, full_cells: 0, cache_bytes: shares.field })
+                let folder = folder.to_owned();
+                Ok(Self::File { file, writer, full_cells: 0, cache_bytes: shares.field, folder })
             }
             _ => Ok(Self::Memory(Vec::new())),
         }
@@ -96,9 +98,10 @@ impl FieldSink {
         match self {
             Self::Whole(field) => Ok(SampledDif::new(facts, indicator, field)),
             Self::Memory(pages) => Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages))),
-            Self::File { file, writer, cache_bytes, .. } => {
+            Self::File { file, writer, cache_bytes, folder, .. } => {
                 writer.finish(&facts, indicator)?;
-                frame_from_file(&file, cache_bytes).map_err(io::Error::other)
+                let sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;
+                Ok(sampled.with_scratch(&folder))
             }
         }
     }

@@ -69,7 +69,8 @@ impl Ready {
         let input = self.threads.install(|| {
             if is_packed(path) {
                 checked.asked.refuse_of_packed(path)?;
-                let sampled = open_frame(path, checked.resources.budget.0 / 4)?;
+                let sampled = open_frame(path, checked.resources.budget.0 / 4)?
+                    .with_scratch(&checked.resources.scratch);
                 timings.done("open");
                 checked.asked.refuse_of_others(sampled.indicator.kind())?;
                 return Ok(Input::Packed(Box::new(sampled)));

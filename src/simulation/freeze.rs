@@ -118,7 +118,7 @@ impl Setup<'_> {
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
             self.checked.asked.refuse_of_packed(path)?;
-            let sampled = open_frame(path, resources.budget.0 / 4)?;
+            let sampled = open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
             self.checked.asked.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;

@@ -198,7 +198,8 @@ impl Conversion<'_> {
     fn unpack(&self, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
         let budget = self.frame_budget(self.division.share);
         let permit = self.gate.enter();
-        let sampled = open_frame(path, budget.0 / 4)?;
+        let scratch = &self.setup.checked.resources.scratch;
+        let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
         timings.done("open");
         let Setup { checked, .. } = self.setup;
         checked.asked.refuse_of_others(sampled.indicator.kind())?;

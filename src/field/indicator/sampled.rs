@@ -1,5 +1,6 @@
 //! The DIF of a frame, with all that a surface through it has to know of the particles.
 
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use crate::brick::{DifField, FrameFacts};
@@ -17,13 +18,27 @@ pub struct SampledDif {
     pub dif: Arc<DifField>,
     /// Clouds in cells 2, 4, ... times as wide up to wide ones, from when they are first asked for.
     wide: OnceLock<Vec<Arc<DifField>>>,
+    /// The folder for those of them that are not in memory.
+    scratch: Option<PathBuf>,
 }
 
 impl SampledDif {
     /// Makes the DIF of what was stored by an indicator.
     #[must_use]
     pub fn new(facts: FrameFacts, indicator: Indicator, stored: DifField) -> Self {
-        Self { facts, indicator, dif: Arc::new(indicator.decode(stored)), wide: OnceLock::new() }
+        Self {
+            facts,
+            indicator,
+            dif: Arc::new(indicator.decode(stored)),
+            wide: OnceLock::new(),
+            scratch: None,
+        }
+    }
+
+    /// Takes a folder for scratch files, where the samples are not in memory.
+    #[must_use]
+    pub fn with_scratch(self, folder: &Path) -> Self {
+        Self { scratch: Some(folder.to_owned()), ..self }
     }
 
     /// Whether the samples are clouds.
@@ -55,7 +70,7 @@ impl SampledDif {
         let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
         let levels = 0..self.wide_cells().level;
         let halved = levels.map(|level| {
-            finer = Arc::new(finer.halved(walls, amount(level + 1) / amount(level)));
+            finer = Arc::new(finer.halved(walls, amount(level + 1) / amount(level), self.scratch.as_deref()));
             walls = walls.map(crate::brick::halved_box);
             Arc::clone(&finer)
         });
