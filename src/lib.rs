@@ -31,7 +31,10 @@
 //! 2-manifold; vertices are shared by the identity of the grid edge that they lie on.
 //!
 //! The formulas, their sources and a glossary are in [`method`]; all else that a user may want to know in [`guide`]. The modules of the
-//! pipeline are in [`internals`], for whoever changes them.
+//! pipeline are in [`internals`], for whoever changes them; [`guide::contributing`] says how.
+//!
+//! Features, all of them on by default: `cli` builds the program, and what it needs of terminals; `pictures` the module
+//! [`picture`]; `hdf5` reads HDF5. A library that only makes meshes needs none of them.
 
 mod backend;
 mod baselines;
@@ -51,12 +54,15 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, and limits.
+/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, limits, and
+/// how to change it.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
     #[doc = include_str!("field/choosing.md")]
     pub mod choosing {}
+    #[doc = include_str!("contributing.md")]
+    pub mod contributing {}
     #[doc = include_str!("io/formats.md")]
     pub mod formats {}
     #[doc = include_str!("vulkan/guide.md")]
@@ -84,14 +90,14 @@ pub mod guide {
 /// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to compare.
 pub mod mesh {
     pub use crate::io::output::read_mesh;
-    pub use crate::surface::mesh::check::{Report as CheckReport, check};
+    pub use crate::surface::mesh::check::{Found, Report as CheckReport, Topology, check};
     pub use crate::surface::mesh::compare::{Comparison, Distances, Side, compare};
     pub use crate::surface::mesh::measure::{Measures, Quality, measure};
     pub use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 
-/// Pictures of meshes, as files or in memory.
+/// Pictures of meshes, as files or in memory: with the feature `pictures`.
 #[cfg(feature = "pictures")]
 pub mod picture {
     pub use crate::simulation::{PictureDone, PictureFile, Pictures};
@@ -105,6 +111,8 @@ pub mod files {
     pub use crate::io::identity::is_same_file;
     pub use crate::io::input::file_and_step;
     pub use crate::io::output::MeshFormat;
+    pub use crate::io::series::SeriesFrame;
+    pub use crate::io::stamp::Stamp;
     pub use crate::io::whole::Replace;
     pub use crate::io::{ParticleFile, UpAxis};
     pub use crate::particles::{AttributeInfo, velocity_attribute};
@@ -202,8 +210,8 @@ pub use reconstruction::{
     Reconstruction, Report, SpacingSource, Surface, Warning,
 };
 pub use simulation::{
-    Event, Forecast, FrameDone, FrameFailed, Largest, LeftOut, LiveSimulation, Missing, Simulation, Summary,
-    Tallied,
+    Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing, Simulation,
+    Summary, Tallied, Trust,
 };
 pub use surface::simplify::TooSmall;
 pub use system::cancel::Cancel;

@@ -442,6 +442,13 @@ fn info_tells_particles_from_meshes() {
     let spacing = infos[0]["spacing"].as_f64().unwrap();
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
+    // A file that is bad hides none of the others.
+    let run = meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
+    assert_eq!(run.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&run.stdout);
+    assert!(told.contains("ball.xyz") && told.contains("ball.ply"), "{told}");
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert!(errors.contains("missing.ply") && errors.contains("absent.ply"), "{errors}");
 }
 
 #[test]

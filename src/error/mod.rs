@@ -28,6 +28,9 @@ pub use setting::{Conflict, Setting, Unfit};
 pub use simulation::{FPS, SimulationError};
 
 /// Anything that can go wrong between a particle file and a mesh file.
+///
+/// Printed, it says all: the file, the place, and what the system said. `source()` leads to the kinds of errors that it is made of, such as
+/// [`std::io::Error`], which print parts of the same sentence: there is nothing to be joined.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {

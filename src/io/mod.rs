@@ -1,20 +1,6 @@
 //! Files: one format each, readers and writers side by side, chosen by extension.
 //!
-//! All formats are in `formats.md`, a page of the docs.
-//!
-//! A format of particles more is
-//!
-//! 1. a file here with `read_particles(Bytes) -> Result<ParticleFile, ReadFault>`, which never panics, and takes no memory that the file
-//!    does not hold; what is a number in it stays where it is, as [`columns`], and what is text or compressed goes through
-//!    [`Unpacking`](bytes::Unpacking) into scratch where it is large;
-//! 2. its extension in `reader_for` and `KNOWN` of [`input`], which a test compares, and in `UNTOLD` of
-//!    `src/backend/choice.rs` where a file's size does not tell how much its particles are;
-//! 3. its axis that points up, if that is z, in `usual_up` of `src/reconstruction/orientation.rs`;
-//! 4. a sample in `tests/readers.rs`, from where every prefix and every flipped byte of it is tried;
-//! 5. a row in `formats.md`, and its name in README.md and in the help of `reconstruct` and `pack`.
-//!
-//! A format of meshes is one of [`MeshFormat`](output::MeshFormat), which says what it can hold, with a writer that takes a
-//! `MeshSource` piece by piece; `tests/mesh_files.rs` and `tests/mesh_memory.rs` go through all of them.
+//! All formats are in `formats.md`, and how to add one in `../contributing.md`: both are pages of the docs.
 
 mod beside;
 pub mod bgeo;

@@ -243,7 +243,7 @@ impl Reconstruction {
         self
     }
 
-    /// Sets the folder for what exceeds the memory: that of the system's temporary files otherwise.
+    /// Sets the folder for what exceeds the memory: that of the system's temporary files otherwise, where the program takes the output's.
     pub fn scratch(mut self, folder: impl Into<PathBuf>) -> Self {
         self.scratch = Some(folder.into());
         self
@@ -273,7 +273,8 @@ impl Reconstruction {
         self
     }
 
-    /// Tells a function of progress, from whatever thread makes it.
+    /// Tells a function of progress, from whatever thread makes it. The frames of a [`Simulation`](crate::Simulation) tell of theirs by
+    /// [`Event::Stage`](crate::Event::Stage) instead.
     pub fn progress(mut self, tell: impl Fn(Progress) + Send + Sync + 'static) -> Self {
         self.control.progress = Some(Arc::new(tell));
         self

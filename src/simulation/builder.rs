@@ -38,7 +38,7 @@ pub struct Simulation {
 
 impl Simulation {
     /// Asks for the meshes of frames: a name with `{}` for the number, a folder, a glob, or a file of several steps; to a name with `{}`
-    /// or `{:04}`, or a folder.
+    /// or `{:04}`, or a folder, which exists or ends in `/`, where they are `.ply`. Folders of a name are made.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>) -> Self {
         Self::of_files([input], output)
     }
@@ -72,7 +72,7 @@ impl Simulation {
             (None, None) => Ok(None),
             (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
             (Some(inputs), None) => Err(Error::Request(format!(
-                "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder",
+                "{}: one file for the frames of {}; write {{}} where their numbers go, or name a folder that exists, or ends in /",
                 output.display(),
                 inputs.describe()
             ))),
@@ -142,7 +142,10 @@ impl Simulation {
     /// The names of inputs and outputs.
     pub(super) fn names(&self) -> Result<(Inputs, Naming), Error> {
         let Some(naming) = Naming::of(&self.output)? else {
-            let what = format!("{}: one file for all frames", self.output.display());
+            let what = format!(
+                "{}: one file for all frames, and no folder that exists, or ends in /",
+                self.output.display()
+            );
             return Err(SimulationError::Names(what).into());
         };
         let inputs = Inputs::of(&self.inputs)?.unwrap_or_else(|| Inputs::Files(self.inputs.clone()));

@@ -91,6 +91,8 @@ pub enum Event<'a> {
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct FrameDone {
+    /// The frame's number.
+    pub frame: u64,
     /// The particles' file.
     pub input: PathBuf,
     /// The mesh's file.

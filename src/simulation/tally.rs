@@ -86,6 +86,7 @@ impl<'a> Tally<'a> {
                 self.left_out.add(&left_out);
                 self.failed.remove(&frame.number);
                 let done = FrameDone {
+                    frame: frame.number,
                     input: frame.path.clone(),
                     output: self.conversion.output(frame),
                     mesh,

@@ -10,6 +10,11 @@ use meniscus::{Doubt, Emptiness, TooSmall, Warning};
 use crate::method::MethodName;
 use crate::options::Options;
 
+/// Says an error, and what to do about it.
+pub fn say_error(error: &Error) {
+    crate::say::say(&format!("meniscus: {}", told(error)));
+}
+
 /// An error in words, and what to do about it.
 pub fn told(error: &Error) -> String {
     in_options(error).unwrap_or_else(|| format!("{error}{}", advice(error)))

@@ -8,6 +8,7 @@ use meniscus::Error;
 use meniscus::error::shown;
 use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info_of_type};
 
+use crate::advice::say_error;
 use crate::outcome::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
@@ -26,15 +27,21 @@ pub struct Options {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
     let kind = options.particle_type.as_deref();
-    let infos = options.files.iter().map(|file| info_of_type(file, kind)).collect::<Result<Vec<_>, _>>()?;
-    if options.json {
-        print_json(&infos)?;
-    } else {
-        for info in &infos {
-            print(&describe(info))?;
+    let (mut infos, mut errors) = (Vec::new(), Vec::new());
+    for file in &options.files {
+        match info_of_type(file, kind) {
+            Ok(info) if options.json => infos.push(info),
+            Ok(info) => print(&describe(&info))?,
+            Err(error) => errors.push(error),
         }
     }
-    Ok(Verdict::Good)
+    if options.json {
+        print_json(&infos)?;
+    }
+    // The last is told by whoever calls.
+    let last = errors.pop();
+    errors.iter().for_each(say_error);
+    last.map_or(Ok(Verdict::Good), Err)
 }
 
 fn describe(info: &Info) -> String {

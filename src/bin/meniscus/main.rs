@@ -81,7 +81,7 @@ fn main() -> ExitCode {
         Ok(Verdict::Good) => ExitCode::SUCCESS,
         Ok(Verdict::Bad) => ExitCode::from(1),
         Err(error) => {
-            say::say(&format!("meniscus: {}", advice::told(&error)));
+            advice::say_error(&error);
             ExitCode::from(match error.cause() {
                 Cause::Request => 2,
                 Cause::Input => 3,

@@ -1,4 +1,4 @@
-//! See the room's `mod.rs` for the formula.
+//! See `mod.rs` of this folder for the formula.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! See the room's `mod.rs` for the formulas.
+//! See `mod.rs` of this folder for the formulas.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! The DIF of clouds: see the room's `mod.rs` for the formula.
+//! The DIF of clouds: see `mod.rs` of this folder for the formula.
 
 use glam::IVec3;
 use multiversion::multiversion;
