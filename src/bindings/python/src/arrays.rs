@@ -186,7 +186,8 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
         PyTypeError::new_err(what)
     };
     let array = if object.hasattr("__dlpack__")? {
-        refuse_device(name, object)?;
+        let device = object.call_method0("__dlpack_device__").map_err(because)?;
+        refuse_device(name, object, device.extract()?)?;
         numpy.call_method1("from_dlpack", (object,)).map_err(because)?
     } else if object.hasattr("__cuda_array_interface__")? {
         return Err(on_device(name, object, "a CUDA device"));
@@ -195,8 +196,11 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     } else {
         let view = py.import("builtins")?.call_method1("memoryview", (object,));
         let view = view.map_err(|_| {
+            // As of Taichi's fields.
+            let has_way = object.hasattr("to_numpy").unwrap_or(false);
+            let way = if has_way { ".to_numpy()" } else { "numpy.asarray" };
             PyTypeError::new_err(format!(
-                "{name}: an array is needed, not {}; numpy.asarray may make one",
+                "{name}: an array is needed, not {}; {way} may make one",
                 type_of(object)
             ))
         })?;
@@ -212,8 +216,7 @@ fn type_of(object: &Bound<'_, PyAny>) -> String {
 }
 
 /// Refuses an array whose numbers are where the processor does not read them.
-fn refuse_device(name: &str, object: &Bound<'_, PyAny>) -> PyResult<()> {
-    let (kind, _): (i32, i32) = object.call_method0("__dlpack_device__")?.extract()?;
+fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -> PyResult<()> {
     if HOST.contains(&kind) {
         return Ok(());
     }

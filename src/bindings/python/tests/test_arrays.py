@@ -120,6 +120,21 @@ def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword:
     with pytest.raises(TypeError, match=r"is on a CUDA device; \.cpu\(\)"):
         meniscus.reconstruct(Cuda())  # type: ignore[arg-type]
 
+    class Nowhere(OnlyDLPack):
+        def __dlpack_device__(self) -> tuple[int, int]:
+            raise ValueError("no such device")
+
+    with pytest.raises(TypeError, match=r"^positions: Nowhere cannot be read as an array: no such device"):
+        meniscus.reconstruct(Nowhere(ball))
+
+
+def test_a_field_that_makes_arrays_is_told_to_do_so() -> None:
+    class Field:
+        def to_numpy(self) -> None: ...
+
+    with pytest.raises(TypeError, match=r"^positions: an array is needed, not Field; \.to_numpy\(\) may make one"):
+        meniscus.reconstruct(Field())  # type: ignore[arg-type]
+
 
 @pytest.mark.parametrize(
     ("positions", "error", "what"),
