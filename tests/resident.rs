@@ -39,7 +39,8 @@ fn read(device: &Device, surface: &ResidentSurface) -> (Vec<[f32; 3]>, Vec<[u32;
     });
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize))
+    // SAFETY: the only batch that writes them is done.
+    unsafe { (vertices.read(0, surface.vertices as usize), indices.read(0, surface.triangles as usize)) }
 }
 
 fn settings(sampling: &Sampling, surfacing: &Surfacing) -> Settings {
@@ -263,7 +264,8 @@ fn another_device_sees_the_surface_in_exported_memory() {
     });
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    let found = (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize));
+    // SAFETY: the only batch that writes them is done.
+    let found = unsafe { (read[0].read(0, vertices as usize), read[1].read(0, triangles as usize)) };
     assert!(found == rounded(&expected.mesh));
     drop((surface, into, small, exported, pipeline, input, device));
     drop((imported, read, batch, other));

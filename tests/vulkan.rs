@@ -115,7 +115,8 @@ fn blurred_on(
     blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views).unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();
-    (block, to.read(0, padded.samples().len()))
+    // SAFETY: the only batch that writes it is done.
+    (block, unsafe { to.read(0, padded.samples().len()) })
 }
 
 /// Particles of one, two, and very many to a cell, at its corners and anywhere in it.

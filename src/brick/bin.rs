@@ -21,8 +21,9 @@ use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, CUBE, Latest, NOWHERE, Placed};
-use super::bins::{Bins, RECORD_BITS, Record, Slots, tuple_bytes};
+use super::bins::{Bins, RECORD_BITS, tuple_bytes};
 use super::place::{BinCode, CHUNK, Placer, bin_coord};
+use super::slots::{Record, Slots};
 use super::spill::SpilledBins;
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
@@ -338,7 +339,7 @@ impl<'a> BinPlan<'a> {
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {
-            Ok(slots.into_bins(keys, first, components))
+            Ok(Bins::of_slots(slots, keys, first, components))
         } else {
             Err(Unread::Changed)
         }

@@ -8,8 +8,8 @@ use std::hash::BuildHasher;
 use hashbrown::hash_table::Entry;
 use hashbrown::{DefaultHashBuilder, HashTable};
 
-use super::bins::Record;
 use super::place::{Address, BinCode, COORD_BITS};
+use super::slots::Record;
 
 /// A particle's bin, by its rank in the table of its range, and its place there.
 pub(super) type Placed = (u32, Record);

@@ -2,13 +2,13 @@
 
 use std::borrow::Cow;
 use std::io;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use crate::grid::{BIN, FRACTION_BITS, MortonKey};
-use crate::system::memory::zeroed_in_huge_pages;
 use crate::system::scratch::Scratch;
+
+use super::slots::{Record, Slots};
 
 /// Bits per axis of a packed particle: its offset in the cell, and the cell in the bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
@@ -17,9 +17,6 @@ pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
 /// Bins that are sorted before any is put back.
 const SORTED_AT_ONCE: usize = 256;
-
-/// A packed particle: where it is in its bin.
-pub(super) type Record = u64;
 
 /// Particles in order of their bins.
 #[derive(Debug)]
@@ -39,48 +36,6 @@ pub struct Bins {
 pub(super) enum Store {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
     File { scratch: Scratch, records_at: u64, attributes_at: Vec<u64> },
-}
-
-/// A place for every particle, each to be filled once, by whichever thread holds it.
-pub(super) struct Slots {
-    records: Vec<AtomicU64>,
-    attributes: Vec<Vec<AtomicU32>>,
-}
-
-impl Slots {
-    /// For so many particles with attributes of so many components each.
-    pub(super) fn new(particles: usize, components: &[usize]) -> Self {
-        let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
-        Self { records: zeroed_in_huge_pages(particles), attributes }
-    }
-
-    /// Puts a particle into its slot.
-    #[inline(always)]
-    pub(super) fn put(&self, slot: usize, record: Record) {
-        self.records[slot].store(record, Ordering::Relaxed);
-    }
-
-    /// Puts all components of all attributes of a particle into its slot, one after the other.
-    #[inline(always)]
-    pub(super) fn put_attributes(&self, slot: usize, mut values: impl Iterator<Item = f32>) {
-        for attribute in &self.attributes {
-            let components = attribute.len() / self.records.len();
-            let to = &attribute[slot * components..(slot + 1) * components];
-            to.iter().zip(values.by_ref()).for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
-        }
-    }
-
-    /// The bins that were filled, with particles from `first` on.
-    pub(super) fn into_bins(self, keys: Vec<MortonKey>, first: Vec<usize>, components: Vec<usize>) -> Bins {
-        let plain = |bits: Vec<AtomicU32>| bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
-        let attributes: Vec<Vec<f32>> = self.attributes.into_iter().map(plain).collect();
-        let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
-        let without =
-            |(values, &n): (&Vec<f32>, &usize)| values.par_chunks(n.max(1)).filter(is_lacking).count();
-        let without = attributes.iter().zip(&components).map(without).collect();
-        let records = self.records.into_iter().map(AtomicU64::into_inner).collect();
-        Bins { keys, first, components, without, store: Store::Memory { records, attributes } }
-    }
 }
 
 /// At most `most` of so many things along the Morton curve, equally far apart. An odd step, for the curve takes turns in
@@ -119,6 +74,21 @@ impl BinContents<'_> {
 }
 
 impl Bins {
+    /// The bins whose slots were filled, with particles from `first` on.
+    pub(super) fn of_slots(
+        slots: Slots,
+        keys: Vec<MortonKey>,
+        first: Vec<usize>,
+        components: Vec<usize>,
+    ) -> Self {
+        let (records, attributes) = slots.into_parts();
+        let is_lacking = |tuple: &&[f32]| tuple.iter().any(|x| !x.is_finite());
+        let without =
+            |(values, &n): (&Vec<f32>, &usize)| values.par_chunks(n.max(1)).filter(is_lacking).count();
+        let without = attributes.iter().zip(&components).map(without).collect();
+        Self { keys, first, components, without, store: Store::Memory { records, attributes } }
+    }
+
     /// Bytes that a bin takes in tables until the surface is done, however little it holds.
     pub const TABLE_BYTES: u64 = 344;
 

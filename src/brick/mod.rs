@@ -16,10 +16,15 @@ mod page;
 mod place;
 mod samples;
 mod shape;
+mod slots;
 mod spill;
 mod store;
 mod sums;
 pub mod vulkan;
+
+use std::sync::atomic;
+
+use crate::system::memory::zeroed_in_huge_pages;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
 pub use binned::BinnedParticles;

@@ -9,7 +9,8 @@ use crate::grid::stretch::WantedBins;
 use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
 use crate::particles::Particles;
 
-use super::bins::{AXIS_BITS, Record, pack};
+use super::bins::{AXIS_BITS, pack};
+use super::slots::Record;
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
 pub(super) const CHUNK: usize = 512;

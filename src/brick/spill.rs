@@ -16,8 +16,9 @@ use rayon::prelude::*;
 use crate::grid::MortonKey;
 use crate::system::scratch::Scratch;
 
-use super::bins::{Bins, RECORD_BITS, Record, Slots, Store, tuple_bytes};
+use super::bins::{Bins, RECORD_BITS, Store, tuple_bytes};
 use super::elias_fano::EliasFano;
+use super::slots::{Record, Slots};
 
 /// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
 const PIECE: usize = 1 << 19;
@@ -130,7 +131,7 @@ impl SpilledBins {
             Ok::<_, io::Error>(())
         })?;
         let first = self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect();
-        Ok(slots.into_bins(self.keys[bins].to_vec(), first, self.components.clone()))
+        Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
 
     /// A place for all runs once they are sorted, to be read bin by bin; this file is then done with.

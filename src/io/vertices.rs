@@ -31,9 +31,12 @@ impl Vertices {
     /// The vertices of a mesh.
     pub fn into_mesh(self, bytes: &[u8], triangles: Vec<[u32; 3]>) -> Mesh {
         let bytes = self.decoded.as_deref().unwrap_or(bytes);
+        let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
-        whole(&store, self.normals, triangles)
+        // Of attributes with one name the first is kept: their numbers are others by now.
+        let normals = normals.and_then(|name| normals_called(&name, &store));
+        whole(&store, normals, triangles)
     }
 }
 
@@ -62,8 +65,13 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
 /// A mesh of points and their attributes, of which one called `normals` is that.
 #[cfg(feature = "hdf5")]
 pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
-    let is_normals = |info: &AttributeInfo| info.name == normals && info.components == 3;
-    whole(points, points.attributes().iter().position(is_normals), triangles)
+    whole(points, normals_called(normals, points), triangles)
+}
+
+/// The number of the attribute that has a name, if that can be normals.
+fn normals_called(name: &str, points: &dyn Particles) -> Option<usize> {
+    let is_normals = |info: &AttributeInfo| info.name == name && info.components == 3;
+    points.attributes().iter().position(is_normals)
 }
 
 /// Neighbouring columns: `components` of them from byte `offset` on, in rows of `stride` bytes.

@@ -1,9 +1,6 @@
-//! Frames side by side: how many, what each may take, and large ones alone.
-
-use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+//! Frames side by side: how many, and what each may take.
 
 use crate::grid::units::MemoryBudget;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// A lane that may not have so much is not worth a thread.
 const LEAST: u64 = 64 << 20;
@@ -52,84 +49,12 @@ impl Division {
     }
 }
 
-/// Lets frames compute side by side, or one alone.
-#[derive(Debug)]
-pub(super) struct Gate {
-    lanes: usize,
-    threads: usize,
-    /// For who is alone.
-    all: OnceLock<ThreadPool>,
-    state: Mutex<State>,
-    changed: Condvar,
-}
-
-#[derive(Debug, Default)]
-struct State {
-    inside: usize,
-    waiting_alone: usize,
-}
-
-/// Room in the gate, given back when dropped.
-#[derive(Debug)]
-pub(super) struct Permit<'a> {
-    gate: &'a Gate,
-    lanes: usize,
-}
-
-impl Gate {
-    /// Opens for so many lanes; a lane that is alone has `threads` threads.
-    pub(super) fn new(lanes: usize, threads: usize) -> Self {
-        let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
-        Self { lanes, threads, all, state, changed }
-    }
-
-    fn all(&self) -> &ThreadPool {
-        let start = || ThreadPoolBuilder::new().num_threads(self.threads).build();
-        self.all.get_or_init(|| start().expect("threads can be started"))
-    }
-
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Waits for a lane. Whoever waits to be alone comes first, or it would wait for ever.
-    pub(super) fn enter(&self) -> Permit<'_> {
-        let closed = |state: &mut State| state.waiting_alone > 0 || state.inside == self.lanes;
-        let mut state = self.changed.wait_while(self.state(), closed).unwrap_or_else(PoisonError::into_inner);
-        state.inside += 1;
-        Permit { gate: self, lanes: 1 }
-    }
-
-    /// Waits until nobody else is inside.
-    pub(super) fn enter_alone(&self) -> Permit<'_> {
-        let mut state = self.state();
-        state.waiting_alone += 1;
-        let busy = |state: &mut State| state.inside > 0;
-        let mut state = self.changed.wait_while(state, busy).unwrap_or_else(PoisonError::into_inner);
-        state.waiting_alone -= 1;
-        state.inside = self.lanes;
-        Permit { gate: self, lanes: self.lanes }
-    }
-}
-
-impl Permit<'_> {
-    /// Runs `act` with the threads of this lane, or alone with as many as there are.
-    pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
-        if self.lanes < self.gate.lanes { act() } else { self.gate.all().install(act) }
-    }
-}
-
-impl Drop for Permit<'_> {
-    fn drop(&mut self) {
-        self.gate.state().inside -= self.lanes;
-        self.gate.changed.notify_all();
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::super::gate::Gate;
+    use super::*;
 
     #[test]
     fn whatever_is_divided_fits_the_budget() {

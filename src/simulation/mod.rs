@@ -15,6 +15,7 @@ mod forecast;
 mod freeze;
 pub mod frozen;
 mod gaps;
+mod gate;
 pub mod inputs;
 mod lanes;
 mod live;
@@ -30,6 +31,8 @@ mod shared;
 pub mod state;
 mod tally;
 mod watch;
+
+use std::sync;
 
 pub use builder::Simulation;
 pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};

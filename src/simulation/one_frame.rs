@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::event::LeftOut;
 use super::frozen::{Frozen, Stamp};
+use super::gate::Permit;
 use super::inputs::FrameFile;
-use super::lanes::Permit;
 use super::records::Record;
 use super::setup::Setup;
 use super::shared::{Conversion, Settled};

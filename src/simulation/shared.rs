@@ -11,7 +11,8 @@ use super::inputs::FrameFile;
 use super::records::{Record, Records};
 use super::state::{State, Store};
 
-use super::lanes::{Division, Gate};
+use super::gate::Gate;
+use super::lanes::Division;
 use super::setup::Setup;
 
 /// State that all lanes share.

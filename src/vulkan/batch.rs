@@ -435,7 +435,8 @@ impl Batch {
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
                 .map_err(self.device.noting("vkWaitSemaphores"))?;
             self.pending = false;
-            if self.stamp.read::<u32>(0, 1) != [ticket.value as u32] {
+            // SAFETY: the batch is done, and no other writes its stamp.
+            if unsafe { self.stamp.read::<u32>(0, 1) } != [ticket.value as u32] {
                 return Err(self.device.lose());
             }
             self.record_times()?;

@@ -233,7 +233,8 @@ impl Device {
     /// Those of [`buffer`](Self::buffer).
     pub fn uploaded<T: Pod>(&self, values: &[T]) -> Result<View, VulkanError> {
         let buffer = self.buffer(Place::Upload, size_of_val(values) as u64)?;
-        buffer.write(0, values);
+        // SAFETY: nobody else has the buffer yet.
+        unsafe { buffer.write(0, values) };
         Ok(buffer.whole())
     }
 
@@ -301,33 +302,44 @@ impl Buffer {
         View { buffer: Arc::clone(self), offset, bytes }
     }
 
-    /// Writes into an upload buffer that no batch in flight reads.
+    /// Writes into an upload buffer.
+    ///
+    /// # Safety
+    /// What is written no batch in flight may read or write, from its submission until it was waited for, and no other thread meanwhile:
+    /// neither the device nor this knows of the other.
     ///
     /// # Panics
     /// If the buffer ends before the values do, or is not visible to the host.
-    pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
+    pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         let to = self.mapped(offset, bytes.len());
         self.device.counters.sent.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        // SAFETY: `mapped` checked the range. Two hosts' threads may write at once only to different places.
+        // SAFETY: `mapped` checked the range, and the caller says that nobody else is at it.
         unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), to, bytes.len()) };
     }
 
-    /// Reads from a download buffer that no batch in flight writes.
+    /// Reads from a download buffer.
+    ///
+    /// # Safety
+    /// What is read no batch in flight may write, from its submission until it was waited for, and no other thread meanwhile.
     ///
     /// # Panics
     /// If the buffer ends before `count` values, or is not visible to the host.
     #[must_use]
-    pub fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        self.values(offset, count).to_vec()
+    pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
+        // SAFETY: as the caller says; the values are copied before this returns.
+        unsafe { self.values(offset, count) }.to_vec()
     }
 
     /// Returns the values that [`read`](Self::read) would copy, where they are.
-    pub(crate) fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
+    ///
+    /// # Safety
+    /// As for [`read`](Self::read), for as long as they are used.
+    pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
         assert!(from.cast::<T>().is_aligned(), "{offset} is within a value");
-        // SAFETY: `mapped` checked the range, any bits are a value, and nobody writes a buffer that is read.
+        // SAFETY: `mapped` checked the range, any bits are a value, and the caller says that nobody writes there.
         unsafe { std::slice::from_raw_parts(from.cast(), count) }
     }
 
@@ -395,19 +407,31 @@ impl View {
     }
 
     /// [`Buffer::write`] into this part.
-    pub fn write<T: Pod>(&self, offset: u64, values: &[T]) {
-        self.buffer.write(self.offset + offset, values);
+    ///
+    /// # Safety
+    /// As there.
+    pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
+        // SAFETY: as the caller says.
+        unsafe { self.buffer.write(self.offset + offset, values) };
     }
 
     /// [`Buffer::values`] of this part.
-    pub(crate) fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
-        self.buffer.values(self.offset + offset, count)
+    ///
+    /// # Safety
+    /// As there.
+    pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
+        // SAFETY: as the caller says.
+        unsafe { self.buffer.values(self.offset + offset, count) }
     }
 
     /// [`Buffer::read`] from this part.
+    ///
+    /// # Safety
+    /// As there.
     #[must_use]
-    pub fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        self.buffer.read(self.offset + offset, count)
+    pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
+        // SAFETY: as the caller says.
+        unsafe { self.buffer.read(self.offset + offset, count) }
     }
 }
 

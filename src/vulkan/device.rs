@@ -237,6 +237,7 @@ impl Device {
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { instance.raw.create_device(info.physical, &create, None) }
             .map_err(VulkanError::of("vkCreateDevice"))?;
+        // SAFETY: the device was made with a queue of each of these families.
         let mut queues: Vec<_> = used.iter().map(|&f| (f, unsafe { raw.get_device_queue(f, 0) })).collect();
         if options.queues == Queues::OneAsTwo {
             queues.push(queues[0]);

@@ -184,3 +184,29 @@ fn the_bytes_of_a_mesh_do_not_depend_on_the_threads() {
         assert!((format.read_mesh)(&alone).unwrap() == rounded(mesh.clone()));
     }
 }
+
+#[test]
+fn normals_are_found_whatever_has_their_name_or_stands_twice_before_them() {
+    let values = [0.0, 0.0, 1.0, 0.0, 1.0, 0.0];
+    for ascii in [true, false] {
+        let points = || {
+            VtkBuilder::new("3.0", ascii, "POLYDATA")
+                .line("POINTS 2 float")
+                .data("float", &[1.0; 6])
+                .line("POINT_DATA 2")
+        };
+        let scalars = |file: VtkBuilder| {
+            file.line("SCALARS a float 1").line("LOOKUP_TABLE default").data("float", &[7.0, 8.0])
+        };
+        let normals =
+            |file: VtkBuilder, name: &str| file.line(&format!("NORMALS {name} float")).data("float", &values);
+        let read = |file: VtkBuilder| vtk::read_mesh(&file.bytes).unwrap();
+        let expected = Some(vec![[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]);
+        let twice = read(normals(scalars(scalars(points())), "n"));
+        assert_eq!((twice.normals, twice.attributes.len()), (expected.clone(), 1), "ascii {ascii}");
+        let again = read(normals(normals(points(), "n"), "n"));
+        assert_eq!((again.normals, again.attributes.len()), (expected, 0), "ascii {ascii}");
+        let taken = read(normals(scalars(points()), "a"));
+        assert_eq!((taken.normals, taken.attributes[0].values.len()), (None, 2), "ascii {ascii}");
+    }
+}

@@ -153,10 +153,12 @@ impl DeviceFrame {
         let device = &self.device;
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
-        staged.write(entries_at.start, &entries);
+        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+        unsafe { staged.write(entries_at.start, &entries) };
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
             let contents = bins.contents(bin).map_err(Fault::Host)?;
-            staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed());
+            // SAFETY: as above, and every bin's records have a place of their own.
+            unsafe { staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed()) };
             Ok::<_, Fault>(())
         })?;
 
@@ -244,7 +246,8 @@ impl DeviceFrame {
                 let bytes = size_of_val(&entries[..]) as u64;
                 let staged = lane.buffer(&self.device, "staged", Place::Upload, bytes)?;
                 let inputs = lane.buffer(&self.device, "inputs", Place::Device, bytes)?;
-                staged.write(0, &entries);
+                // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+                unsafe { staged.write(0, &entries) };
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
                 self.compute_bins(lane, range, &inputs, &records, &making).map(Some)
@@ -273,7 +276,8 @@ pub(super) enum Made {
 /// Waits for what there is to know of the pages of a batch.
 fn read_infos(lane: &mut Lane, batch: &BinBatch, keys: &[MortonKey]) -> Result<Vec<PageInfo>, VulkanError> {
     lane.compute.wait()?;
-    let found: Vec<FullCells> = batch.read.read(0, batch.bins.len());
+    // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+    let found: Vec<FullCells> = unsafe { batch.read.read(0, batch.bins.len()) };
     let keys = &keys[batch.bins.clone()];
     Ok(found.iter().zip(keys).map(|(found, &key)| found.info(key).expect("a bin holds particles")).collect())
 }
@@ -291,7 +295,8 @@ fn read_pages(
     lane.download.submit(lane.compute.last())?;
     lane.download.wait()?;
     let stride = page_bytes(shape) as usize / size_of::<u16>();
-    let samples: &[u16] = batch.read.values(0, batch.bins.len() * stride);
+    // SAFETY: the batch that writes it was waited for, and the lane begins no other before they are copied.
+    let samples: &[u16] = unsafe { batch.read.values(0, batch.bins.len() * stride) };
     let page = |(samples, bin): (&[u16], usize)| {
         let dense = &samples[..shape.bin_samples()];
         PageInfo::from_dense(keys[bin].coord(), dense, shape).expect("a bin holds particles")

@@ -228,7 +228,8 @@ impl Contouring<'_> {
         let staged = lane.buffer(device, "staged", Place::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "inputs", Place::Device, layout.bytes)?;
         let free = lane.fields(device, "cells", source.fields as usize, grid.field_bytes())?;
-        grid.stage(&staged, &places, from);
+        // SAFETY: the lane waited for what it did before, and what is staged is its own.
+        unsafe { grid.stage(&staged, &places, from) };
         let uploaded = lane.send(&staged, &inputs)?;
 
         let blocks = grid.on_device(&inputs, &places);
@@ -274,8 +275,9 @@ impl Contouring<'_> {
             return take(self, lane, &batch, &[Tally::default()]);
         }
         lane.compute.wait()?;
-        let begins: Vec<Tally> =
-            lane.known("tallies read", ((count + 1) * size_of::<Tally>()) as u64).read(0, count + 1);
+        let read = lane.known("tallies read", ((count + 1) * size_of::<Tally>()) as u64);
+        // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+        let begins: Vec<Tally> = unsafe { read.read(0, count + 1) };
         let vertices = u64::from(begins[count].vertices);
         if vertices <= batch.room {
             return take(self, lane, &batch, &begins);
@@ -335,15 +337,23 @@ impl Contouring<'_> {
                 }
                 let vertices = size.vertices as usize;
                 let first = u64::from(begin.vertices);
+                let first_tile = u64::from(begin.tiles) * size_of::<Tile>() as u64;
+                // SAFETY: the copies were waited for, and the lane begins nothing before these are read.
+                let (tiles, ends) = unsafe {
+                    let ends = ends.read(first * size_of::<[u16; 2]>() as u64, vertices);
+                    (tiles.read(first_tile, size.tiles as usize), ends)
+                };
                 let mut mesh = BlockMesh {
                     block: block_of(batch.regions[number]),
-                    tiles: tiles.read(u64::from(begin.tiles) * size_of::<Tile>() as u64, size.tiles as usize),
-                    ends: ends.read(first * size_of::<[u16; 2]>() as u64, vertices),
+                    tiles,
+                    ends,
                     triangle_count: size.triangles as usize,
                     ..BlockMesh::default()
                 };
                 if self.has_normals() {
-                    let falls: Vec<i32> = falls.read(first * size_of::<Falls>() as u64, 6 * vertices);
+                    // SAFETY: as above.
+                    let falls: Vec<i32> =
+                        unsafe { falls.read(first * size_of::<Falls>() as u64, 6 * vertices) };
                     mesh.normals = self.normals(&mesh, &falls);
                 }
                 Some(mesh)

@@ -134,17 +134,24 @@ impl Grid {
     }
 
     /// Writes what is sent.
-    pub(super) fn stage(&self, staged: &View, places: &Places, from: Samples<'_>) {
-        staged.write(places.blocks.start, &self.blocks);
-        staged.write(places.tables.start, &self.tables);
-        staged.write(places.marks.start, &self.marks);
+    ///
+    /// # Safety
+    /// No batch in flight may use what is staged.
+    pub(super) unsafe fn stage(&self, staged: &View, places: &Places, from: Samples<'_>) {
+        // SAFETY: as the caller says, and the places are apart from each other.
+        unsafe {
+            staged.write(places.blocks.start, &self.blocks);
+            staged.write(places.tables.start, &self.tables);
+            staged.write(places.marks.start, &self.marks);
+        }
         let Samples::Sent(dif) = from else { return };
         let page_bytes = page_bytes(dif.shape());
         self.sent.par_iter().enumerate().for_each_init(
             || vec![0; dif.shape().bin_samples()],
             |dense, (number, &bin)| {
                 dif.write_stored(bin, dense);
-                staged.write(places.pages.start + number as u64 * page_bytes, dense);
+                // SAFETY: as the caller says, and every page has a place of its own.
+                unsafe { staged.write(places.pages.start + number as u64 * page_bytes, dense) };
             },
         );
     }

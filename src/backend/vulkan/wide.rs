@@ -33,7 +33,9 @@ impl Contouring<'_> {
         };
         lane.compute.wait()?;
         let count = wide.looks.len();
-        let seen: Vec<Seen> = lane.known("seen read", (size_of::<Seen>() * count) as u64).read(0, count);
+        let read = lane.known("seen read", (size_of::<Seen>() * count) as u64);
+        // SAFETY: the batch that writes it was waited for, and the lane has begun no other.
+        let seen: Vec<Seen> = unsafe { read.read(0, count) };
         batch.drawn.clear();
         for (number, ((&region, look), seen)) in batch.regions.iter().zip(&wide.looks).zip(&seen).enumerate()
         {
@@ -91,8 +93,11 @@ impl Contouring<'_> {
         let seen_bytes = (size_of::<Seen>() * looks.len()) as u64;
         let seen = lane.buffer(device, "seen", Place::Device, seen_bytes)?;
         let read = lane.buffer(device, "seen read", Place::Download, seen_bytes)?;
-        grid.stage(&staged, &places, from);
-        staged.write(looks_at.start, &looks);
+        // SAFETY: `begin` waited for what the lane did before, and what is staged is the lane's own.
+        unsafe {
+            grid.stage(&staged, &places, from);
+            staged.write(looks_at.start, &looks);
+        }
         let uploaded = lane.send(&staged, &inputs)?;
 
         let blocks = grid.on_device(&inputs, &places);
@@ -152,10 +157,12 @@ impl Contouring<'_> {
             free.push(lane.fields(device, name, count, grid.field_bytes())?);
         }
         for (grid, places) in [&cells, &parts, &drops].into_iter().zip(&places) {
-            grid.stage(&staged, places, from);
+            // SAFETY: the lane waited for what read what is staged, which is its own.
+            unsafe { grid.stage(&staged, places, from) };
         }
         for (numbers, at) in numbers.iter().zip(&numbers_at) {
-            staged.write(at.start, numbers);
+            // SAFETY: as above.
+            unsafe { staged.write(at.start, numbers) };
         }
         let uploaded = lane.send(&staged, &inputs)?;
 

@@ -2,6 +2,7 @@
 
 mod advice;
 mod allocator;
+mod arguments;
 mod devices;
 mod info;
 mod inspect;
@@ -28,40 +29,11 @@ mod stats;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, Parser};
 use meniscus::Cause;
 
+use arguments::{Arguments, Command};
 use outcome::Verdict;
-
-/// Turn particle fluids into watertight surface meshes.
-#[derive(Parser)]
-#[command(version, about, propagate_version = true)]
-struct Arguments {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Subcommand)]
-enum Command {
-    /// Reconstruct the surface of a frame of particles, or of each frame of a simulation.
-    Reconstruct(Box<options::Options>),
-    /// Sample a frame once, to be reconstructed later with other filters or isovalues.
-    Pack(Box<pack::Options>),
-    /// Say what a particle file, a packed frame or a mesh holds.
-    Info(info::Options),
-    /// Check that meshes are closed, oriented 2-manifolds, and measure them.
-    Check(inspect::CheckOptions),
-    /// List the Vulkan devices of this machine.
-    Devices(devices::Options),
-    /// Measure how far a mesh lies from a reference.
-    Compare(inspect::CompareOptions),
-    /// Draw pictures of meshes.
-    Render(render::Options),
-    /// Print what a shell needs to complete options.
-    Completions(shells::CompletionOptions),
-    /// Write the manual's pages, for man.
-    Manual(shells::ManualOptions),
-}
 
 fn main() -> ExitCode {
     allocator::keep_freed();

@@ -389,8 +389,9 @@ impl Binning<'_> {
             batch.copy(&slots.whole(), &slots_read.whole());
             batch.submit(&[])?;
             batch.wait()?;
-            let census: Vec<ChunkCensus> = census_read.read(0, self.chunks.len().max(1));
-            let table: Vec<Slot> = slots_read.read(0, len as usize);
+            // SAFETY: the only batch that writes them is done.
+            let (census, table): (Vec<ChunkCensus>, Vec<Slot>) =
+                unsafe { (census_read.read(0, self.chunks.len().max(1)), slots_read.read(0, len as usize)) };
             if census[0].overflow == 0 {
                 return Ok(Counted { kept, table, census });
             }
@@ -469,9 +470,12 @@ impl Binning<'_> {
         batch.copy(&view.part(index as u64 * bytes, bytes), &read.whole());
         batch.submit(&[])?;
         batch.wait()?;
-        let values: Vec<f64> = match coordinate {
-            Coordinate::Single => read.read::<f32>(0, 3).into_iter().map(f64::from).collect(),
-            Coordinate::Double => read.read(0, 3),
+        // SAFETY: the only batch that writes it is done.
+        let values: Vec<f64> = unsafe {
+            match coordinate {
+                Coordinate::Single => read.read::<f32>(0, 3).into_iter().map(f64::from).collect(),
+                Coordinate::Double => read.read(0, 3),
+            }
         };
         Ok([values[0], values[1], values[2]])
     }
@@ -496,7 +500,8 @@ impl Binning<'_> {
             for bin in run.clone() {
                 values[slots_of_bins[bin] as usize] = (first[bin] - first[run.start]) as u32;
             }
-            upload.write(0, &values);
+            // SAFETY: the run before this was waited for, and nobody else has the buffer.
+            unsafe { upload.write(0, &values) };
             batch.begin()?;
             batch.copy(&upload.whole(), &places.whole());
             for (i, (chunk, Kept { packed, homes })) in self.chunks.iter().zip(kept).enumerate() {

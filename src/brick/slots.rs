@@ -1,0 +1,47 @@
+//! Places for particles that several threads fill.
+//!
+//! No two threads have the same place, and all are joined before any is read: so much the order of memory needs, and no more.
+
+// The standard library's and the system's, but where a test tries every order that threads can come in.
+use super::atomic::{AtomicU32, AtomicU64, Ordering};
+use super::zeroed_in_huge_pages;
+
+/// A packed particle: where it is in its bin.
+pub(super) type Record = u64;
+
+/// A place for every particle, each to be filled once, by whichever thread holds it.
+pub(super) struct Slots {
+    records: Vec<AtomicU64>,
+    attributes: Vec<Vec<AtomicU32>>,
+}
+
+impl Slots {
+    /// For so many particles with attributes of so many components each.
+    pub(super) fn new(particles: usize, components: &[usize]) -> Self {
+        let attributes = components.iter().map(|n| zeroed_in_huge_pages(particles * n)).collect();
+        Self { records: zeroed_in_huge_pages(particles), attributes }
+    }
+
+    /// Puts a particle into its slot.
+    #[inline(always)]
+    pub(super) fn put(&self, slot: usize, record: Record) {
+        self.records[slot].store(record, Ordering::Relaxed);
+    }
+
+    /// Puts all components of all attributes of a particle into its slot, one after the other.
+    #[inline(always)]
+    pub(super) fn put_attributes(&self, slot: usize, mut values: impl Iterator<Item = f32>) {
+        for attribute in &self.attributes {
+            let components = attribute.len() / self.records.len();
+            let to = &attribute[slot * components..(slot + 1) * components];
+            to.iter().zip(values.by_ref()).for_each(|(to, x)| to.store(x.to_bits(), Ordering::Relaxed));
+        }
+    }
+
+    /// The records, and the values of each attribute, once all threads are done.
+    pub(super) fn into_parts(self) -> (Vec<Record>, Vec<Vec<f32>>) {
+        let plain = |bits: Vec<AtomicU32>| bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect();
+        let records = self.records.into_iter().map(AtomicU64::into_inner).collect();
+        (records, self.attributes.into_iter().map(plain).collect())
+    }
+}

@@ -1,0 +1,85 @@
+//! A gate through which frames go side by side, and large ones alone.
+
+use std::sync::OnceLock;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+// The standard library's, but where a test tries every order that its threads can come in.
+use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Lets frames compute side by side, or one alone.
+#[derive(Debug)]
+pub(super) struct Gate {
+    lanes: usize,
+    threads: usize,
+    /// For who is alone.
+    all: OnceLock<ThreadPool>,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    inside: usize,
+    waiting_alone: usize,
+}
+
+/// Room in the gate, given back when dropped.
+#[derive(Debug)]
+pub(super) struct Permit<'a> {
+    gate: &'a Gate,
+    lanes: usize,
+}
+
+impl Gate {
+    /// Opens for so many lanes; a lane that is alone has `threads` threads.
+    pub(super) fn new(lanes: usize, threads: usize) -> Self {
+        let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
+        Self { lanes, threads, all, state, changed }
+    }
+
+    fn all(&self) -> &ThreadPool {
+        let start = || ThreadPoolBuilder::new().num_threads(self.threads).build();
+        self.all.get_or_init(|| start().expect("threads can be started"))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits for a lane. Whoever waits to be alone comes first, or it would wait for ever.
+    pub(super) fn enter(&self) -> Permit<'_> {
+        let mut state = self.state();
+        while state.waiting_alone > 0 || state.inside == self.lanes {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        state.inside += 1;
+        Permit { gate: self, lanes: 1 }
+    }
+
+    /// Waits until nobody else is inside.
+    pub(super) fn enter_alone(&self) -> Permit<'_> {
+        let mut state = self.state();
+        state.waiting_alone += 1;
+        while state.inside > 0 {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        state.waiting_alone -= 1;
+        state.inside = self.lanes;
+        Permit { gate: self, lanes: self.lanes }
+    }
+}
+
+impl Permit<'_> {
+    /// Runs `act` with the threads of this lane, or alone with as many as there are.
+    pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
+        if self.lanes < self.gate.lanes { act() } else { self.gate.all().install(act) }
+    }
+}
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        self.gate.state().inside -= self.lanes;
+        self.gate.changed.notify_all();
+    }
+}

@@ -1,0 +1,53 @@
+//! The gate of frames side by side. What stands first here is what the file is given by its folder.
+
+mod sync {
+    pub use loom::sync::{Condvar, Mutex, MutexGuard};
+    pub use std::sync::PoisonError;
+}
+
+#[path = "../../src/simulation/gate.rs"]
+mod gate;
+
+use gate::Gate;
+use loom::sync::Arc;
+use loom::sync::atomic::{AtomicUsize, Ordering};
+use loom::thread;
+
+/// Whoever is inside with others, and at most so many; who is alone is alone, and everybody comes through.
+fn try_gate(lanes: usize, alone: &'static [bool]) {
+    let mut model = loom::model::Builder::new();
+    // So many changes of thread where none waits: with them most orders are tried, and without a bound it takes for ever.
+    model.preemption_bound = Some(3);
+    model.check(move || {
+        let gate = Arc::new(Gate::new(lanes, 1));
+        let inside = Arc::new(AtomicUsize::new(0));
+        let enter = |alone: bool| {
+            let (gate, inside) = (Arc::clone(&gate), Arc::clone(&inside));
+            thread::spawn(move || {
+                let permit = if alone { gate.enter_alone() } else { gate.enter() };
+                let others = inside.fetch_add(1, Ordering::SeqCst);
+                assert!(others < if alone { 1 } else { lanes }, "{others} others are inside");
+                inside.fetch_sub(1, Ordering::SeqCst);
+                drop(permit);
+            })
+        };
+        let threads: Vec<_> = alone.iter().map(|&alone| enter(alone)).collect();
+        threads.into_iter().for_each(|thread| thread.join().unwrap());
+    });
+}
+
+#[test]
+fn frames_side_by_side_and_one_alone_all_come_through_the_gate() {
+    try_gate(2, &[false, false, true]);
+}
+
+#[test]
+fn frames_that_are_alone_come_through_the_gate_one_after_the_other() {
+    try_gate(2, &[true, true, false]);
+    try_gate(1, &[true, false]);
+}
+
+#[test]
+fn a_gate_that_is_full_lets_the_next_in() {
+    try_gate(1, &[false, false, false]);
+}
