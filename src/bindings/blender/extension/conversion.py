@@ -51,9 +51,9 @@ class Conversion:
         self.error = ""
         self.problems: list[str] = []
         self._end = threading.Event()
-        # Blender waits for whatever is no daemon before it tells anybody that it ends.
+        # Python waits for whatever is no daemon before it tells anybody that it ends.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
-        atexit.register(self.cancel)
+        atexit.register(self._leave)
 
     def start(self) -> None:
         """Begins."""
@@ -72,7 +72,12 @@ class Conversion:
     def cancel(self) -> None:
         """Ends it after the frames that are at work; what is done stays, and is not done again."""
         self._end.set()
-        atexit.unregister(self.cancel)
+
+    def _leave(self) -> None:
+        """Ends with Blender: a thread that is left behind would wake up in an interpreter that is gone."""
+        self.cancel()
+        if self.runs:
+            self.join()
 
     def join(self) -> None:
         """Waits for its end."""
@@ -99,4 +104,4 @@ class Conversion:
         except (meniscus.Error, OSError, MemoryError) as error:
             self.error = str(error) or "The memory does not suffice"
         finally:
-            atexit.unregister(self.cancel)
+            atexit.unregister(self._leave)

@@ -179,7 +179,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
         status.warnings = arrays.warnings
         meshes.fill(mesh, arrays, scale)
         mesh[MADE] = name
-    except (Refused, Unfit, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
+    except (Refused, Unfit, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
         status.error = str(error) or "The memory does not suffice"
         if mesh.vertices and not mesh.is_editmode:
             mesh.clear_geometry()
@@ -227,7 +227,7 @@ def spacing_used(mesh: bpy.types.Mesh) -> float | None:
     settings = mesh.meniscus
     try:
         request = _request(settings, bpy.context.scene.frame_current, bpy.context.evaluated_depsgraph_get(), Status())
-    except (Refused, meniscus.Error, OSError):
+    except (Refused, vertices.Hidden, meniscus.Error, OSError):
         return None
     arrays = _state.cache.get(request.key) if request else None
     return arrays.spacing if arrays else None

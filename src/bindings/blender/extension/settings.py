@@ -11,11 +11,11 @@ from . import live
 CELL, CALM = 0.5, 1.6
 
 
-def _changed(settings: Surface, _context: bpy.types.Context) -> None:
+def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
     live.refresh(settings.id_data)
 
 
-class Surface(bpy.types.PropertyGroup):
+class MeniscusSurface(bpy.types.PropertyGroup):
     """The surface of particles that a mesh shows."""
 
     source: EnumProperty(
@@ -132,7 +132,7 @@ class Surface(bpy.types.PropertyGroup):
     )
 
 
-class Preferences(bpy.types.AddonPreferences):
+class MeniscusPreferences(bpy.types.AddonPreferences):
     """What holds for all surfaces."""
 
     bl_idname = __package__
@@ -150,9 +150,9 @@ class Preferences(bpy.types.AddonPreferences):
 
 
 def register() -> None:
-    bpy.utils.register_class(Surface)
-    bpy.utils.register_class(Preferences)
-    bpy.types.Mesh.meniscus = PointerProperty(type=Surface)
+    bpy.utils.register_class(MeniscusSurface)
+    bpy.utils.register_class(MeniscusPreferences)
+    bpy.types.Mesh.meniscus = PointerProperty(type=MeniscusSurface)
     known = bpy.context.preferences.addons.get(__package__)
     if known is not None and known.preferences is not None:
         live.bound_cache(known.preferences.cache)
@@ -160,5 +160,5 @@ def register() -> None:
 
 def unregister() -> None:
     del bpy.types.Mesh.meniscus
-    bpy.utils.unregister_class(Preferences)
-    bpy.utils.unregister_class(Surface)
+    bpy.utils.unregister_class(MeniscusPreferences)
+    bpy.utils.unregister_class(MeniscusSurface)

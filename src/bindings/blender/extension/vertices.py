@@ -22,11 +22,24 @@ def _read(data: bpy.types.Mesh | bpy.types.PointCloud, count: int) -> tuple[Floa
     return positions.reshape(-1, 3), velocity
 
 
+class Hidden(Exception):
+    """An object that is not evaluated."""
+
+
 def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats, Floats | None]:
-    """Positions, and velocities where an attribute of that name has them."""
+    """Positions, and velocities where an attribute of that name has them.
+
+    Raises `Hidden`.
+    """
     evaluated = source.evaluated_get(depsgraph)
-    # Geometry nodes make point clouds of whatever object they are on.
-    geometry = evaluated.evaluated_geometry()
+    try:
+        # Geometry nodes make point clouds of whatever object they are on.
+        geometry = evaluated.evaluated_geometry()
+    except TypeError:
+        # The other graph is of another frame, and is not brought to this one while a picture is made.
+        where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
+        what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
+        raise Hidden(what) from None
     points = geometry.pointcloud
     if points is not None and len(points.points):
         positions, velocity = _read(points, len(points.points))

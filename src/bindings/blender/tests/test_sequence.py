@@ -36,6 +36,11 @@ def test_a_file_gives_its_sequence_as_the_library_lists_it(sequence: Path) -> No
     assert [number for number, _ in Listings().frames(inputs)] == [2, 3, 6]
 
 
+def test_a_folder_is_a_sequence_also_where_its_name_has_a_number(tmp_path: Path) -> None:
+    (tmp_path / "run_3").mkdir()
+    assert sequence_of(str(tmp_path / "run_3")) == str(tmp_path / "run_3")
+
+
 def test_frames_are_shown_by_their_numbers() -> None:
     timing = Timing(start=1, first=2)
     shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]

@@ -73,9 +73,9 @@ class FromPoints:
     digest: bytes = field(init=False)
 
     def __post_init__(self) -> None:
-        digest = hashlib.blake2b(self.positions, digest_size=16)
+        digest = hashlib.blake2b(self.positions.data, digest_size=16)
         if self.velocity is not None:
-            digest.update(self.velocity)
+            digest.update(self.velocity.data)
         object.__setattr__(self, "digest", digest.digest())
 
     @property

@@ -51,7 +51,7 @@ class Timing:
 def sequence_of(path: str) -> str:
     """What names the sequence that a file belongs to: the file itself where its frames are steps in it, or it has no number."""
     folder, name = os.path.split(path)
-    if "#" in name or "{" in name:
+    if "#" in name or "{" in name or os.path.isdir(path):
         return path
     if os.path.isfile(path):
         try:

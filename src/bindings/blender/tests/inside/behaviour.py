@@ -281,6 +281,102 @@ def an_edited_mesh_is_left_alone() -> None:
     assert shows(shown.data, expected(20))
 
 
+def prepared_for_pictures(shown: bpy.types.Object) -> bpy.types.Scene:
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.location, camera.rotation_euler = (-1.2, -9.0, 0.8), (np.pi / 2, 0.0, 0.0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.rotation_euler = 5.0, (0.8, 0.3, 0.0)
+    scene.collection.objects.link(sun)
+    render = scene.render
+    render.engine, render.resolution_x, render.resolution_y = "CYCLES", 160, 90
+    render.image_settings.file_format = "PNG"
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.seed = 4, False, 1
+    return scene
+
+
+def picture_of(path: Path) -> Any:
+    image = bpy.data.images.load(str(path), check_existing=False)
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    bpy.data.images.remove(image)
+    return values
+
+
+def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
+    shown = dam()
+    scene = prepared_for_pictures(shown)
+    settings = shown.data.meniscus
+    drawn: list[int] = []
+    bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
+    pictures = []
+    for blurred in (False, True):
+        scene.render.use_motion_blur = blurred
+        scene.frame_set(10)
+        made.clear()
+        scene.render.filepath = str(options.folder / f"blurred_{blurred}.png")
+        bpy.ops.render.render(write_still=True)
+        # The viewport's is kept; the render's is kept for the second.
+        assert len(made) == (0 if blurred else 1), made
+        assert drawn.pop() == len(expected(10, cell=0.5).triangles) and shows(shown.data, expected(10))
+        pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))
+    moved = np.abs(pictures[0] - pictures[1]).mean()
+    print(f"    motion blur changes a pixel by {moved:.5f}")
+    assert moved > 1e-3, "no motion blur"
+    # Without velocities the picture is sharp, whatever is asked for.
+    settings.attributes = "density"
+    scene.render.filepath = str(options.folder / "still.png")
+    bpy.ops.render.render(write_still=True)
+    drawn.clear()
+    assert np.abs(pictures[0] - picture_of(options.folder / "still.png")).mean() < 1e-4
+    settings.attributes = ""
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 19, 9
+    made.clear()
+    scene.render.filepath = str(options.folder / "animation_")
+    bpy.ops.render.render(animation=True)
+    assert drawn == [len(expected(number, cell=0.5).triangles) for number in (1, 10, 10)], drawn
+    assert len({len(picture_of(options.folder / f"animation_{frame:04}.png")) for frame in (1, 10, 19)}) == 1
+    bpy.app.handlers.render_post.clear()
+
+
+def vertices_are_rendered_in_fine_cells_too() -> None:
+    scene = emptied()
+    live._state.reset()
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=1.0)
+    source = bpy.context.object
+    bpy.ops.meniscus.add_object()
+    shown = bpy.context.object
+    shown.data.meniscus.spacing = 0.08
+    prepared_for_pictures(shown)
+    coarse = sizes(shown.data)
+    drawn: list[int] = []
+    bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
+    scene = bpy.context.scene
+    scene.render.filepath = str(options.folder / "vertices.png")
+    bpy.ops.render.render(write_still=True)
+    bpy.app.handlers.render_post.clear()
+    assert drawn[0] > 2 * coarse[1] and sizes(shown.data) == coarse, (drawn, coarse)
+    # Also where they are at another frame.
+    source.keyframe_insert("location", frame=1)
+    source.location.x = 4.0
+    source.keyframe_insert("location", frame=11)
+    leftmost: list[float] = []
+    bpy.app.handlers.render_post.append(lambda *_: leftmost.append(positions(shown.data)[:, 0].min()))
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 11, 10
+    scene.render.filepath = str(options.folder / "moving_")
+    bpy.ops.render.render(animation=True)
+    bpy.app.handlers.render_post.clear()
+    assert abs(leftmost[1] - leftmost[0] - 4.0) < 0.01, leftmost
+    source.hide_render = True
+    bpy.ops.render.render(write_still=True)
+    assert sizes(shown.data)[1] > 0 and not live.status_of(shown.data).error
+    source.hide_viewport = True
+    scene.frame_set(5)
+    assert "is hidden in the viewport" in live.status_of(shown.data).error, live.status_of(shown.data)
+
+
 def a_conversion_is_played_as_a_sequence_cache() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.render.fps = 25
@@ -349,7 +445,7 @@ def the_extension_goes_without_a_trace() -> None:
 
 
 count_making()
-checks = [each for name, each in list(globals().items()) if callable(each) and getattr(each, "__module__", "") == "__main__" and "_" in name and name not in ("count_making",)]
+checks = [each for name, each in list(globals().items()) if callable(each) and getattr(each, "__module__", "") == "__main__" and "_" in name and name not in ("count_making", "picture_of", "prepared_for_pictures")]
 failed = 0
 for check in checks:
     try:

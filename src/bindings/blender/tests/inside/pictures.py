@@ -55,7 +55,7 @@ def stage(shown: bpy.types.Object) -> None:
     scene.collection.objects.link(camera)
     camera.data.lens, scene.camera = 50, camera
     direction = Vector((0.35, -1.0, 0.55)).normalized()
-    camera.location = Vector(centre) + direction * size * 1.7
+    camera.location = Vector(centre) + direction * size * 2.0
     camera.rotation_euler = (-direction).to_track_quat("-Z", "Y").to_euler()
     camera.data.clip_end = 100 * size
 
