@@ -120,6 +120,7 @@ pub mod files {
         FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type,
         open_particles, usual_up,
     };
+    pub use crate::simulation::{FrameFile, frames};
 }
 
 /// Where stages run: the processor, a Vulkan device, or a caller's own. A [`Pipeline`](devices::Pipeline) meshes particles that are on a

@@ -18,7 +18,7 @@ use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::particles::{Particles, StridedPositions};
 use meniscus::internals::reconstruction::SpacingSource;
 use meniscus::internals::surface::mesh::check::check;
-use meniscus::{Emptiness, LiveSimulation, Reconstruction, Surface, Warning};
+use meniscus::{Emptiness, LiveSimulation, Reconstruction, Surface, UpAxis, Warning};
 use tempfile::TempDir;
 
 /// A ball of particles at spacing 0.5.
@@ -316,4 +316,36 @@ fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_th
     assert!(first[0].iter().all(|x| x.is_finite()));
     let error = meniscus::files::open_particles(folder.join("scene.json"), None).unwrap_err();
     assert_eq!(error.cause(), Cause::Request, "{error}");
+}
+
+#[test]
+fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
+    let dir = TempDir::new().unwrap();
+    let write = |name: &str, bytes: &[u8]| fs::write(dir.path().join(name), bytes).unwrap();
+    let listed = |input: &str| meniscus::files::frames(&[dir.path().join(input)]);
+    for name in ["pool_10.xyz", "pool_9.xyz", "notes.txt"] {
+        write(name, &raw(&ball()));
+    }
+    let numbers = |input: &str| listed(input).unwrap().iter().map(|frame| frame.number).collect::<Vec<_>>();
+    assert_eq!(numbers(""), [9, 10]);
+    // A mesh beside them is none of the particles' frames.
+    Reconstruction::new().run(&ball()).unwrap().write(dir.path().join("mesh_1.ply")).unwrap();
+    assert_eq!([numbers(""), numbers("pool_{}.xyz"), numbers("pool_*")], [[9, 10], [9, 10], [9, 10]]);
+    let of_one = listed("pool_9.xyz").unwrap();
+    assert_eq!((of_one.len(), &*of_one[0].path), (1, &*dir.path().join("pool_9.xyz")));
+    let none = listed("none_{}.xyz").unwrap_err().to_string();
+    assert!(none.ends_with("none_{}.xyz: there are no frames"), "{none}");
+    write("sand_1.xyz", &raw(&ball()));
+    let several = listed("").unwrap_err().to_string();
+    assert!(several.contains("pool_{}.xyz (2), sand_{}.xyz (1)"), "{several}");
+}
+
+#[test]
+fn a_frame_knows_which_axis_points_up_in_its_particles() {
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("ball.xyz");
+    fs::write(&file, raw(&ball())).unwrap();
+    let up = |request: Reconstruction| request.open(&file).unwrap().sample().unwrap().particles_up();
+    assert_eq!(up(Reconstruction::new()), UpAxis::Y);
+    assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
 }

@@ -78,6 +78,12 @@ impl Frame {
         self.ready.threads.install(|| of_frame(&self.sampled.engine))
     }
 
+    /// The axis that points up in the particles, as it was asked for or by the kind of file.
+    #[must_use]
+    pub fn particles_up(&self) -> UpAxis {
+        self.ready.checked.asked.particles_up.unwrap_or(self.up)
+    }
+
     /// Draws the surface that was asked for when the particles were sampled.
     ///
     /// # Errors

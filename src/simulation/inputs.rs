@@ -10,7 +10,7 @@ use std::time::Duration;
 use crate::io::frame_files::{files_of, snapshot_piece};
 use crate::io::input::{holds_mesh, is_known, steps};
 
-use crate::error::SimulationError;
+use crate::error::{Error, SimulationError};
 
 use super::pieces::{Whole, may_be_piece, whole_frames};
 
@@ -341,6 +341,26 @@ impl Inputs {
             Self::Files(files) => numbered(whole_frames(files.clone()))?,
         })
     }
+}
+
+/// Lists the frames that a request for a simulation names, in the order of their numbers: by a name with `{}`, a folder, a glob, a file
+/// of several steps, or files one by one.
+///
+/// # Errors
+/// [`Error::Simulation`] for a folder that cannot be read, names that cannot be those of frames, files of several simulations, and where
+/// there is no frame.
+pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
+    let inputs = Inputs::of(inputs)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
+    // Meshes in a folder of particles are none of them.
+    let simulations = inputs.simulations()?;
+    let frames = match &*simulations {
+        [one] => one.list()?,
+        _ => inputs.list()?,
+    };
+    if frames.is_empty() {
+        return Err(SimulationError::NoFrames(inputs.describe()).into());
+    }
+    Ok(frames)
 }
 
 impl FrameFile {

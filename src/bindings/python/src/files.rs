@@ -3,12 +3,14 @@
 use std::path::PathBuf;
 
 use meniscus::Particles;
-use meniscus::files::{open_particles, usual_up, velocity_attribute};
+use meniscus::files::{frames, open_particles, usual_up, velocity_attribute};
 use numpy::prelude::*;
 use numpy::{PyArray1, PyArray2};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::errors::exception;
 use crate::work::Work;
 
 /// The particles of a file: what ``read_particles`` returns.
@@ -117,4 +119,36 @@ pub fn read_particles(py: Python<'_>, path: PathBuf, particle_type: Option<&str>
         up: usual_up(&path).to_string().to_lowercase(),
         format: file.format,
     })
+}
+
+/// Lists the frames of a simulation as ``Simulation`` takes them: their numbers, and their files.
+///
+/// Parameters
+/// ----------
+/// inputs : path or list of paths
+///     A name with ``{}`` for the number, a folder, a glob, a file of several steps, or files one by one.
+///
+/// Returns
+/// -------
+/// list of pairs of int and pathlib.Path
+///     In the order of the numbers; ``sim.h5part#12`` is a step of a file of several.
+///
+/// Raises
+/// ------
+/// meniscus.InputError, meniscus.FileError
+///     Where there are none, or those of several simulations, or the folder cannot be read.
+#[pyfunction]
+pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(u64, PathBuf)>> {
+    let inputs = paths(inputs)?;
+    let found = py.detach(|| frames(&inputs)).map_err(exception)?;
+    Ok(found.into_iter().map(|frame| (frame.number, frame.path)).collect())
+}
+
+/// One path or several.
+pub fn paths(inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
+    if let Ok(path) = inputs.extract::<PathBuf>() {
+        return Ok(vec![path]);
+    }
+    let several = inputs.try_iter().and_then(|paths| paths.map(|path| path?.extract()).collect());
+    several.map_err(|_| PyTypeError::new_err("inputs: a path or a list of paths is needed"))
 }

@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 
 use crate::errors::other;
 use crate::mesh::Mesh;
-use crate::options::{Keywords, MACHINE, SAMPLING, SURFACE};
+use crate::options::{FILES, Keywords, MACHINE, SAMPLING, SURFACE};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
@@ -45,7 +45,7 @@ impl Frame {
             Keywords::of(function, Some(keywords), &[&SURFACE])?;
             all.update(keywords.as_mapping())?;
         }
-        let request = Keywords::of(function, Some(&all), &[&SAMPLING, &SURFACE, &MACHINE])?.request;
+        let request = Keywords::of(function, Some(&all), &[&SAMPLING, &SURFACE, &MACHINE, &FILES])?.request;
         Ok(match &self.named {
             Some(names) => request.attributes(names),
             None => request,
@@ -94,20 +94,26 @@ impl Frame {
         Ok(Self { sampled: Arc::new(sampled), asked: asked.unbind(), named, process: std::process::id() })
     }
 
-    /// Opens a frame that was saved, by this or by the program's ``pack``.
+    /// Opens a frame that was saved, by this or by the program's ``pack``, or samples the particles of a file, which never become arrays.
     ///
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
-    ///     The file: .mnf. A file of particles will do as well, which is sampled by default.
+    ///     The file: .mnf, or one of particles.
+    /// attributes : list of str, optional
+    ///     The attributes of the particles that vertices carry; their velocity by default.
+    /// particle_type : str, optional
+    ///     The type of particles, of a file that holds several.
     ///
-    /// Further keywords are those of ``reconstruct`` that do not need the particles.
+    /// Further keywords are those of ``reconstruct``. Of a frame that was saved, those that say how particles are sampled are refused.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
-        text_signature = "(path, *, periodic_mesh=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, \
-            simplify=None, smallest_component=None, smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, \
-            device=None, threads=None, memory=None, scratch=None, progress=None)"
+        text_signature = "(path, *, attributes=None, particle_type=None, spacing=None, radius=None, cell=None, cell_size=None, \
+            origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
+            skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
+            smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
+            memory=None, scratch=None, progress=None)"
     )]
     fn load(
         py: Python<'_>,
@@ -116,7 +122,8 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let request = Keywords::of("load", keywords, &[&SURFACE, &MACHINE])?.on_machine(None)?;
+        let request = Keywords::of("load", keywords, &[&SAMPLING, &SURFACE, &MACHINE, &FILES])?;
+        let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.holds(request, progress.is_some());
         let sampled = with_progress(py, progress, work, || request.open(&path)?.sample())?;
@@ -151,6 +158,12 @@ impl Frame {
         let request = work.holds(self.request("surface", keywords, py)?, progress.is_some());
         let surface = with_progress(py, progress, work, || self.sampled.surface_by(&request))?;
         Mesh::new(py, surface, request)
+    }
+
+    /// The axis that points up in the particles: "y" or "z".
+    #[getter]
+    fn particles_up(&self) -> String {
+        self.sampled.particles_up().to_string().to_lowercase()
     }
 
     /// Packs it into a file, of which surfaces can be drawn later, by this or by the program. Attributes stay behind.

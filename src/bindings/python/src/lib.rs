@@ -25,7 +25,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _meniscus {
     #[pymodule_export]
-    use crate::files::{ParticleData, read_particles};
+    use crate::files::{ParticleData, list_frames, read_particles};
     #[pymodule_export]
     use crate::frame::Frame;
     #[pymodule_export]

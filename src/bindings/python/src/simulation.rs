@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::{InputError, exception, other, warn};
+use crate::files::paths;
 use crate::mesh::Mesh;
 use crate::options::{FILES, Keywords, MACHINE, SAMPLING, SURFACE};
 use crate::particles::Arrays;
@@ -118,7 +119,7 @@ impl Simulation {
             let live = LiveSimulation::new(&request).map_err(exception)?;
             return Ok(Self { kind: Kind::Live(Mutex::new(live)), request, names, process });
         };
-        let files = of_files(files(inputs)?, output.clone(), keywords)?;
+        let files = of_files(paths(inputs)?, output.clone(), keywords)?;
         let files = files.reconstruction(asked.request.clone());
         files.check().map_err(exception)?;
         let request = asked.on_machine(files.input_bytes())?;
@@ -254,15 +255,6 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
         }
     }
     Ok(())
-}
-
-/// One path or several.
-fn files(inputs: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
-    if let Ok(path) = inputs.extract::<PathBuf>() {
-        return Ok(vec![path]);
-    }
-    let several = inputs.try_iter().and_then(|paths| paths.map(|path| path?.extract()).collect());
-    several.map_err(|_| PyTypeError::new_err("inputs: a path or a list of paths is needed"))
 }
 
 fn of_files(inputs: Vec<PathBuf>, output: PathBuf, keywords: Option<&Bound<'_, PyDict>>) -> PyResult<Files> {

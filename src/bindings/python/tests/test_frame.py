@@ -50,3 +50,24 @@ def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program
     assert frame.save(tmp_path / "ours.mnf", overwrite=True) == size
     with pytest.raises(meniscus.InputError, match="kernel method"):
         meniscus.Frame(ball, method="mueller").save(tmp_path / "kernels.mnf")
+
+
+def test_particles_of_files_are_sampled_where_they_are(dambreak: Path) -> None:
+    file = dambreak / "ParticleData_Fluid_20.bgeo"
+    read = meniscus.read_particles(file)
+    frame = meniscus.Frame.load(file, cell=1.0, attributes=["velocity", "density"])
+    asked = meniscus.reconstruct(
+        read.positions, spacing=read.spacing, cell=1.0, velocity=read.velocity, attributes={"density": read.attributes["density"]}
+    )
+    assert same(frame.surface(), asked) and set(frame.surface().attributes) == {"velocity", "density"}
+    assert np.array_equal(frame.surface().attributes["density"], asked.attributes["density"])
+    assert set(meniscus.Frame.load(file).surface(smooth=2.0).attributes) == {"velocity"}
+    assert frame.particles_up == "y" and meniscus.Frame.load(file, particles_up="z").particles_up == "z"
+    with pytest.raises(meniscus.InputError, match='no attribute "heat"'):
+        meniscus.Frame.load(file, attributes=["heat"])
+
+
+def test_a_packed_frame_is_sampled_already(tmp_path: Path, ball: Any) -> None:
+    meniscus.Frame(ball, spacing=1.0).save(tmp_path / "ball.mnf")
+    with pytest.raises(meniscus.InputError, match="ball.mnf"):
+        meniscus.Frame.load(tmp_path / "ball.mnf", spacing=2.0)

@@ -15,7 +15,7 @@ import meniscus
 OF_FILES = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",
-    "particle_type": "arrays are of one type; read_particles() and Simulation have it",
+    "particle_type": "arrays are of one type; read_particles(), Frame.load() and Simulation have it",
     "start": "Simulation has it",
     "end": "Simulation has it",
     "step": "Simulation has it",
@@ -74,7 +74,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
 def test_a_frame_that_is_sampled_has_the_keywords_of_its_surface(options: set[str]) -> None:
     of_surface = keywords(meniscus.Frame.surface) - {"progress"}
     assert {"smooth", "simplify", "normals"} <= of_surface <= options
-    assert keywords(meniscus.Frame.load) - {"progress"} == of_surface | {"backend", "device", "threads", "memory", "scratch"}
+    assert keywords(meniscus.Frame.load) == keywords(meniscus.Frame) - {"velocity"} | {"particle_type"}
 
 
 @pytest.mark.parametrize("name", sorted(keywords(meniscus.reconstruct) - OWN))

@@ -140,3 +140,15 @@ def test_frames_that_cannot_be_made_are_counted(tmp_path: Path, dambreak: Path) 
     assert (summary.made, summary.failed, summary.complete) == (2, 1, False)
     failed = [event for event in events if event.kind == "failed"]
     assert [event.frame for event in failed] == [3] and "in_3.xyz" in failed[0].message
+
+
+def test_frames_are_listed_by_their_numbers(dambreak: Path, tmp_path: Path) -> None:
+    listed = meniscus.list_frames(dambreak / "ParticleData_Fluid_{}.bgeo")
+    assert listed == sorted(listed) and all(path == dambreak / f"ParticleData_Fluid_{number}.bgeo" for number, path in listed)
+    assert meniscus.list_frames(str(dambreak / "*.bgeo")) == meniscus.list_frames([path for _, path in listed]) == listed
+    with pytest.raises(meniscus.InputError, match="several simulations"):
+        meniscus.list_frames(dambreak)
+    with pytest.raises(meniscus.FileError, match="there are no frames"):
+        meniscus.list_frames(tmp_path)
+    with pytest.raises(TypeError, match="a path or a list of paths is needed"):
+        meniscus.list_frames(7)  # type: ignore[arg-type]

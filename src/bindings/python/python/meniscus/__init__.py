@@ -9,7 +9,7 @@
 True
 
 ``reconstruct`` makes a mesh of arrays, ``Simulation`` the meshes of a simulation's frames, ``Frame`` is sampled once and drawn often, and
-``read_particles`` reads files. ``meniscus.compat.pysplashsurf`` takes pysplashsurf's calls.
+``read_particles`` and ``list_frames`` read files. ``meniscus.compat.pysplashsurf`` takes pysplashsurf's calls.
 """
 
 from ._errors import DeviceError, Error, FileError, InputError, MeshWarning
@@ -23,6 +23,7 @@ from ._meniscus import (
     Simulation,
     Summary,
     __version__,
+    list_frames,
     read_particles,
     reconstruct,
 )
@@ -42,6 +43,7 @@ __all__ = [
     "Simulation",
     "Summary",
     "__version__",
+    "list_frames",
     "read_particles",
     "reconstruct",
 ]

@@ -17,6 +17,7 @@ __all__ = [
     "Simulation",
     "Summary",
     "__version__",
+    "list_frames",
     "read_particles",
     "reconstruct",
 ]
@@ -67,6 +68,7 @@ def reconstruct(
     scratch: _Path | None = None,
     progress: _Progress | None = None,
 ) -> Mesh: ...
+def list_frames(inputs: _Path | Sequence[_Path]) -> list[tuple[int, pathlib.Path]]: ...
 def read_particles(path: _Path, *, particle_type: str | None = None) -> Particles: ...
 
 @final
@@ -136,7 +138,20 @@ class Frame:
     def load(
         path: _Path,
         *,
+        attributes: Iterable[str] | None = None,
+        particle_type: str | None = None,
+        spacing: float | None = None,
+        radius: float | None = None,
+        cell: float | None = None,
+        cell_size: float | None = None,
+        origin: _Point | None = None,
+        domain: _Box | None = None,
+        periodic: _Box | None = None,
         periodic_mesh: Literal["cut", "overlap"] | None = None,
+        indicator: Literal["cloud", "counting", "symmetry"] | None = None,
+        mu0: float | None = None,
+        method: Literal["dif", "mueller", "zhu-bridson", "yu-turk"] | None = None,
+        skip_invalid: bool | None = None,
         smooth: float | None = None,
         sigma: float | None = None,
         iso: float | Literal["auto"] | None = None,
@@ -155,6 +170,8 @@ class Frame:
         scratch: _Path | None = None,
         progress: _Progress | None = None,
     ) -> Frame: ...
+    @property
+    def particles_up(self) -> Literal["y", "z"]: ...
     def surface(
         self,
         *,

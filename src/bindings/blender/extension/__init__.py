@@ -1,0 +1,24 @@
+"""Live watertight surfaces of particle fluids, by the library meniscus, whose wheel comes with this extension."""
+
+import warnings
+
+import bpy  # noqa: F401  (first, so that whoever imports this without Blender is told so)
+import meniscus
+
+from . import live, operators, panels, settings
+
+
+def register() -> None:
+    # They are told in panels.
+    warnings.filterwarnings("ignore", category=meniscus.MeshWarning)
+    settings.register()
+    operators.register()
+    panels.register()
+    live.register()
+
+
+def unregister() -> None:
+    live.unregister()
+    panels.unregister()
+    operators.unregister()
+    settings.unregister()

@@ -1,0 +1,327 @@
+"""Surfaces that follow the scene: made anew where their frame, a setting or their input has changed, and nowhere else.
+
+A mesh keeps the name of the request that it was made by. That tells whether it is what it should be, also after undo and in a file that
+is opened again, for the name comes back with the mesh.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import bpy
+import meniscus
+from bpy.app.handlers import persistent
+
+from . import meshes, vertices
+from .surfaces.arrays import Arrays, Unfit
+from .surfaces.cache import Cache
+from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
+from .surfaces.sequence import Listings, Timing, shown_at
+
+#: The name of the request that a mesh was made by, on the mesh.
+MADE = "meniscus_made"
+MIB = 1 << 20
+
+
+@dataclass
+class Status:
+    """What is to be said of a surface in its panel."""
+
+    error: str = ""
+    #: Of the frame, whether or not its surface was made anew.
+    notes: tuple[str, ...] = ()
+    #: Of the surface, when it was made.
+    warnings: tuple[str, ...] = ()
+    file: str = ""
+    seconds: float = 0.0
+
+
+class _State:
+    """What is not kept in the file. Meshes are known by their session's number."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self.cache: Cache[Arrays] = Cache(1024 * MIB)
+        self.listings = Listings()
+        self.makers: dict[int, Maker] = {}
+        self.statuses: dict[int, Status] = {}
+        self.renders = False
+
+    def forget(self, gone: set[int]) -> None:
+        for uid in gone:
+            self.makers.pop(uid, None)
+            self.statuses.pop(uid, None)
+
+
+_state = _State()
+
+
+class Refused(Exception):
+    """A surface that cannot be made, and why, in a sentence for its panel."""
+
+
+def bound_cache(mebibytes: int) -> None:
+    """Sets how much memory surfaces may take that are not shown."""
+    _state.cache.bound = mebibytes * MIB
+
+
+def cached() -> tuple[int, int]:
+    """How many surfaces are kept, and their bytes."""
+    return len(_state.cache), _state.cache.nbytes
+
+
+def status_of(mesh: bpy.types.Mesh) -> Status:
+    """What there is to say of a surface."""
+    return _state.statuses.get(mesh.session_uid, Status())
+
+
+def surfaces() -> Iterator[bpy.types.Mesh]:
+    """The meshes that are surfaces, and ours to change."""
+    return (mesh for mesh in bpy.data.meshes if mesh.meniscus.source != "NONE" and mesh.library is None)
+
+
+def _typed(value: float) -> float:
+    """The number that was typed: Blender keeps it in single precision, and 0.05 would be 0.0500000007."""
+    return float(f"{value:.7g}")
+
+
+def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
+    """How particles are sampled by the settings of a mesh."""
+    names = tuple(name.strip() for name in settings.attributes.split(",") if name.strip())
+    return Sampling(
+        spacing=_typed(settings.spacing) or None,
+        cell=_typed(cell),
+        attributes=names or None,
+        particle_type=settings.particle_type.strip() or None,
+    )
+
+
+def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
+    """How a surface is drawn by the settings of a mesh."""
+    return Filters(
+        smooth=_typed(settings.smooth),
+        smallest_drop=settings.smallest_drop or None,
+        simplify=_typed(settings.simplify) or None,
+    )
+
+
+def timing_of(settings: bpy.types.PropertyGroup) -> Timing:
+    """When files are shown by the settings of a mesh."""
+    return Timing(settings.start, settings.first, _typed(settings.step))
+
+
+def _request(
+    settings: bpy.types.PropertyGroup, frame: int, depsgraph: bpy.types.Depsgraph | None, status: Status
+) -> Request | None:
+    """What a mesh should show; nothing as long as that cannot be told."""
+    cell = settings.cell_render if _state.renders else settings.cell_viewport
+    sampling, filters = sampling_of(settings, cell), filters_of(settings)
+    if settings.source == "OBJECT":
+        if settings.object is None:
+            raise Refused("No object is chosen whose vertices would be the particles")
+        if depsgraph is None:
+            return None
+        positions, velocity = vertices.particles_of(settings.object, depsgraph)
+        if not len(positions):
+            raise Refused(f"{settings.object.name} has no vertices and no points at frame {frame}")
+        status.file = f"{len(positions)} vertices of {settings.object.name}"
+        return Request(FromPoints(positions, velocity, sampling), filters)
+    if not settings.path.strip():
+        raise Refused("No files are chosen")
+    path = bpy.path.abspath(settings.path)
+    frames = _state.listings.frames(path)
+    shown = shown_at(frames, timing_of(settings), frame)
+    status.file = shown.path
+    if shown.is_gap:
+        status.notes += (f"Frame {shown.wanted} is missing: frame {shown.number} is held",)
+    return Request(FromFile(shown.path, sampling), filters)
+
+
+def _arrays(request: Request, maker: Maker) -> Arrays:
+    """The surface, made or kept."""
+    found = _state.cache.get(request.key)
+    if found is None:
+        found = maker.make(request)
+        _state.cache.put(request.key, found)
+    return found
+
+
+def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -> float:
+    """Seconds of the simulation in one of the scene's."""
+    scene_fps = scene.render.fps / scene.render.fps_base
+    return settings.step * (scene_fps / settings.fps if settings.fps else 1.0)
+
+
+def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Makes a mesh what its settings and the scene's frame say, if it is not that already."""
+    settings = mesh.meniscus
+    if settings.source == "NONE" or not settings.live:
+        return
+    began, status = time.perf_counter(), Status()
+    try:
+        if mesh.is_editmode:
+            raise Refused("The surface waits until its mesh is no longer edited")
+        request = _request(settings, scene.frame_current, depsgraph, status)
+        if request is None:
+            return
+        scale = _velocity_scale(settings, scene)
+        name = f"{request.name} {scale:g}"
+        if mesh.get(MADE) == name:
+            known = status_of(mesh)
+            status.warnings, status.seconds = known.warnings, known.seconds
+            _state.statuses[mesh.session_uid] = status
+            return
+        arrays = _arrays(request, _state.makers.setdefault(mesh.session_uid, Maker()))
+        status.warnings = arrays.warnings
+        meshes.fill(mesh, arrays, scale)
+        mesh[MADE] = name
+    except (Refused, Unfit, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError) as error:
+        status.error = str(error) or "The memory does not suffice"
+        if mesh.vertices and not mesh.is_editmode:
+            mesh.clear_geometry()
+            mesh.update()
+        mesh[MADE] = ""
+        if bpy.app.background or _state.renders:
+            # There nobody looks at a panel.
+            print(f"{mesh.name}: {status.error}", flush=True)
+    status.seconds = time.perf_counter() - began
+    _state.statuses[mesh.session_uid] = status
+
+
+def update_all(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None, which: Callable[[bpy.types.Mesh], bool]) -> None:
+    """Updates some of all surfaces, and forgets those that are gone."""
+    known = list(surfaces())
+    _state.forget(set(_state.statuses) - {mesh.session_uid for mesh in known})
+    for mesh in known:
+        if which(mesh):
+            update(mesh, scene, depsgraph)
+
+
+def refresh(mesh: bpy.types.Mesh) -> None:
+    """Updates a mesh whose settings have changed."""
+    context = bpy.context
+    update(mesh, context.scene, context.evaluated_depsgraph_get() if mesh.meniscus.source == "OBJECT" else None)
+
+
+def reread(mesh: bpy.types.Mesh) -> None:
+    """Reads a surface's files anew, whatever is known of them."""
+    _state.listings.clear()
+    _state.makers.pop(mesh.session_uid, None)
+    _state.cache.clear()
+    mesh[MADE] = ""
+    refresh(mesh)
+
+
+def particles_up(mesh: bpy.types.Mesh) -> str | None:
+    """The axis that points up in a surface's particles, where they were read."""
+    maker = _state.makers.get(mesh.session_uid)
+    return maker.particles_up if maker else None
+
+
+def spacing_used(mesh: bpy.types.Mesh) -> float | None:
+    """The spacing by which a surface was made that is shown."""
+    settings = mesh.meniscus
+    try:
+        request = _request(settings, bpy.context.scene.frame_current, bpy.context.evaluated_depsgraph_get(), Status())
+    except (Refused, vertices.Hidden, meniscus.Error, OSError):
+        return None
+    arrays = _state.cache.get(request.key) if request else None
+    return arrays.spacing if arrays else None
+
+
+def _is_of_files(mesh: bpy.types.Mesh) -> bool:
+    return mesh.meniscus.source == "FILES"
+
+
+def _is_of_object(mesh: bpy.types.Mesh) -> bool:
+    return mesh.meniscus.source == "OBJECT"
+
+
+@persistent
+def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
+    # Cycles looks at times between frames for motion blur, which velocities are for: the mesh is that of its frame.
+    if scene.frame_subframe == 0.0:
+        update_all(scene, None, _is_of_files)
+
+
+@persistent
+def _after_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    # Where the vertices are at a frame is known when it has been evaluated.
+    if scene.frame_subframe == 0.0:
+        update_all(scene, depsgraph, _is_of_object)
+
+
+@persistent
+def _after_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if _state.renders:
+        return
+    changed = {each.id.original for each in depsgraph.updates if isinstance(each.id, bpy.types.Object)}
+    if changed:
+        update_all(scene, depsgraph, lambda mesh: _is_of_object(mesh) and mesh.meniscus.object in changed)
+
+
+@persistent
+def _after_undo(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
+    _everything(scene)
+
+
+@persistent
+def _after_load(_path: object, _other: object = None) -> None:
+    _state.makers.clear()
+    _state.statuses.clear()
+    _state.renders = False
+    _everything(bpy.context.scene)
+
+
+def _everything(scene: bpy.types.Scene) -> None:
+    if any(True for _ in surfaces()):
+        update_all(scene, bpy.context.evaluated_depsgraph_get(), lambda _mesh: True)
+
+
+@persistent
+def _before_render(_scene: bpy.types.Scene, _other: object = None) -> None:
+    _state.renders = True
+
+
+@persistent
+def _after_render(_scene: bpy.types.Scene, _other: object = None) -> None:
+    _state.renders = False
+
+    def back_to_the_viewport() -> None:
+        _everything(bpy.context.scene)
+
+    if bpy.app.background:
+        back_to_the_viewport()
+    else:
+        # Renders end on a thread of their own.
+        bpy.app.timers.register(back_to_the_viewport, first_interval=0.0)
+
+
+def _handlers() -> list[tuple[list[Callable[..., None]], Callable[..., None]]]:
+    known = bpy.app.handlers
+    return [
+        (known.frame_change_pre, _before_frame),
+        (known.frame_change_post, _after_frame),
+        (known.depsgraph_update_post, _after_change),
+        (known.undo_post, _after_undo),
+        (known.redo_post, _after_undo),
+        (known.load_post, _after_load),
+        (known.render_init, _before_render),
+        (known.render_complete, _after_render),
+        (known.render_cancel, _after_render),
+    ]
+
+
+def register() -> None:
+    for handlers, ours in _handlers():
+        handlers.append(ours)
+
+
+def unregister() -> None:
+    for handlers, ours in _handlers():
+        handlers.remove(ours)
+    _state.reset()

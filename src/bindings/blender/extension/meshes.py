@@ -1,0 +1,46 @@
+"""Arrays to a mesh of Blender's, in place of what it was."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from .surfaces.arrays import Arrays
+
+#: Blender numbers the corners of a mesh by 32 bits, with a sign.
+MOST_CORNERS = 2**31 - 1
+#: The types of attributes by how many numbers a vertex has.
+_TYPES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
+#: What Cycles takes motion blur from.
+VELOCITY = "velocity"
+
+
+class TooLarge(Exception):
+    """A mesh that Blender has no numbers for."""
+
+
+def fill(mesh: bpy.types.Mesh, arrays: Arrays, velocity_scale: float) -> None:
+    """Puts a surface into a mesh, whose materials stay.
+
+    Cycles moves vertices by their velocity for motion blur, a second of the scene at a time: `velocity_scale` is how many seconds of the
+    simulation that is.
+    """
+    corners = arrays.triangles.size
+    if corners > MOST_CORNERS:
+        raise TooLarge(f"{corners // 3} triangles are more than a mesh of Blender's can have, {MOST_CORNERS // 3}: larger cells make fewer")
+    mesh.clear_geometry()
+    mesh.vertices.add(len(arrays.vertices))
+    mesh.vertices.foreach_set("co", arrays.vertices.reshape(-1))
+    mesh.loops.add(corners)
+    mesh.loops.foreach_set("vertex_index", arrays.triangles.reshape(-1))
+    mesh.polygons.add(corners // 3)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
+    for name, values in arrays.attributes.items():
+        kind = _TYPES.get(1 if values.ndim == 1 else values.shape[1])
+        # Blender's own names are of what is there already.
+        if kind is None or name in mesh.attributes:
+            continue
+        if name == VELOCITY and velocity_scale != 1.0:
+            values = values * np.float32(velocity_scale)
+        mesh.attributes.new(name, kind[0], "POINT").data.foreach_set(kind[1], values.reshape(-1))
+    mesh.update(calc_edges=True)

@@ -1,0 +1,292 @@
+"""What buttons and menus do: new surfaces, reading anew, the spacing, and conversions."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Set
+from pathlib import Path
+
+import bpy
+import meniscus
+from bpy.props import StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from . import live
+from .conversion import Conversion, Order
+from .surfaces.playing import reading
+from .surfaces.sequence import number_of, sequence_of
+
+Done = Set[str]
+
+#: Conversions by the session's number of the mesh that they were ordered from.
+_conversions: dict[int, Conversion] = {}
+
+
+def conversion_of(mesh: bpy.types.Mesh) -> Conversion | None:
+    """The conversion that was ordered last from a surface."""
+    return _conversions.get(mesh.session_uid)
+
+
+def _active(context: bpy.types.Context) -> bpy.types.Mesh | None:
+    active = context.object
+    return active.data if active is not None and active.type == "MESH" else None
+
+
+def _is_surface(context: bpy.types.Context) -> bool:
+    mesh = _active(context)
+    return mesh is not None and mesh.meniscus.source != "NONE"
+
+
+def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
+    added = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    context.collection.objects.link(added)
+    for other in context.selected_objects:
+        other.select_set(False)
+    added.select_set(True)
+    context.view_layer.objects.active = added
+    # Meshes change while a render runs; windows may not read them meanwhile.
+    context.scene.render.use_lock_interface = True
+    return added
+
+
+def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
+    """Adds the surface of a sequence that a file, a folder or a name with {} stands for.
+
+    Its first number is at the scene's first frame, and it stands upright whatever axis is up in its particles.
+    """
+    inputs = sequence_of(path)
+    name = re.sub(r"[ _.-]*\{.*?\}", "", Path(inputs).name).split(".")[0] or "Surface"
+    added = _add(context, name)
+    settings = added.data.meniscus
+    # Nothing is made before all is said.
+    settings.live = False
+    settings.source, settings.path = "FILES", inputs
+    settings.start = context.scene.frame_start
+    try:
+        settings.first = meniscus.list_frames(bpy.path.abspath(inputs))[0][0]
+    except (meniscus.Error, OSError):
+        # It is told of in the panel.
+        settings.first = number_of(path) or 0
+    settings.live = True
+    # One spacing for all frames, or their cells would differ from frame to frame.
+    settings.spacing = live.spacing_used(added.data) or 0.0
+    if live.particles_up(added.data) == "y":
+        added.rotation_euler.x = math.pi / 2
+    return added
+
+
+def add_object(context: bpy.types.Context, source: bpy.types.Object) -> bpy.types.Object:
+    """Adds the surface of an object's vertices."""
+    added = _add(context, f"{source.name} Surface")
+    settings = added.data.meniscus
+    settings.object, settings.source = source, "OBJECT"
+    settings.spacing = live.spacing_used(added.data) or 0.0
+    return added
+
+
+class AddFiles(bpy.types.Operator, ImportHelper):
+    """Add the live surface of a sequence of particle files, or of packed frames"""
+
+    bl_idname = "meniscus.add_files"
+    bl_label = "Fluid Surface of Files"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filter_glob: StringProperty(
+        default="*.bgeo;*.bgeo.gz;*.vtk;*.vtu;*.vtp;*.pvtu;*.pvtp;*.vtkhdf;*.ply;*.npy;*.npz;*.csv;*.txt;*.xyz;*.bi4;*.h5;*.hdf5;*.h5part;*.mnf",
+        options={"HIDDEN"},
+    )
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        status = live.status_of(add_files(context, self.filepath).data)
+        if status.error:
+            self.report({"WARNING"}, status.error)
+        return {"FINISHED"}
+
+
+class AddObject(bpy.types.Operator):
+    """Add the live surface of the active object's vertices, or of its point cloud"""
+
+    bl_idname = "meniscus.add_object"
+    bl_label = "Fluid Surface of Vertices"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.object is not None and context.mode == "OBJECT"
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        status = live.status_of(add_object(context, context.object).data)
+        if status.error:
+            self.report({"WARNING"}, status.error)
+        return {"FINISHED"}
+
+
+class Reread(bpy.types.Operator):
+    """Read the files anew, whatever is kept of them"""
+
+    bl_idname = "meniscus.reread"
+    bl_label = "Read Anew"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _is_surface(context)
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        live.reread(_active(context))
+        return {"FINISHED"}
+
+
+class Measure(bpy.types.Operator):
+    """Take the spacing from the file of this frame, or estimate it of its particles, for all frames"""
+
+    bl_idname = "meniscus.measure"
+    bl_label = "Measure the Spacing"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _is_surface(context)
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        mesh = _active(context)
+        mesh.meniscus.spacing = 0.0
+        found = live.spacing_used(mesh)
+        if found is None:
+            self.report({"WARNING"}, live.status_of(mesh).error or "This frame does not tell the spacing")
+            return {"CANCELLED"}
+        mesh.meniscus.spacing = found
+        return {"FINISHED"}
+
+
+def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
+    """The conversion that a surface's settings ask for."""
+    settings = mesh.meniscus
+    folder = bpy.path.abspath(settings.output)
+    name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
+    # The library says what the stage is called: as the layers, without their number.
+    return Order(
+        inputs=bpy.path.abspath(settings.path),
+        output=os.path.join(folder, f"{name}_{{}}.usdc"),
+        stage=os.path.join(folder, f"{name}.usda"),
+        fps=scene.render.fps / scene.render.fps_base,
+        particles_up=live.particles_up(mesh),
+        sampling=live.sampling_of(settings, settings.cell_render),
+        filters=live.filters_of(settings),
+    )
+
+
+def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[bpy.types.Object]:
+    """Shows a conversion's meshes by Blender's own mesh sequence cache, in place of the live surface."""
+    before = set(bpy.data.objects)
+    window = context.window or (context.window_manager.windows[0] if context.window_manager.windows else None)
+    with context.temp_override(window=window) if window else context.temp_override():
+        bpy.ops.wm.usd_import(filepath=stage, set_frame_range=False, relative_path=False)
+    for shown in bpy.data.objects:
+        if shown.data == mesh:
+            shown.hide_render = True
+            shown.hide_viewport = True
+    mesh.meniscus.live = False
+    played = [added for added in bpy.data.objects if added not in before]
+    for added in played:
+        if added.type == "MESH":
+            for material in mesh.materials:
+                added.data.materials.append(material)
+        for modifier in added.modifiers:
+            if modifier.type == "MESH_SEQUENCE_CACHE":
+                _read_as_live(modifier.cache_file, mesh, stage)
+    return played
+
+
+def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) -> None:
+    """Shows the frames of a stage when the live surface would."""
+    read = reading(Path(stage).with_suffix(".usdc.json"), live.timing_of(mesh.meniscus))
+    if read.offset is not None:
+        cache.frame_offset = read.offset
+        return
+    cache.override_frame = True
+    cache.driver_add("frame").driver.expression = read.expression
+
+
+def _poll(uid: int) -> float | None:
+    """Looks after a conversion, until it has ended."""
+    conversion = _conversions.get(uid)
+    mesh = next((mesh for mesh in bpy.data.meshes if mesh.session_uid == uid), None)
+    if conversion is None or mesh is None:
+        if conversion is not None:
+            conversion.cancel()
+        return None
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "PROPERTIES":
+                area.tag_redraw()
+    if conversion.runs:
+        return 0.2
+    if conversion.is_complete:
+        try:
+            play(bpy.context, mesh, conversion.order.stage)
+            conversion.message = f"Played from {conversion.order.stage}"
+        except (RuntimeError, OSError, ValueError) as error:
+            conversion.error = str(error).strip()
+    return None
+
+
+class Convert(bpy.types.Operator):
+    """Convert the sequence to mesh files in the background, and play them as a mesh sequence cache"""
+
+    bl_idname = "meniscus.convert"
+    bl_label = "Convert"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        mesh = _active(context)
+        if mesh is None or mesh.meniscus.source != "FILES":
+            return False
+        running = conversion_of(mesh)
+        return running is None or not running.runs
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        mesh = _active(context)
+        if not bpy.app.build_options.usd:
+            self.report({"ERROR"}, "This Blender is built without USD, which would play the meshes")
+            return {"CANCELLED"}
+        if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
+            self.report({"ERROR"}, "Save the file first, or choose a folder for the meshes: // is beside the file")
+            return {"CANCELLED"}
+        conversion = Conversion(order_of(mesh, context.scene))
+        uid = mesh.session_uid
+        _conversions[uid] = conversion
+        conversion.start()
+        bpy.app.timers.register(lambda: _poll(uid), first_interval=0.2)
+        return {"FINISHED"}
+
+
+class Cancel(bpy.types.Operator):
+    """End the conversion after the frames that are at work; what is done is kept"""
+
+    bl_idname = "meniscus.cancel"
+    bl_label = "End"
+
+    def execute(self, context: bpy.types.Context) -> Done:
+        mesh = _active(context)
+        conversion = conversion_of(mesh) if mesh else None
+        if conversion is not None:
+            conversion.cancel()
+        return {"FINISHED"}
+
+
+_CLASSES = (AddFiles, AddObject, Reread, Measure, Convert, Cancel)
+
+
+def register() -> None:
+    for each in _CLASSES:
+        bpy.utils.register_class(each)
+
+
+def unregister() -> None:
+    for conversion in _conversions.values():
+        conversion.cancel()
+    _conversions.clear()
+    for each in reversed(_CLASSES):
+        bpy.utils.unregister_class(each)

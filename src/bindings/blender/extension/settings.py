@@ -1,0 +1,164 @@
+"""What can be set of a surface: properties of its mesh, so that whoever shares the mesh shares them."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from . import live
+
+#: Widths, drops and distances by which a surface is drawn where nothing is set, as the library does.
+CELL, CALM = 0.5, 1.6
+
+
+def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
+    live.refresh(settings.id_data)
+
+
+class MeniscusSurface(bpy.types.PropertyGroup):
+    """The surface of particles that a mesh shows."""
+
+    source: EnumProperty(
+        name="Particles",
+        description="Where the particles come from",
+        items=[
+            ("NONE", "None", "An ordinary mesh"),
+            ("FILES", "Files", "A sequence of particle files, or of packed frames"),
+            ("OBJECT", "Object", "The vertices of an object, or its point cloud"),
+        ],
+        default="NONE",
+        update=_changed,
+    )
+    live: BoolProperty(
+        name="Live",
+        description="Make the surface anew whenever the frame or a setting changes",
+        default=True,
+        update=_changed,
+    )
+    path: StringProperty(
+        name="Files",
+        description="A file, a folder, or a name with {} where the frames' numbers are",
+        subtype="FILE_PATH",
+        update=_changed,
+    )
+    object: PointerProperty(
+        name="Object",
+        description="The object whose vertices or points, after modifiers and in world space, are the particles",
+        type=bpy.types.Object,
+        update=_changed,
+    )
+    particle_type: StringProperty(
+        name="Type",
+        description="The type of particles, in files that hold several: PartType1, fluid and the like",
+        update=_changed,
+    )
+    start: IntProperty(name="Start", description="The scene's frame that shows the first number", default=1, update=_changed)
+    first: IntProperty(name="First", description="The number that is shown at the start", default=0, update=_changed)
+    step: FloatProperty(
+        name="Step",
+        description="How many numbers a frame of the scene goes on: below 1 is slow motion, in which frames are held",
+        default=1.0,
+        min=0.0,
+        update=_changed,
+    )
+    fps: FloatProperty(
+        name="Numbers a Second",
+        description="How many numbers of the sequence make a second of the simulation, for motion blur; 0 for as many as the scene has frames",
+        default=0.0,
+        min=0.0,
+        update=_changed,
+    )
+    spacing: FloatProperty(
+        name="Spacing",
+        description="Distance between neighbouring particles, in their unit; 0 to take it from the file, or estimate it for each frame",
+        default=0.0,
+        precision=5,
+        step=0.1,
+        update=_changed,
+    )
+    cell_viewport: FloatProperty(
+        name="Cells, Viewport",
+        description="Edge of a cell in spacings, in the viewport",
+        default=1.0,
+        min=0.05,
+        soft_max=2.0,
+        update=_changed,
+    )
+    cell_render: FloatProperty(
+        name="Render",
+        description="Edge of a cell in spacings, in renders and conversions",
+        default=CELL,
+        min=0.05,
+        soft_max=2.0,
+        update=_changed,
+    )
+    smooth: FloatProperty(
+        name="Calm",
+        description="Width of smoothing in spacings: more makes calmer water, 2 suits the noise of FLIP",
+        default=CALM,
+        min=0.0,
+        soft_min=1.0,
+        soft_max=3.2,
+        step=10,
+        update=_changed,
+    )
+    smallest_drop: IntProperty(
+        name="Smallest Drop",
+        description="Leave out drops of fewer particles",
+        default=0,
+        min=0,
+        soft_max=100,
+        update=_changed,
+    )
+    simplify: FloatProperty(
+        name="Simplify",
+        description="Use fewer triangles, none farther off than so many cells; 0 keeps them all",
+        default=0.0,
+        min=0.0,
+        soft_max=0.5,
+        precision=3,
+        update=_changed,
+    )
+    attributes: StringProperty(
+        name="Attributes",
+        description="Names of the particles' attributes that the vertices carry, with commas between; their velocity if nothing is named",
+        update=_changed,
+    )
+    output: StringProperty(
+        name="Output",
+        description="The folder for the meshes of a conversion",
+        subtype="DIR_PATH",
+        default="//surfaces/",
+    )
+
+
+class MeniscusPreferences(bpy.types.AddonPreferences):
+    """What holds for all surfaces."""
+
+    bl_idname = __package__
+
+    cache: IntProperty(
+        name="Cache (MiB)",
+        description="Memory for surfaces of frames that were made, beside what Blender keeps of the one that is shown",
+        default=1024,
+        min=0,
+        update=lambda self, _context: live.bound_cache(self.cache),
+    )
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        self.layout.prop(self, "cache")
+
+
+def register() -> None:
+    bpy.utils.register_class(MeniscusSurface)
+    bpy.utils.register_class(MeniscusPreferences)
+    bpy.types.Mesh.meniscus = PointerProperty(type=MeniscusSurface)
+    known = bpy.context.preferences.addons.get(__package__)
+    if known is not None and known.preferences is not None:
+        live.bound_cache(known.preferences.cache)
+
+
+def unregister() -> None:
+    del bpy.types.Mesh.meniscus
+    bpy.utils.unregister_class(MeniscusPreferences)
+    bpy.utils.unregister_class(MeniscusSurface)

@@ -1,0 +1,113 @@
+"""Which file of a sequence a frame of the scene shows.
+
+What the frames of a name, a folder or a file of several steps are, the library says; here is what of them is shown when.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import meniscus
+
+#: The last digits before the extensions that are no number themselves.
+_NUMBER = re.compile(r"^(.*?)(\d+)(\D*|\.\w+|\.\w+\.gz)$")
+
+Stamp = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The file that is shown at a frame of the scene."""
+
+    number: int
+    path: str
+    #: The number that would be shown if its file was there.
+    wanted: int
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether the file is shown in place of one that is missing."""
+        return self.number < self.wanted
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When the numbers of a sequence are shown: `first` at the scene's frame `start`, then `step` numbers a frame."""
+
+    start: int = 1
+    first: int = 0
+    step: float = 1.0
+
+    def number(self, frame: int) -> int:
+        """The number that belongs to a frame of the scene."""
+        return self.first + math.floor((frame - self.start) * self.step + 1e-6)
+
+
+def sequence_of(path: str) -> str:
+    """What names the sequence that a file belongs to: the file itself where its frames are steps in it, or it has no number."""
+    folder, name = os.path.split(path)
+    if "#" in name or "{" in name or os.path.isdir(path):
+        return path
+    if os.path.isfile(path):
+        try:
+            steps = meniscus.list_frames(path)
+        except meniscus.Error:
+            # It is told of when its turn comes.
+            steps = []
+        if any("#" in file.name for _, file in steps):
+            return path
+    found = _NUMBER.match(name)
+    return os.path.join(folder, f"{found[1]}{{}}{found[3]}") if found else path
+
+
+def number_of(path: str) -> int | None:
+    """The number in a file's name."""
+    found = _NUMBER.match(os.path.basename(path))
+    return int(found[2]) if found else None
+
+
+def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Shown:
+    """The file for a frame of the scene: before the first that one, after the last that one, and in a gap the one before it."""
+    wanted = timing.number(frame)
+    at = max(bisect.bisect_right(frames, wanted, key=lambda known: known[0]) - 1, 0)
+    number, path = frames[at]
+    is_after = at == len(frames) - 1
+    return Shown(number, str(path), number if is_after or wanted < number else wanted)
+
+
+def stamp_of(path: str) -> Stamp | None:
+    """Size and time of a file, by which it is told whether it is the same; nothing of one that is not there."""
+    name, step = os.path.split(path)[1], path.rsplit("#", 1)
+    try:
+        found = os.stat(step[0] if "#" in name else path)
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
+
+
+class Listings:
+    """Lists of frames, read again where their folder or file has changed."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[Stamp | None, list[tuple[int, Path]]]] = {}
+
+    def frames(self, inputs: str) -> list[tuple[int, Path]]:
+        """The frames that a name stands for.
+
+        Raises what `meniscus.list_frames` raises.
+        """
+        stamp = stamp_of(inputs if os.path.exists(inputs) else os.path.dirname(inputs) or ".")
+        known = self._known.get(inputs)
+        if known is None or known[0] != stamp or stamp is None:
+            known = stamp, meniscus.list_frames(inputs)
+            self._known[inputs] = known
+        return known[1]
+
+    def clear(self) -> None:
+        """Reads all anew when it is asked for again."""
+        self._known.clear()

@@ -1,0 +1,56 @@
+"""Particles of an object: its vertices, or the points of its point cloud, as modifiers leave them, in world space."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+
+def _read(data: bpy.types.Mesh | bpy.types.PointCloud, count: int) -> tuple[Floats, Floats | None]:
+    positions = np.empty(3 * count, np.float32)
+    velocity = None
+    if count:
+        data.attributes["position"].data.foreach_get("vector", positions)
+        found = data.attributes.get("velocity")
+        if found is not None and found.domain == "POINT" and found.data_type == "FLOAT_VECTOR":
+            velocity = np.empty(3 * count, np.float32)
+            found.data.foreach_get("vector", velocity)
+            velocity = velocity.reshape(-1, 3)
+    return positions.reshape(-1, 3), velocity
+
+
+class Hidden(Exception):
+    """An object that is not evaluated."""
+
+
+def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[Floats, Floats | None]:
+    """Positions, and velocities where an attribute of that name has them.
+
+    Raises `Hidden`.
+    """
+    evaluated = source.evaluated_get(depsgraph)
+    try:
+        # Geometry nodes make point clouds of whatever object they are on.
+        geometry = evaluated.evaluated_geometry()
+    except TypeError:
+        # The other graph is of another frame, and is not brought to this one while a picture is made.
+        where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
+        what = f"{source.name} is hidden {where}, where its vertices are then not known: vertices without faces are not drawn anyway"
+        raise Hidden(what) from None
+    points = geometry.pointcloud
+    if points is not None and len(points.points):
+        positions, velocity = _read(points, len(points.points))
+    else:
+        mesh = evaluated.to_mesh(depsgraph=depsgraph)
+        if mesh is None:
+            return np.zeros((0, 3), np.float32), None
+        positions, velocity = _read(mesh, len(mesh.vertices))
+        evaluated.to_mesh_clear()
+    world = np.array(evaluated.matrix_world, np.float32)
+    turned = np.ascontiguousarray(positions @ world[:3, :3].T + world[:3, 3])
+    if velocity is not None:
+        velocity = np.ascontiguousarray(velocity @ world[:3, :3].T)
+    return turned, velocity

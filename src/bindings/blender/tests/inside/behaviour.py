@@ -1,0 +1,461 @@
+"""What a surface does in Blender: frames, settings, undo, files, errors, conversions. Run by tools/bindings/blender check."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from common import DAM, arguments, block, emptied, installed, positions, sizes
+
+options = arguments()
+extension = installed(options.zip)
+live, operators = extension.live, extension.operators
+import meniscus  # noqa: E402  (of the extension)
+
+FLUID = str(DAM / "ParticleData_Fluid_1.bgeo")
+made: list[str] = []
+
+
+def count_making() -> None:
+    """Writes down whatever is made by the library from here on."""
+    make = extension.surfaces.request.Maker.make
+
+    def counted(self: Any, request: Any) -> Any:
+        made.append(request.source.path if hasattr(request.source, "path") else "points")
+        return make(self, request)
+
+    extension.surfaces.request.Maker.make = counted
+
+
+def dam(path: str = FLUID) -> bpy.types.Object:
+    emptied()
+    live._state.reset()
+    bpy.ops.meniscus.add_files(filepath=path)
+    made.clear()
+    return bpy.context.object
+
+
+def expected(number: int, **keywords: Any) -> Any:
+    asked = {"spacing": 0.05, "cell": 1.0, "smooth": 1.6} | keywords
+    return meniscus.Frame.load(DAM / f"ParticleData_Fluid_{number}.bgeo", **asked).surface()
+
+
+def shows(mesh: bpy.types.Mesh, library: Any) -> bool:
+    return np.array_equal(positions(mesh), library.vertices.astype(np.float32)) and len(mesh.polygons) == len(library.triangles)
+
+
+def a_new_surface_is_the_librarys_and_stands_upright() -> None:
+    shown = dam()
+    settings = shown.data.meniscus
+    assert shows(shown.data, expected(1)) and abs(settings.spacing - 0.05) < 1e-7 and settings.first == 1
+    assert abs(shown.rotation_euler.x - np.pi / 2) < 1e-6, "y is up in .bgeo"
+    assert bpy.context.scene.render.use_lock_interface
+    velocity = np.empty(3 * len(shown.data.vertices), np.float32)
+    shown.data.attributes["velocity"].data.foreach_get("vector", velocity)
+    assert np.array_equal(velocity.reshape(-1, 3), expected(1).attributes["velocity"])
+
+
+def frames_are_made_once_and_shown_by_their_numbers() -> None:
+    shown, scene = dam(), bpy.context.scene
+    for frame, number in [(10, 10), (20, 20), (15, 10), (25, 20), (1, 1), (10, 10), (20, 20)]:
+        scene.frame_set(frame)
+        assert shows(shown.data, expected(number)), frame
+        gap = live.status_of(shown.data).notes
+        assert (gap == ("Frame 15 is missing: frame 10 is held",)) == (frame == 15), gap
+    assert [Path(path).stem.rsplit("_", 1)[1] for path in made] == ["10", "20"], made
+
+
+def a_frame_is_made_again_where_its_file_has_changed() -> None:
+    folder = options.folder / "changing"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for number in (1, 2):
+        np.save(folder / f"pool_{number}.npy", block(1000 * number))
+    shown, scene = dam(str(folder / "pool_1.npy")), bpy.context.scene
+    scene.frame_set(2)
+    scene.frame_set(1)
+    assert len(made) == 1, made
+    np.save(folder / "pool_1.npy", block(3000))
+    scene.frame_set(2)
+    scene.frame_set(1)
+    assert len(made) == 2 and made[1].endswith("pool_1.npy"), made
+    before = sizes(shown.data)
+    assert before[0] > 0
+    (folder / "pool_2.npy").unlink()
+    scene.frame_set(2)
+    # Nothing comes after it any more.
+    assert sizes(shown.data) == before and not live.status_of(shown.data).error
+
+
+def other_settings_make_another_surface_and_the_same_none() -> None:
+    shown = dam()
+    bpy.context.scene.frame_set(20)
+    settings = shown.data.meniscus
+    made.clear()
+    settings.smooth = 2.5
+    assert shows(shown.data, expected(20, smooth=2.5))
+    settings.smallest_drop = 50
+    assert shows(shown.data, expected(20, smooth=2.5, smallest_drop=50))
+    settings.simplify = 0.2
+    assert shows(shown.data, expected(20, smooth=2.5, smallest_drop=50, simplify=0.2))
+    settings.smooth, settings.smallest_drop, settings.simplify = 1.6, 0, 0.0
+    assert shows(shown.data, expected(20))
+    count = len(made)
+    settings.smooth = 2.5
+    settings.cell_render = 0.3
+    settings.smooth = 1.6
+    assert len(made) == count, made[count:]
+    settings.attributes = "density"
+    assert "density" in shown.data.attributes and "velocity" not in shown.data.attributes
+    settings.attributes = "heat"
+    assert 'no attribute "heat"; there are: id, velocity, density' in live.status_of(shown.data).error
+    assert sizes(shown.data) == (0, 0)
+
+
+def undo_brings_the_surface_back() -> None:
+    shown, scene = dam(), bpy.context.scene
+    scene.frame_set(20)
+    name = shown.name
+    bpy.ops.ed.undo_push(message="calm")
+    shown.data.meniscus.smooth = 3.0
+    bpy.ops.ed.undo_push(message="calmer")
+    assert shows(shown.data, expected(20, smooth=3.0))
+    made.clear()
+    bpy.ops.ed.undo()
+    shown = bpy.data.objects[name]
+    assert abs(shown.data.meniscus.smooth - 1.6) < 1e-6 and shows(shown.data, expected(20))
+    bpy.ops.ed.redo()
+    shown = bpy.data.objects[name]
+    assert shows(shown.data, expected(20, smooth=3.0))
+    assert made == [], made
+
+
+def a_file_that_is_saved_and_opened_again_goes_on() -> None:
+    shown, scene = dam(), bpy.context.scene
+    scene.frame_set(20)
+    shown.data.meniscus.smooth = 2.0
+    name, blend = shown.name, str(options.folder / "dam.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    live._state.reset()
+    made.clear()
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    shown = bpy.data.objects[name]
+    assert shows(shown.data, expected(20, smooth=2.0))
+    assert made == [], "nothing had changed"
+    bpy.context.scene.frame_set(10)
+    assert shows(shown.data, expected(10, smooth=2.0))
+
+
+def packed_frames_take_filters_and_no_particles() -> None:
+    folder = options.folder / "packed"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for number in (1, 10, 20):
+        meniscus.Frame.load(DAM / f"ParticleData_Fluid_{number}.bgeo", cell=0.5).save(folder / f"dam_{number}.mnf")
+    shown = dam(str(folder / "dam_1.mnf"))
+    bpy.context.scene.frame_set(20)
+    settings = shown.data.meniscus
+    assert shows(shown.data, expected(20, cell=0.5))
+    settings.smooth, settings.smallest_drop = 2.2, 20
+    assert shows(shown.data, expected(20, cell=0.5, smooth=2.2, smallest_drop=20))
+    count = len(made)
+    settings.cell_viewport = 2.0
+    assert len(made) == count and not live.status_of(shown.data).error
+
+
+def vertices_of_an_object_are_particles() -> None:
+    scene = emptied()
+    live._state.reset()
+    points = block(1000)
+    mesh = bpy.data.meshes.new("points")
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.reshape(-1))
+    source = bpy.data.objects.new("points", mesh)
+    scene.collection.objects.link(source)
+    bpy.context.view_layer.objects.active = source
+    bpy.ops.meniscus.add_object()
+    shown = bpy.context.object
+    assert shown != source and shown.data.meniscus.object == source
+    settings = shown.data.meniscus
+    assert 0.08 < settings.spacing < 0.12, settings.spacing
+    settings.spacing = 0.1
+    library = meniscus.reconstruct(points, spacing=0.1, cell=1.0)
+    assert shows(shown.data, library)
+    made.clear()
+    source.location.x = 3.0
+    bpy.context.view_layer.update()
+    assert len(made) == 1 and abs(positions(shown.data)[:, 0].min() - library.vertices[:, 0].min() - 3.0) < 0.05
+    source.keyframe_insert("location", frame=1)
+    source.location.x = 5.0
+    source.keyframe_insert("location", frame=11)
+    scene.frame_set(11)
+    assert abs(positions(shown.data)[:, 0].min() - library.vertices[:, 0].min() - 5.0) < 0.05
+    made.clear()
+    scene.frame_set(1)
+    scene.frame_set(11)
+    assert len(made) <= 1, made
+    bpy.data.objects.remove(source)
+    scene.frame_set(2)
+    assert "No object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+
+
+def a_point_cloud_of_geometry_nodes_is_particles() -> None:
+    scene = emptied()
+    live._state.reset()
+    points = block(1000)
+    mesh = bpy.data.meshes.new("points")
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.reshape(-1))
+    source = bpy.data.objects.new("points", mesh)
+    scene.collection.objects.link(source)
+    tree = bpy.data.node_groups.new("to points", "GeometryNodeTree")
+    for where in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=where, socket_type="NodeSocketGeometry")
+    ends = tree.nodes.new("NodeGroupInput"), tree.nodes.new("GeometryNodeMeshToPoints"), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(ends[0].outputs[0], ends[1].inputs[0])
+    tree.links.new(ends[1].outputs[0], ends[2].inputs[0])
+    source.modifiers.new("to points", "NODES").node_group = tree
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.objects.active = source
+    bpy.ops.meniscus.add_object()
+    shown = bpy.context.object
+    shown.data.meniscus.spacing = 0.1
+    assert shows(shown.data, meniscus.reconstruct(points, spacing=0.1, cell=1.0)), live.status_of(shown.data)
+
+
+def what_is_wrong_is_a_sentence() -> None:
+    def refused(shown: bpy.types.Object, *words: str) -> None:
+        error = live.status_of(shown.data).error
+        assert all(word in error for word in words) and "\n" not in error and "Traceback" not in error, error
+        assert sizes(shown.data) == (0, 0)
+
+    shown = dam(str(options.folder / "nowhere" / "frame_1.bgeo"))
+    refused(shown, "nowhere")
+    shown = dam()
+    shown.data.meniscus.path = ""
+    refused(shown, "No files are chosen")
+    shown.data.meniscus.path = str(DAM)
+    refused(shown, "several simulations")
+    shown.data.meniscus.path = str(DAM / "ParticleData_Fluid_{}.bgeo")
+    assert not live.status_of(shown.data).error and sizes(shown.data) != (0, 0)
+    for spacing in (-1.0, 1e-12, 1e12, float("nan"), float("inf")):
+        shown.data.meniscus.spacing = spacing
+        print(f"    spacing {spacing}: {live.status_of(shown.data).error or live.status_of(shown.data).warnings}")
+        assert live.status_of(shown.data).error or live.status_of(shown.data).warnings, spacing
+    shown.data.meniscus.spacing = 0.05
+    assert shows(shown.data, expected(1))
+    folder = options.folder / "wrong"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    np.save(folder / "pool_1.npy", block(1000))
+    np.save(folder / "pool_2.npy", np.zeros((0, 3), np.float32))
+    (folder / "pool_3.npy").write_bytes((folder / "pool_1.npy").read_bytes()[:500])
+    bad = block(1000)
+    bad[5] = np.nan
+    np.save(folder / "pool_4.npy", bad)
+    shown, scene = dam(str(folder / "pool_1.npy")), bpy.context.scene
+    for frame, words in [(2, ("no particles",)), (3, ("pool_3.npy",)), (4, ("pool_4.npy", "5"))]:
+        scene.frame_set(frame)
+        refused(shown, *words)
+    scene.frame_set(1)
+    assert not live.status_of(shown.data).error and sizes(shown.data) != (0, 0)
+    folder.joinpath("pool_1.npy").unlink()
+    extension.live.reread(shown.data)
+    refused(shown)
+
+
+def an_edited_mesh_is_left_alone() -> None:
+    shown = dam()
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.scene.frame_set(20)
+    assert "edited" in live.status_of(shown.data).error
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.scene.frame_set(20)
+    assert shows(shown.data, expected(20))
+
+
+def prepared_for_pictures(shown: bpy.types.Object) -> bpy.types.Scene:
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.location, camera.rotation_euler = (-1.2, -9.0, 0.8), (np.pi / 2, 0.0, 0.0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.rotation_euler = 5.0, (0.8, 0.3, 0.0)
+    scene.collection.objects.link(sun)
+    render = scene.render
+    render.engine, render.resolution_x, render.resolution_y = "CYCLES", 160, 90
+    render.image_settings.file_format = "PNG"
+    scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.seed = 4, False, 1
+    return scene
+
+
+def picture_of(path: Path) -> Any:
+    image = bpy.data.images.load(str(path), check_existing=False)
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    bpy.data.images.remove(image)
+    return values
+
+
+def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
+    shown = dam()
+    scene = prepared_for_pictures(shown)
+    settings = shown.data.meniscus
+    drawn: list[int] = []
+    bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
+    pictures = []
+    for blurred in (False, True):
+        scene.render.use_motion_blur = blurred
+        scene.frame_set(10)
+        made.clear()
+        scene.render.filepath = str(options.folder / f"blurred_{blurred}.png")
+        bpy.ops.render.render(write_still=True)
+        # The viewport's is kept; the render's is kept for the second.
+        assert len(made) == (0 if blurred else 1), made
+        assert drawn.pop() == len(expected(10, cell=0.5).triangles) and shows(shown.data, expected(10))
+        pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))
+    moved = np.abs(pictures[0] - pictures[1]).mean()
+    print(f"    motion blur changes a pixel by {moved:.5f}")
+    assert moved > 1e-3, "no motion blur"
+    # Without velocities the picture is sharp, whatever is asked for.
+    settings.attributes = "density"
+    scene.render.filepath = str(options.folder / "still.png")
+    bpy.ops.render.render(write_still=True)
+    drawn.clear()
+    assert np.abs(pictures[0] - picture_of(options.folder / "still.png")).mean() < 1e-4
+    settings.attributes = ""
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 19, 9
+    made.clear()
+    scene.render.filepath = str(options.folder / "animation_")
+    bpy.ops.render.render(animation=True)
+    assert drawn == [len(expected(number, cell=0.5).triangles) for number in (1, 10, 10)], drawn
+    assert len({len(picture_of(options.folder / f"animation_{frame:04}.png")) for frame in (1, 10, 19)}) == 1
+    bpy.app.handlers.render_post.clear()
+
+
+def vertices_are_rendered_in_fine_cells_too() -> None:
+    scene = emptied()
+    live._state.reset()
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=1.0)
+    source = bpy.context.object
+    bpy.ops.meniscus.add_object()
+    shown = bpy.context.object
+    shown.data.meniscus.spacing = 0.08
+    prepared_for_pictures(shown)
+    coarse = sizes(shown.data)
+    drawn: list[int] = []
+    bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
+    scene = bpy.context.scene
+    scene.render.filepath = str(options.folder / "vertices.png")
+    bpy.ops.render.render(write_still=True)
+    bpy.app.handlers.render_post.clear()
+    assert drawn[0] > 2 * coarse[1] and sizes(shown.data) == coarse, (drawn, coarse)
+    # Also where they are at another frame.
+    source.keyframe_insert("location", frame=1)
+    source.location.x = 4.0
+    source.keyframe_insert("location", frame=11)
+    leftmost: list[float] = []
+    bpy.app.handlers.render_post.append(lambda *_: leftmost.append(positions(shown.data)[:, 0].min()))
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 11, 10
+    scene.render.filepath = str(options.folder / "moving_")
+    bpy.ops.render.render(animation=True)
+    bpy.app.handlers.render_post.clear()
+    assert abs(leftmost[1] - leftmost[0] - 4.0) < 0.01, leftmost
+    source.hide_render = True
+    bpy.ops.render.render(write_still=True)
+    assert sizes(shown.data)[1] > 0 and not live.status_of(shown.data).error
+    source.hide_viewport = True
+    scene.frame_set(5)
+    assert "is hidden in the viewport" in live.status_of(shown.data).error, live.status_of(shown.data)
+
+
+def a_conversion_is_played_as_a_sequence_cache() -> None:
+    shown, scene = dam(), bpy.context.scene
+    scene.render.fps = 25
+    output = options.folder / "usd"
+    shutil.rmtree(output, ignore_errors=True)
+    settings = shown.data.meniscus
+    settings.output = str(output) + os.sep
+    assert bpy.ops.meniscus.convert() == {"FINISHED"}
+    conversion = operators.conversion_of(shown.data)
+    conversion.join()
+    assert (conversion.done, conversion.total, conversion.error, conversion.problems) == (3, 3, "", []), vars(conversion)
+    # Timers are of a window's loop.
+    assert operators._poll(shown.data.session_uid) is None and not conversion.error, conversion.error
+    played = [each for each in bpy.data.objects if each.modifiers.get("MeshSequenceCache") or any(m.type == "MESH_SEQUENCE_CACHE" for m in each.modifiers)]
+    assert len(played) == 1 and shown.hide_render, list(bpy.data.objects)
+    from json import loads
+
+    listing = loads((output / f"{shown.data.name}.usdc.json").read_text())
+    for frame in listing["frames"]:
+        scene.frame_set(round(frame["time"] * 25))
+        evaluated = played[0].evaluated_get(bpy.context.evaluated_depsgraph_get())
+        assert sizes(evaluated.data) == (frame["vertices"], frame["triangles"]), (frame, sizes(evaluated.data))
+        assert "velocity" in evaluated.data.attributes or "velocities" in evaluated.data.attributes, list(evaluated.data.attributes.keys())
+    scene.frame_set(1)
+    evaluated = played[0].evaluated_get(bpy.context.evaluated_depsgraph_get())
+    lowest = np.min([np.array(evaluated.matrix_world) @ [*corner, 1.0] for corner in evaluated.bound_box], axis=0)
+    upright = np.min([np.array(shown.matrix_world) @ [*corner, 1.0] for corner in positions(shown.data)], axis=0)
+    assert abs(lowest[:3] - upright[:3]).max() < 0.1, (lowest, upright)
+    # Twice as fast from another frame, it is read where the live surface would be.
+    settings.start, settings.step = 5, 9.5
+    bpy.data.objects.remove(played[0])
+    (replayed,) = operators.play(bpy.context, shown.data, conversion.order.stage)
+    for frame, number in [(5, 0), (6, 1), (7, 2)]:
+        scene.frame_set(frame)
+        evaluated = replayed.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        assert sizes(evaluated.data)[1] == listing["frames"][number]["triangles"], (frame, sizes(evaluated.data))
+    again = operators.Conversion(operators.order_of(shown.data, scene))
+    began = time.perf_counter()
+    again.start()
+    again.join()
+    assert not again.error and time.perf_counter() - began < 5.0
+    settings.smooth = 2.0
+    ended = operators.Conversion(operators.order_of(shown.data, scene))
+    ended.cancel()
+    ended.start()
+    ended.join()
+    assert not ended.error and not ended.is_complete and ended.done == 0, vars(ended)
+    settings.path = str(options.folder / "nowhere_{}.bgeo")
+    wrong = operators.Conversion(operators.order_of(shown.data, scene))
+    wrong.start()
+    wrong.join()
+    assert "nowhere_" in wrong.error
+
+
+def the_extension_goes_without_a_trace() -> None:
+    dam()
+    before = sum(map(len, (getattr(bpy.app.handlers, name) for name in ("frame_change_pre", "frame_change_post", "undo_post", "render_init"))))
+    extension.unregister()
+    assert not hasattr(bpy.types.Mesh, "meniscus")
+    after = sum(map(len, (getattr(bpy.app.handlers, name) for name in ("frame_change_pre", "frame_change_post", "undo_post", "render_init"))))
+    assert after == before - 4
+    bpy.context.scene.frame_set(10)
+    extension.register()
+    bpy.context.scene.frame_set(20)
+    assert shows(bpy.context.object.data, expected(20))
+
+
+count_making()
+checks = [each for name, each in list(globals().items()) if callable(each) and getattr(each, "__module__", "") == "__main__" and "_" in name and name not in ("count_making", "picture_of", "prepared_for_pictures")]
+failed = 0
+for check in checks:
+    try:
+        check()
+        print(f"ok: {check.__name__.replace('_', ' ')}", flush=True)
+    except Exception:
+        failed += 1
+        import traceback
+
+        traceback.print_exc()
+        print(f"FAILED: {check.__name__.replace('_', ' ')}", flush=True)
+print(f"{len(checks) - failed} passed, {failed} failed")
+sys.exit(failed > 0)

@@ -1,0 +1,48 @@
+"""The cache keeps to its bound, and forgets what was not used for longest."""
+
+from __future__ import annotations
+
+import numpy as np
+from surfaces.cache import Cache
+
+
+def kib(count: int) -> np.ndarray:
+    return np.zeros(1024 * count, np.uint8)
+
+
+def test_what_was_not_used_for_longest_goes_first() -> None:
+    cache: Cache[np.ndarray] = Cache(3 * 1024)
+    for name in "abc":
+        cache.put(name, kib(1))
+    assert cache.get("a") is not None
+    cache.put("d", kib(1))
+    assert cache.get("b") is None
+    assert all(cache.get(name) is not None for name in "acd")
+    assert cache.nbytes == 3 * 1024
+
+
+def test_a_value_that_does_not_fit_drives_out_nothing() -> None:
+    cache: Cache[np.ndarray] = Cache(2 * 1024)
+    cache.put("a", kib(1))
+    cache.put("b", kib(3))
+    assert cache.get("a") is not None and cache.get("b") is None
+    # Nor does an older one of its name stay.
+    cache.put("a", kib(3))
+    assert cache.get("a") is None and cache.nbytes == 0
+
+
+def test_a_value_in_the_place_of_another_counts_once() -> None:
+    cache: Cache[np.ndarray] = Cache(10 * 1024)
+    cache.put("a", kib(4))
+    cache.put("a", kib(5))
+    assert (len(cache), cache.nbytes) == (1, 5 * 1024)
+
+
+def test_a_narrower_bound_holds_at_once() -> None:
+    cache: Cache[np.ndarray] = Cache(10 * 1024)
+    for name in "abcde":
+        cache.put(name, kib(2))
+    cache.bound = 5 * 1024
+    assert cache.nbytes == 4 * 1024 and cache.get("e") is not None and cache.get("c") is None
+    cache.clear()
+    assert (len(cache), cache.nbytes) == (0, 0)

@@ -1,0 +1,59 @@
+"""The zip is what Blender wants of one."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import zipfile
+from pathlib import Path
+
+import blender_zip
+import pytest
+
+WHEEL = "meniscus-0.2.0-cp310-abi3-manylinux_2_34_x86_64.whl"
+
+
+def test_wheels_are_named_before_the_permissions() -> None:
+    manifest = (blender_zip.SOURCE / "blender_manifest.toml").read_text()
+    read = tomllib.loads(blender_zip.manifest_with(manifest, WHEEL))
+    assert read["wheels"] == [f"./wheels/{WHEEL}"] and read["platforms"] == ["linux-x64"]
+    assert set(read["permissions"]) == {"files"}
+    # Blender refuses longer ones, and such as end like a sentence.
+    for text in [read["tagline"], *read["permissions"].values()]:
+        assert len(text) <= 64 and re.search(r"\w$|\)$", text), text
+    assert re.fullmatch(r"\d+\.\d+\.\d+", read["version"])
+
+
+def test_its_version_is_the_librarys() -> None:
+    cargo = tomllib.loads((blender_zip.ROOT / "Cargo.toml").read_text())
+    manifest = tomllib.loads((blender_zip.SOURCE / "blender_manifest.toml").read_text())
+    assert manifest["version"] == cargo["package"]["version"]
+
+
+@pytest.mark.parametrize(
+    ("tag", "platform"),
+    [("macosx_11_0_arm64", "macos-arm64"), ("win_amd64", "windows-x64"), ("manylinux_2_17_aarch64.manylinux2014_aarch64", "linux-arm64")],
+)
+def test_platforms_are_blenders_names_for_them(tag: str, platform: str) -> None:
+    assert blender_zip.platform_of(f"meniscus-0.2.0-cp310-abi3-{tag}.whl") == platform
+
+
+def test_a_platform_that_blender_does_not_know_is_refused() -> None:
+    with pytest.raises(SystemExit, match="linux_riscv64"):
+        blender_zip.platform_of("meniscus-0.2.0-cp310-abi3-linux_riscv64.whl")
+
+
+def test_the_zip_holds_all_modules_and_is_the_same_each_time(tmp_path: Path) -> None:
+    wheel = tmp_path / WHEEL
+    wheel.write_bytes(b"wheel")
+    zipped = blender_zip.pack(wheel, tmp_path)
+    first = zipped.read_bytes()
+    assert blender_zip.pack(wheel, tmp_path).read_bytes() == first
+    names = set(zipfile.ZipFile(zipped).namelist())
+    assert {"blender_manifest.toml", "__init__.py", "README.md", "LICENSE", f"wheels/{WHEEL}"} <= names
+    # Whatever a module imports of the extension is there.
+    for path in [name for name in names if name.endswith(".py")]:
+        text = zipfile.ZipFile(zipped).read(path).decode()
+        for module in re.findall(r"^from \.([\w.]+) import", text, re.M):
+            found = Path(path).parent.joinpath(*module.split("."))
+            assert f"{found.as_posix()}.py" in names, (path, module)

@@ -1,0 +1,35 @@
+"""A stage is read where the live surface would be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from surfaces.playing import reading
+from surfaces.sequence import Timing
+
+
+def listing(folder: Path, frames: list[tuple[int, float]], fps: float = 25.0) -> Path:
+    path = folder / "pool.usdc.json"
+    path.write_text(json.dumps({"fps": fps, "frames": [{"frame": number, "time": time} for number, time in frames]}))
+    return path
+
+
+def test_numbers_over_the_rate_are_played_one_a_frame(tmp_path: Path) -> None:
+    read = reading(listing(tmp_path, [(3, 0.12), (10, 0.4), (20, 0.8)]), Timing(start=1, first=3))
+    # At frame 1 the code is that of number 3, which is 0.12 * 25.
+    assert read.offset == pytest.approx(1 - 3)
+
+
+def test_times_of_the_simulation_and_steps_go_their_own_way(tmp_path: Path) -> None:
+    # Ten numbers a second, each second one.
+    read = reading(listing(tmp_path, [(0, 1.0), (5, 1.5)]), Timing(start=11, first=1, step=2.0))
+    assert read.offset is None
+    code = eval(read.expression, {"frame": 13})
+    # Frame 13 shows number 5, at 1.5 s.
+    assert code == pytest.approx(1.5 * 25)
+
+
+def test_one_frame_is_where_it_is(tmp_path: Path) -> None:
+    assert reading(listing(tmp_path, [(7, 0.28)]), Timing(start=1, first=7)).offset == pytest.approx(1 - 7)

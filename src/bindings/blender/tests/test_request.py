@@ -1,0 +1,89 @@
+"""Surfaces are made anew where something changed that they depend on, and nowhere else."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import meniscus
+import numpy as np
+import pytest
+from surfaces.arrays import Arrays
+from surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sampling
+
+
+def request_of(path: Path, **changed: object) -> Request:
+    return Request(FromFile(str(path), Sampling(spacing=1.0, cell=1.0)), replace(Filters(smooth=1.6), **changed))
+
+
+def test_the_key_changes_with_settings_and_with_the_file(sequence: Path) -> None:
+    file = sequence / "ball_002.npy"
+    asked = request_of(file)
+    assert asked.key == request_of(file).key and asked.name == request_of(file).name
+    others = [
+        request_of(file, smooth=2.0),
+        request_of(file, smallest_drop=5),
+        request_of(file, simplify=0.1),
+        request_of(sequence / "ball_003.npy"),
+        replace(asked, source=replace(asked.source, sampling=Sampling(spacing=1.0, cell=0.5))),
+        replace(asked, source=replace(asked.source, sampling=Sampling(spacing=1.1, cell=1.0))),
+        replace(asked, source=replace(asked.source, sampling=Sampling(1.0, 1.0, attributes=("id",)))),
+    ]
+    assert len({each.name for each in [asked, *others]}) == 1 + len(others)
+    name, written = asked.name, file.stat()
+    os.utime(file, ns=(written.st_atime_ns, written.st_mtime_ns + 10**9))
+    assert request_of(file).name != name
+
+
+def test_points_are_told_by_their_values() -> None:
+    points = np.random.default_rng(1).random((50, 3), np.float32)
+    asked = FromPoints(points, None, Sampling(cell=1.0))
+    assert FromPoints(points.copy(), None, Sampling(cell=1.0)).key == asked.key
+    moved = points.copy()
+    moved[30, 1] += 1e-3
+    assert FromPoints(moved, None, Sampling(cell=1.0)).key != asked.key
+    assert FromPoints(points, points, Sampling(cell=1.0)).key != asked.key
+    assert FromPoints(points, None, Sampling(cell=0.5)).key != asked.key
+
+
+def test_other_filters_need_no_particles_again(sequence: Path) -> None:
+    file = sequence / "ball_006.npy"
+    maker = Maker()
+    maker.make(request_of(file))
+    stamp = file.stat()
+    # Whoever read it now would fail.
+    file.write_bytes(b"\0" * stamp.st_size)
+    os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    calm = maker.make(request_of(file, smooth=2.5))
+    assert len(calm.triangles) > 0
+    maker.forget()
+    with pytest.raises(meniscus.Error, match="ball_006.npy"):
+        maker.make(request_of(file, smooth=2.5))
+
+
+def test_arrays_are_those_of_the_library(sequence: Path) -> None:
+    points = np.load(sequence / "ball_002.npy")
+    made = Maker().make(Request(FromPoints(points.astype(np.float32), points.astype(np.float32), Sampling(1.0, 1.0)), Filters()))
+    mesh = meniscus.reconstruct(points.astype(np.float32), velocity=points.astype(np.float32), spacing=1.0, cell=1.0)
+    assert made.vertices.dtype == np.float32 and made.triangles.dtype == np.int32
+    assert np.array_equal(made.vertices, mesh.vertices.astype(np.float32)) and np.array_equal(made.triangles, mesh.triangles)
+    assert np.array_equal(made.attributes["velocity"], mesh.attributes["velocity"])
+    size = len(made.vertices) * 24 + len(made.triangles) * 12
+    assert made.nbytes == size and made.spacing == 1.0
+
+
+def test_packed_frames_take_no_settings_of_sampling(sequence: Path) -> None:
+    packed = sequence / "ball.mnf"
+    meniscus.Frame(np.load(sequence / "ball_002.npy"), spacing=1.0).save(packed)
+    made = Maker().make(request_of(packed))
+    assert len(made.triangles) > 0 and made.spacing == 1.0
+    other = FromFile(str(packed), Sampling(spacing=7.0, cell=0.3))
+    assert other.key == request_of(packed).source.key
+
+
+def test_no_particles_are_the_librarys_sentence(tmp_path: Path) -> None:
+    np.save(tmp_path / "none.npy", np.zeros((0, 3)))
+    with pytest.raises(meniscus.Error, match="no particles"):
+        Maker().make(request_of(tmp_path / "none.npy"))
+    assert Arrays.empty().nbytes == 0

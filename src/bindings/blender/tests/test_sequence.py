@@ -1,0 +1,78 @@
+"""Files of a sequence, and when they are shown."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import meniscus
+import numpy as np
+import pytest
+from surfaces.sequence import Listings, Timing, number_of, sequence_of, shown_at, stamp_of
+
+FRAMES = [(2, Path("f_2.bgeo")), (3, Path("f_3.bgeo")), (6, Path("f_6.bgeo"))]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected", "number"),
+    [
+        ("Part_0005.bi4", "Part_{}.bi4", 5),
+        ("ParticleData_Fluid_20.bgeo", "ParticleData_Fluid_{}.bgeo", 20),
+        ("run_2_frame_007.bgeo.gz", "run_2_frame_{}.bgeo.gz", 7),
+        ("12.mnf", "{}.mnf", 12),
+        ("pool.vtp", "pool.vtp", None),
+        ("sim.h5part#12", "sim.h5part#12", None),
+        ("frame_{:04}.ply", "frame_{:04}.ply", None),
+    ],
+)
+def test_the_number_of_a_frame_is_the_last_before_its_extension(name: str, expected: str, number: int | None) -> None:
+    assert sequence_of(os.path.join("a1", name)) == os.path.join("a1", expected)
+    if number is not None:
+        assert number_of(os.path.join("a1", name)) == number
+
+
+def test_a_file_gives_its_sequence_as_the_library_lists_it(sequence: Path) -> None:
+    inputs = sequence_of(str(sequence / "ball_003.npy"))
+    assert [number for number, _ in Listings().frames(inputs)] == [2, 3, 6]
+
+
+def test_a_folder_is_a_sequence_also_where_its_name_has_a_number(tmp_path: Path) -> None:
+    (tmp_path / "run_3").mkdir()
+    assert sequence_of(str(tmp_path / "run_3")) == str(tmp_path / "run_3")
+
+
+def test_frames_are_shown_by_their_numbers() -> None:
+    timing = Timing(start=1, first=2)
+    shown = [shown_at(FRAMES, timing, frame) for frame in range(-2, 9)]
+    assert [each.number for each in shown] == [2, 2, 2, 2, 3, 3, 3, 6, 6, 6, 6]
+    # Held where a file is missing between others, but neither before the first nor after the last.
+    assert [each.is_gap for each in shown] == [False, False, False, False, False, True, True, False, False, False, False]
+    assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
+
+
+def test_steps_go_on_faster_or_slower() -> None:
+    assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
+    assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
+    # A tenth has no exact double: ten of them are one all the same.
+    assert [Timing(0, 0, 0.1).number(frame) for frame in (9, 10, 30)] == [0, 1, 3]
+
+
+def test_a_listing_is_read_again_when_its_folder_has_changed(sequence: Path) -> None:
+    listings = Listings()
+    inputs = str(sequence / "ball_{}.npy")
+    assert listings.frames(inputs) is listings.frames(inputs)
+    np.save(sequence / "ball_007.npy", np.zeros((1, 3)))
+    assert [number for number, _ in listings.frames(inputs)] == [2, 3, 6, 7]
+
+
+def test_what_is_not_there_is_the_librarys_error(tmp_path: Path) -> None:
+    with pytest.raises(meniscus.Error, match="no frames"):
+        Listings().frames(str(tmp_path / "none_{}.bgeo"))
+    with pytest.raises(meniscus.Error, match="nowhere"):
+        Listings().frames(str(tmp_path / "nowhere" / "none_{}.bgeo"))
+    assert stamp_of(str(tmp_path / "none")) is None
+
+
+def test_the_stamp_is_that_of_the_file_of_a_step(sequence: Path) -> None:
+    file = str(sequence / "ball_002.npy")
+    assert stamp_of(file + "#3") == stamp_of(file) != stamp_of(str(sequence / "ball_003.npy"))
