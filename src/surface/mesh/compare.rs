@@ -123,7 +123,10 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
 }
 
 /// A mesh, ready to be sampled and searched.
-struct Surface {
+#[derive(Debug)]
+pub struct Surface {
+    /// What positions are counted from.
+    origin: DVec3,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
     stars: Stars,
@@ -133,6 +136,31 @@ struct Surface {
 }
 
 impl Surface {
+    /// A mesh that distances are measured from.
+    ///
+    /// # Errors
+    /// Those of [`compare`], of the reference.
+    pub fn reference(mesh: &Mesh) -> Result<Self, CompareError> {
+        let origin = mesh.positions.first().map_or(DVec3::ZERO, |&p| DVec3::from(p));
+        Self::new(mesh, origin, Side::Reference)
+    }
+
+    /// Distances of places from this surface, negative inside of it; NaN for what is no place within 1e70 of the origin.
+    #[must_use]
+    pub fn signed_distances(&self, places: &[[f64; 3]]) -> Vec<f64> {
+        let mut near = None;
+        let mut distance = |&place: &[f64; 3]| {
+            if !place.iter().all(|x| x.abs() <= GREATEST_COORDINATE) {
+                return f64::NAN;
+            }
+            let point = DVec3::from(place) - self.origin;
+            let nearest = self.nearest(point, near);
+            near = Some(nearest.triangle);
+            self.signed(point, &nearest)
+        };
+        places.iter().map(&mut distance).collect()
+    }
+
     fn new(mesh: &Mesh, origin: DVec3, side: Side) -> Result<Self, CompareError> {
         let sound = mesh.triangles.iter().copied().filter(|&t| is_sound(t, mesh.positions.len()));
         let triangles: Vec<[u32; 3]> = sound.collect();
@@ -161,6 +189,7 @@ impl Surface {
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
         Ok(Self {
+            origin,
             stars: Stars::new(mesh.positions.len(), &mesh.triangles),
             positions,
             triangles,
@@ -216,11 +245,16 @@ impl Surface {
         for point in points {
             let nearest = self.nearest(point, near);
             near = Some(nearest.triangle);
-            let distance = nearest.squared.sqrt();
-            let side = (point - nearest.at).dot(self.pseudo_normal(&nearest));
-            summary.note(point, distance, if side < 0.0 { -distance } else { distance });
+            summary.note(point, nearest.squared.sqrt(), self.signed(point, &nearest));
         }
         summary
+    }
+
+    /// The distance of a point from the nearest point, negative inside.
+    fn signed(&self, point: DVec3, nearest: &Nearest) -> f64 {
+        let distance = nearest.squared.sqrt();
+        let side = (point - nearest.at).dot(self.pseudo_normal(nearest));
+        if side < 0.0 { -distance } else { distance }
     }
 
     /// The nearest point of the surface; sooner found when a triangle `near` it is known.

@@ -40,7 +40,8 @@ pub(super) struct Camera {
     /// To the right, up, and back to the viewer.
     pub(super) axes: DMat3,
     focal: f64,
-    nearest: f64,
+    /// Of the eye from what it looks at.
+    distance: f64,
 }
 
 impl Camera {
@@ -53,7 +54,7 @@ impl Camera {
             Some(View::At { eye, target }) => {
                 let (eye, target) = (DVec3::from(eye), DVec3::from(target));
                 let axes = looking((eye - target).normalize_or(world.z_axis), world);
-                return Self { eye, axes, focal, nearest: NEAREST * eye.distance(target) };
+                return Self { eye, axes, focal, distance: eye.distance(target) };
             }
             Some(View::From { azimuth, elevation, zoom }) => (azimuth, elevation, zoom),
             // Its long side is seen across.
@@ -99,7 +100,7 @@ impl Camera {
             target += axes.x_axis * off.x + axes.y_axis * off.y;
         }
         let distance = if distance > 0.0 { distance } else { 1.0 } / zoom;
-        Self { eye: target + axes.z_axis * distance, axes, focal, nearest: NEAREST * distance }
+        Self { eye: target + axes.z_axis * distance, axes, focal, distance }
     }
 
     /// An eye so many radii away from a ball, in a direction, of which the ball fills the picture.
@@ -109,7 +110,7 @@ impl Camera {
             eye: middle + back * distance,
             axes: looking(back, world),
             focal: 0.5 * (distance - radius) / radius * FILLED,
-            nearest: NEAREST * distance,
+            distance,
         }
     }
 
@@ -122,7 +123,12 @@ impl Camera {
 
     /// The nearest distance that is drawn.
     pub(super) fn nearest(&self) -> f64 {
-        self.nearest
+        NEAREST * self.distance
+    }
+
+    /// Distance of the eye from what it looks at.
+    pub(super) fn distance(&self) -> f64 {
+        self.distance
     }
 
     /// The direction in which a place of the picture is seen, in heights from its middle, y up; not of unit length: it goes a distance

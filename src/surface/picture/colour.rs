@@ -1,10 +1,13 @@
 //! The colours of a surface: water, one colour, or those of a value.
 
 use std::str::FromStr;
+use std::sync::Arc;
 
 use colorous::Gradient;
 use glam::Vec3;
 
+use crate::surface::mesh::Mesh;
+use crate::surface::mesh::compare::Surface;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
 use super::error::PictureError;
@@ -26,6 +29,49 @@ pub enum Colour {
         /// Colours from its least to its greatest value.
         map: ColourMap,
     },
+    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit of length.
+    Distance {
+        /// The other surface.
+        from: Reference,
+        /// Colours from the greatest distance inside of it to as far outside.
+        map: ColourMap,
+    },
+}
+
+impl Colour {
+    /// What a legend is of, if there is one, and its colours.
+    pub(super) fn legend(&self) -> Option<(&str, ColourMap)> {
+        match self {
+            Self::Water | Self::Solid(_) => None,
+            Self::Attribute { name, map } => Some((name, *map)),
+            Self::Distance { map, .. } => Some(("distance", *map)),
+        }
+    }
+}
+
+/// A surface that distances are measured from.
+#[derive(Debug, Clone)]
+pub struct Reference(Arc<Surface>);
+
+impl Reference {
+    /// Makes the triangles of a mesh ready to be searched.
+    ///
+    /// # Errors
+    /// [`PictureError::Reference`] where it has no surface, or a vertex that is no point.
+    pub fn new(mesh: &Mesh) -> Result<Self, PictureError> {
+        Ok(Self(Arc::new(Surface::reference(mesh).map_err(PictureError::Reference)?)))
+    }
+
+    fn distances(&self, places: &[[f64; 3]]) -> Vec<f32> {
+        self.0.signed_distances(places).into_iter().map(|distance| distance as f32).collect()
+    }
+}
+
+impl PartialEq for Reference {
+    /// Whether both are one.
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
 }
 
 /// Colours for values from 0 to 1.
@@ -77,27 +123,62 @@ impl FromStr for ColourMap {
     }
 }
 
-/// Appends the value of every vertex, if they are coloured by one.
-pub(super) fn values_of(
-    colour: &Colour,
-    mesh: &dyn MeshSource,
-    vertices: &Vertices<'_>,
-    out: &mut Vec<f32>,
-) -> Result<(), PictureError> {
-    let Colour::Attribute { name, .. } = colour else { return Ok(()) };
-    let attributes = mesh.attributes();
-    let Some(index) = attributes.iter().position(|info| info.name == *name) else {
-        let known: Vec<&str> = attributes.iter().map(|info| &*info.name).collect();
-        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-        return Err(PictureError::NoAttribute { name: name.clone(), known });
-    };
-    let components = attributes[index].components;
-    let values = vertices.attributes[index].chunks(components);
-    out.extend(values.map(|value| match value {
-        [value] => *value,
-        vector => vector.iter().map(|x| x * x).sum::<f32>().sqrt(),
-    }));
-    Ok(())
+/// Values that vertices are coloured by.
+pub(super) enum Values<'a> {
+    None,
+    /// Those of an attribute of so many components.
+    Attribute {
+        index: usize,
+        components: usize,
+    },
+    /// The distance from a surface.
+    Distance(&'a Reference),
+}
+
+impl<'a> Values<'a> {
+    /// The values by which a mesh gets its colours.
+    pub(super) fn new(colour: &'a Colour, mesh: &dyn MeshSource) -> Result<Self, PictureError> {
+        let name = match colour {
+            Colour::Water | Colour::Solid(_) => return Ok(Self::None),
+            Colour::Distance { from, .. } => return Ok(Self::Distance(from)),
+            Colour::Attribute { name, .. } => name,
+        };
+        let attributes = mesh.attributes();
+        let Some(index) = attributes.iter().position(|info| info.name == *name) else {
+            let known: Vec<&str> = attributes.iter().map(|info| &*info.name).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(PictureError::NoAttribute { name: name.clone(), known });
+        };
+        Ok(Self::Attribute { index, components: attributes[index].components })
+    }
+
+    /// Whether there are any.
+    pub(super) fn any(&self) -> bool {
+        !matches!(self, Self::None)
+    }
+
+    /// The value of every vertex, if there are any.
+    pub(super) fn of(&self, vertices: &Vertices<'_>) -> Vec<f32> {
+        match *self {
+            Self::None => Vec::new(),
+            Self::Attribute { index, components } => {
+                let length = |value: &[f32]| match value {
+                    [value] => *value,
+                    vector => vector.iter().map(|x| x * x).sum::<f32>().sqrt(),
+                };
+                vertices.attributes[index].chunks(components).map(length).collect()
+            }
+            Self::Distance(from) => from.distances(&vertices.positions),
+        }
+    }
+
+    /// The range of colours for a range of values: that of distances has zero in its middle.
+    pub(super) fn range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
+        match self {
+            Self::Distance(_) => [-lo.abs().max(hi.abs()), lo.abs().max(hi.abs())],
+            Self::None | Self::Attribute { .. } => [lo, hi],
+        }
+    }
 }
 
 /// Colours of values in steps, so that a sample is looked up and not worked out.

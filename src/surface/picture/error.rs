@@ -4,6 +4,8 @@ use std::io;
 
 use thiserror::Error;
 
+use crate::surface::mesh::compare::CompareError;
+
 /// Pixels along an edge, at the most.
 pub(super) const MOST_PIXELS: usize = 1 << 15;
 
@@ -33,6 +35,9 @@ pub enum PictureError {
         /// The names of those that there are.
         known: String,
     },
+    /// A mesh from which there is no distance.
+    #[error("{0}")]
+    Reference(CompareError),
     /// More memory than may be used.
     #[error("a picture of this mesh takes {needed} bytes of memory; {allowed} may be used")]
     Memory {

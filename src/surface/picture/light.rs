@@ -1,5 +1,7 @@
 //! Light: a soft sky, a sun, the ground below, and what water, a solid colour or a colour map make of them. Colours are linear.
 
+use std::sync::LazyLock;
+
 use glam::Vec3;
 
 /// Where the sun stands, in the axes right, up and towards the viewer's side of the world.
@@ -15,6 +17,8 @@ const ZENITH: Vec3 = Vec3::new(0.30, 0.50, 0.80);
 pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
 const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
+/// Wires on a surface.
+const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
 /// The share of light that a surface of water mirrors, seen straight on (Schlick 1994, index of refraction 1.33).
 const MIRRORED: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
@@ -97,14 +101,29 @@ pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
 }
 
+/// A wire of dark ink that covers a share of a surface.
+pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
+    surface.lerp(INK, share)
+}
+
 /// The byte of a channel on screens: light that is too bright is taken back softly, then sRGB.
 pub(super) fn byte(light: f32) -> u8 {
     let x = light.max(0.0);
     // Straight up to 0.8, then towards 1.
     let x = if x <= 0.8 { x } else { 1.0 - 0.2 * (-(x - 0.8) / 0.2).exp() };
-    let srgb = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
-    (srgb * 255.0 + 0.5) as u8
+    SRGB[((x * (SRGB_STEPS - 1) as f32 + 0.5) as usize).min(SRGB_STEPS - 1)]
 }
+
+/// Bytes for light from 0 to 1, in steps of which the darkest bytes take several.
+static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let byte = |step: usize| {
+        let x = step as f32 / (SRGB_STEPS - 1) as f32;
+        let srgb = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
+        (srgb * 255.0 + 0.5) as u8
+    };
+    (0..SRGB_STEPS).map(byte).collect()
+});
+const SRGB_STEPS: usize = 1 << 13;
 
 /// The light of a colour as screens name it.
 pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {

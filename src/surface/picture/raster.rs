@@ -1,186 +1,225 @@
-//! The surface as it is seen: for every sample of a picture what is nearest there, and how much water is behind it.
+//! The surface as it is seen: for every sample of a picture which triangle is nearest there, and how much water is behind it (a
+//! visibility buffer, Burns and Hunt 2013).
 //!
-//! Triangles are filled by retrofire's rasterizer, whose rule gives each sample on an edge to one of the two triangles beside it.
-//! The picture is cut into bands of rows; a thread draws all of a band, in the mesh's order, so that nothing depends on threads.
+//! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers; one on an edge belongs to the triangle
+//! below or to the right of it. So a closed surface has no cracks, and every line of sight leaves it as often as it enters. What several
+//! threads make of a sample is a sum of integers and a maximum, in which their order does not show.
 
-use std::ops::Range;
+use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 
-use glam::Vec3;
-use rayon::prelude::*;
-use retrofire_core::geom::{Tri, Vertex, vertex};
-use retrofire_core::math::point::pt3;
-use retrofire_core::render::clip::{Clip, ClipVec, ClipVert, view_frustum};
-use retrofire_core::render::raster::tri_fill;
+use bytemuck::allocation::zeroed_vec;
 
-/// Rows of a band.
-const ROWS: usize = 32;
+use super::camera::Camera;
 
-/// A sample of a picture.
+/// Steps along the edge of a sample.
+const STEPS: i32 = 1 << STEP_BITS;
+const STEP_BITS: u32 = 8;
+/// Steps from the picture's first sample that a corner may be away: what is farther is cut off.
+const FAR: i32 = 1 << 28;
+/// Steps of the way through the fluid as far as the eye is from the farthest place.
+const WAY_STEPS: f64 = (1 << 26) as f64;
+
+/// A corner of a triangle on the picture.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Sample {
-    /// One over the distance of what is nearest; 0 where nothing is. Negative where that is seen from inside of the fluid.
-    pub(super) near: f32,
-    /// The normal there, not of unit length.
-    pub(super) normal: Vec3,
-    /// The value there, if vertices have any.
-    pub(super) value: f32,
-    /// The way through the fluid along the line of sight.
-    pub(super) through: f32,
+pub(super) struct Corner {
+    /// From the middle of the first sample to the right and down, in steps.
+    at: [i32; 2],
+    /// One over the distance, in units of the eye's; 0 for what is behind the eye, or too far to the side.
+    near: f32,
 }
 
-/// A vertex as it is seen.
+/// What is seen at a sample.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Corner {
-    /// To the right and up, from -1 to 1 in the picture, times the distance; and the distance.
-    pub(super) at: [f32; 3],
-    pub(super) normal: Vec3,
-    pub(super) value: f32,
+pub(super) struct Sample {
+    /// The triangle's number.
+    pub(super) triangle: u32,
+    /// One over its distance, in units of the eye's.
+    pub(super) near: f32,
+    /// The way through the fluid, along the middle line of sight, in the same units.
+    pub(super) through: f32,
 }
 
 /// A mesh as it is seen from somewhere.
 pub(super) struct Raster {
     pub(super) width: usize,
     pub(super) height: usize,
-    pub(super) samples: Vec<Sample>,
-    nearest: f32,
+    nearest: Vec<AtomicU64>,
+    through: Vec<AtomicI32>,
+    /// Distance of the eye from what it looks at: with it as the unit, numbers keep their digits whatever the mesh's size.
+    unit: f64,
+    /// The distance from which on is drawn.
+    before: f64,
+    way_steps: f32,
 }
 
-type Varying = ((f32, f32), (f32, f32));
-type Filled = Vertex<retrofire_core::render::raster::ScreenPt, Varying>;
-
 impl Raster {
-    pub(super) fn new(width: usize, height: usize, nearest: f32) -> Self {
-        Self { width, height, samples: vec![Sample::default(); width * height], nearest }
+    /// Nothing yet, of an eye that sees to about `farthest`.
+    pub(super) fn new(width: usize, height: usize, camera: &Camera, farthest: f64) -> Self {
+        let unit = camera.distance();
+        let way_steps = (WAY_STEPS * unit / farthest.max(unit)) as f32;
+        let samples = width * height;
+        Self {
+            width,
+            height,
+            nearest: zeroed_vec(samples),
+            through: zeroed_vec(samples),
+            unit,
+            before: camera.nearest(),
+            way_steps,
+        }
     }
 
     /// Bytes that one of such a size takes.
     pub(super) fn bytes(width: usize, height: usize) -> u64 {
-        (width * height * size_of::<Sample>()) as u64
+        (width * height * (size_of::<AtomicU64>() + size_of::<AtomicI32>())) as u64
     }
 
-    /// Draws triangles between corners.
-    pub(super) fn draw(&mut self, corners: &[Corner], triangles: &[[u32; 3]]) {
-        let bands = self.height.div_ceil(ROWS);
-        let touched = |triangle: &[u32; 3]| self.bands_of(triangle.map(|corner| &corners[corner as usize]));
-        // Triangles of each band, in their order: counted, then listed.
-        let per_chunk: Vec<Vec<Vec<u32>>> = triangles
-            .par_chunks(1 << 14)
-            .enumerate()
-            .map(|(chunk, triangles)| {
-                let mut of_band = vec![Vec::new(); bands];
-                for (n, triangle) in triangles.iter().enumerate() {
-                    for band in touched(triangle) {
-                        of_band[band].push((chunk << 14 | n) as u32);
-                    }
-                }
-                of_band
-            })
-            .collect();
-        let (width, height, nearest) = (self.width, self.height, self.nearest);
-        self.samples.par_chunks_mut(ROWS * width).enumerate().for_each(|(band, samples)| {
-            let first = band * ROWS;
-            let mut band_of = Band { width, height, nearest, first, samples };
-            for &triangle in per_chunk.iter().flat_map(|of_band| &of_band[band]) {
-                band_of.draw(triangles[triangle as usize].map(|corner| &corners[corner as usize]));
-            }
-        });
+    /// What is seen at a sample; `None` where there is nothing.
+    pub(super) fn sample(&self, n: usize) -> Option<Sample> {
+        let nearest = self.nearest[n].load(Ordering::Relaxed);
+        (nearest > 0).then(|| Sample {
+            triangle: !(nearest as u32),
+            near: f32::from_bits((nearest >> 32) as u32),
+            through: self.through[n].load(Ordering::Relaxed) as f32 / self.way_steps,
+        })
     }
 
-    /// The bands that a triangle can touch.
-    fn bands_of(&self, corners: [&Corner; 3]) -> Range<usize> {
-        let all = 0..self.height.div_ceil(ROWS);
-        if corners.iter().all(|corner| corner.at[2] <= self.nearest) {
-            return 0..0;
-        }
-        if corners.iter().any(|corner| corner.at[2] <= self.nearest) {
-            return all;
-        }
-        let half = self.height as f32 / 2.0;
-        let rows = corners.map(|corner| half - half * corner.at[1] / corner.at[2]);
-        let lo = rows.iter().copied().fold(f32::INFINITY, f32::min) - 1.0;
-        let hi = rows.iter().copied().fold(f32::NEG_INFINITY, f32::max) + 1.0;
-        if hi < 0.0 || lo > self.height as f32 {
-            return 0..0;
-        }
-        let band = |row: f32| (row.max(0.0) as usize / ROWS).min(all.end - 1);
-        band(lo)..band(hi) + 1
-    }
-}
-
-/// Rows of a picture that one thread draws.
-struct Band<'a> {
-    width: usize,
-    height: usize,
-    nearest: f32,
-    first: usize,
-    samples: &'a mut [Sample],
-}
-
-impl Band<'_> {
-    fn draw(&mut self, corners: [&Corner; 3]) {
-        let inside = |corner: &&Corner| {
-            let [x, y, distance] = corner.at;
-            distance > self.nearest && x.abs() < distance && y.abs() < distance
-        };
-        if corners.iter().all(inside) {
-            let [a, b, c] = corners;
-            // Counter-clockwise is seen from outside.
-            self.fill([a, b, c].map(|corner| self.filled(corner.at, varying(corner))));
-            return;
-        }
-        // Cut off at the edges of the picture, and before the eye.
-        let clip = corners.map(|corner| {
-            let [x, y, distance] = corner.at;
-            let at = ClipVec::new([x, y, 2.0 * (distance - self.nearest) - distance, distance]);
-            ClipVert::new(vertex(at, varying(corner)))
-        });
-        let mut cut: Vec<Tri<ClipVert<Varying>>> = Vec::new();
-        [Tri(clip)].clip(&view_frustum::PLANES, &mut cut);
-        for Tri(corners) in cut {
-            self.fill(corners.map(|corner| {
-                let [x, y, _, distance] = corner.pos.0;
-                self.filled([x, y, distance], corner.attrib)
-            }));
-        }
-    }
-
-    fn filled(&self, [x, y, distance]: [f32; 3], varying: Varying) -> Filled {
-        let (half_width, half_height) = (self.width as f32 / 2.0, self.height as f32 / 2.0);
+    /// A place as it is [seen](Camera::seen), on this picture.
+    pub(super) fn corner(&self, [x, y, distance]: [f64; 3]) -> Corner {
         let near = 1.0 / distance;
-        let row = half_height - half_height * y * near;
-        vertex(pt3(half_width + half_width * x * near, row, near), varying)
+        let steps = f64::from(STEPS);
+        let scale = self.height as f64 * steps * near;
+        let [right, down] = [
+            (self.width as f64 - 1.0) / 2.0 * steps + x * scale,
+            (self.height as f64 - 1.0) / 2.0 * steps - y * scale,
+        ];
+        let far = f64::from(FAR);
+        if !(distance >= self.before && right.abs() < far && down.abs() < far) {
+            return Corner::default();
+        }
+        // Rounded: what is positive is cut off at the point.
+        let round = |steps: f64| (steps + far + 0.5) as i32 - FAR;
+        Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
-    fn fill(&mut self, corners: [Filled; 3]) {
-        let [a, b, c] = [0, 1, 2].map(|i: usize| corners[i].pos);
-        let doubled = (b.x() - a.x()) * (c.y() - a.y()) - (b.y() - a.y()) * (c.x() - a.x());
-        if !(doubled.abs() > 0.0 && doubled.is_finite()) {
+    /// Draws a triangle; `seen` tells how its corners are seen, where it has to be cut off.
+    pub(super) fn draw(&self, number: u32, corners: [Corner; 3], seen: impl FnOnce() -> [[f64; 3]; 3]) {
+        if corners.iter().all(|corner| corner.near > 0.0) {
+            self.fill(number, corners);
             return;
         }
-        // Rows go down: a face that is seen from outside turns the other way there.
-        let enters = if doubled < 0.0 { -1.0 } else { 1.0 };
-        let (first, width, samples) = (self.first, self.width, &mut *self.samples);
-        let last = first + samples.len() / width;
-        tri_fill(corners, |scanline| {
-            if !(first..last).contains(&scanline.y) || scanline.xs.start >= width {
-                return;
-            }
-            let row = &mut samples[(scanline.y - first) * width..][..width];
-            let end = scanline.xs.end.min(width);
-            let row = row.get_mut(scanline.xs.start..end).unwrap_or_default();
-            for (sample, (at, ((nx, ny), (nz, value)))) in row.iter_mut().zip(scanline.vs) {
-                let near = at.z();
-                sample.through += enters / near;
-                if near > sample.near.abs() {
-                    (sample.near, sample.value) = (-near * enters, value);
-                    sample.normal = Vec3::new(nx, ny, nz);
+        // Fanned: what is left of a triangle is convex.
+        let cut = self.cut(seen());
+        let corners: Vec<Corner> = cut.iter().map(|&corner| self.corner(corner)).collect();
+        if let [first, rest @ ..] = &corners[..]
+            && corners.iter().all(|corner| corner.near > 0.0)
+        {
+            rest.windows(2).for_each(|pair| self.fill(number, [*first, pair[0], pair[1]]));
+        }
+    }
+
+    /// What of a triangle is before the eye, and not too far to the side (Sutherland and Hodgman 1974).
+    fn cut(&self, corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
+        if !corners.iter().flatten().all(|x| x.is_finite()) {
+            return Vec::new();
+        }
+        let side = f64::from(FAR / (4 * STEPS)) / self.width.max(self.height) as f64;
+        let before = self.before * (1.0 + 1e-6);
+        let planes: [&dyn Fn([f64; 3]) -> f64; 5] = [
+            &|[_, _, distance]| distance - before,
+            &|[x, _, distance]| side * distance - x,
+            &|[x, _, distance]| side * distance + x,
+            &|[_, y, distance]| side * distance - y,
+            &|[_, y, distance]| side * distance + y,
+        ];
+        let mut polygon = corners.to_vec();
+        for plane in planes {
+            let mut kept = Vec::with_capacity(polygon.len() + 1);
+            for (n, &corner) in polygon.iter().enumerate() {
+                let last = polygon[n.checked_sub(1).unwrap_or(polygon.len() - 1)];
+                let [from, to] = [plane(last), plane(corner)];
+                if (from >= 0.0) != (to >= 0.0) {
+                    // From the inside out, so that the triangle beside it is cut at the same place.
+                    let ([inner, outer], share) = if from >= 0.0 {
+                        ([last, corner], from / (from - to))
+                    } else {
+                        ([corner, last], to / (to - from))
+                    };
+                    kept.push(std::array::from_fn(|axis| inner[axis] + share * (outer[axis] - inner[axis])));
+                }
+                if to >= 0.0 {
+                    kept.push(corner);
                 }
             }
-        });
+            polygon = kept;
+        }
+        polygon
     }
-}
 
-fn varying(corner: &Corner) -> Varying {
-    let Vec3 { x, y, z } = corner.normal;
-    ((x, y), (z, corner.value))
+    fn fill(&self, number: u32, [a, b, c]: [Corner; 3]) {
+        let range = |axis: usize, samples: usize| {
+            let of = [a, b, c].map(|corner| corner.at[axis]);
+            let (lo, hi) = (of[0].min(of[1]).min(of[2]), of[0].max(of[1]).max(of[2]));
+            // Samples are at whole multiples.
+            [((lo + STEPS - 1) >> STEP_BITS).max(0), (hi >> STEP_BITS).min(samples as i32 - 1)]
+        };
+        let [left, right] = range(0, self.width);
+        let [top, bottom] = range(1, self.height);
+        if left > right || top > bottom {
+            return;
+        }
+        let across = |p: Corner, q: Corner| [0, 1].map(|axis| i64::from(q.at[axis]) - i64::from(p.at[axis]));
+        let ([x, y], [u, v]) = (across(a, b), across(a, c));
+        let area = x * v - y * u;
+        if area == 0 {
+            return;
+        }
+        // Rows go down: what turns clockwise there is seen from inside, and is where the line of sight leaves the fluid.
+        let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
+        let first = [left, top].map(|sample| i64::from(sample) * i64::from(STEPS));
+        // Twice the area between an edge and the first sample, less one where a sample on the edge is not inside; and what a sample to the
+        // right, and one down, adds.
+        let edge = |p: Corner, q: Corner| {
+            let [x, y] = across(p, q);
+            let [to_x, to_y] = [0, 1].map(|axis| first[axis] - i64::from(p.at[axis]));
+            let lacks = i64::from(!(y < 0 || y == 0 && x > 0));
+            [x * to_y - y * to_x - lacks, -y * i64::from(STEPS), x * i64::from(STEPS)]
+        };
+        let [mut of_c, c_right, c_down] = edge(a, b);
+        let [mut of_a, a_right, a_down] = edge(b, c);
+        let [mut of_b, b_right, b_down] = edge(c, a);
+        let [b_near, c_near] = [b.near - a.near, c.near - a.near];
+        let [least, most] = [a.near.min(b.near).min(c.near), a.near.max(b.near).max(c.near)];
+        let share = 1.0 / area as f32;
+        for y in top..=bottom {
+            let row = y as usize * self.width;
+            let [mut in_a, mut in_b, mut in_c] = [of_a, of_b, of_c];
+            let mut entered = false;
+            for x in left..=right {
+                if in_a | in_b | in_c >= 0 {
+                    entered = true;
+                    let near = a.near + (in_b as f32 * b_near + in_c as f32 * c_near) * share;
+                    self.put(row + x as usize, number, near.clamp(least, most), leaves);
+                } else if entered {
+                    break;
+                }
+                in_a += a_right;
+                in_b += b_right;
+                in_c += c_right;
+            }
+            of_a += a_down;
+            of_b += b_down;
+            of_c += c_down;
+        }
+    }
+
+    fn put(&self, n: usize, number: u32, near: f32, leaves: f32) {
+        // Of those that are equally near, the first.
+        let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
+        if self.nearest[n].load(Ordering::Relaxed) < key {
+            self.nearest[n].fetch_max(key, Ordering::Relaxed);
+        }
+        // Sums may exceed their range in between: they come back.
+        self.through[n].fetch_add((leaves / near * self.way_steps) as i64 as i32, Ordering::Relaxed);
+    }
 }

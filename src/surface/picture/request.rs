@@ -2,12 +2,11 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::surface::mesh::bounds::{Bounds, bounds_of, joined};
-use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::bounds::{Bounds, joined};
 use crate::surface::mesh::up::UpAxis;
 
 use super::camera::View;
-use super::colour::{Colour, values_of};
+use super::colour::Colour;
 use super::error::{MOST_PIXELS, PictureError};
 
 const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
@@ -53,6 +52,7 @@ pub struct Picture {
     pub(super) view: Option<View>,
     up: Option<UpAxis>,
     pub(super) ground: bool,
+    pub(super) wireframe: bool,
     pub(super) colour: Colour,
     pub(super) scope: Option<Scope>,
     pub(super) memory: Option<u64>,
@@ -93,6 +93,13 @@ impl Picture {
         self
     }
 
+    /// Shows the edges of the triangles.
+    #[must_use]
+    pub fn wireframe(mut self, shown: bool) -> Self {
+        self.wireframe = shown;
+        self
+    }
+
     /// Sets the colours.
     #[must_use]
     pub fn colour(mut self, colour: Colour) -> Self {
@@ -107,7 +114,7 @@ impl Picture {
         self
     }
 
-    /// Sets the bytes of memory that a picture may take, beside its mesh.
+    /// Sets the bytes of memory that a picture may take, beside its mesh: as many as it needs otherwise.
     #[must_use]
     pub fn memory(mut self, bytes: u64) -> Self {
         self.memory = Some(bytes);
@@ -135,24 +142,6 @@ impl Picture {
             }
             _ => Ok(()),
         }
-    }
-
-    /// The box of a mesh, and the range of the values that it would be coloured by.
-    ///
-    /// # Errors
-    /// [`PictureError::NoAttribute`] and [`PictureError::Io`].
-    pub fn scope_of(&self, mesh: &dyn MeshSource) -> Result<Scope, PictureError> {
-        let mut scope = Scope::default();
-        let mut values = Vec::new();
-        for piece in 0..mesh.outline().pieces {
-            let vertices = mesh.vertices(piece)?;
-            values.clear();
-            values_of(&self.colour, mesh, &vertices, &mut values)?;
-            let finite = values.iter().copied().filter(|value| value.is_finite());
-            let range = finite.map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
-            scope = scope.joined(Scope { bounds: bounds_of(&vertices.positions), range });
-        }
-        Ok(scope)
     }
 
     pub(super) fn pixels(&self) -> [usize; 2] {

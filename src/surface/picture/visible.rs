@@ -1,0 +1,198 @@
+//! What is seen of a mesh at any sample: its triangles, and for their corners where they are seen, normals and values.
+
+use std::io;
+
+use glam::{DVec3, Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::camera::Camera;
+use super::colour::Values;
+use super::error::PictureError;
+use super::ranked::{Entered, Ranked};
+use super::raster::Raster;
+use super::shape::{Batch, Shape};
+
+/// Bytes of a triangle that is seen, and of its corners where they are no other's.
+pub(super) const VISIBLE_BYTES: u64 =
+    (size_of::<[u32; 3]>() + 3 * (size_of::<[f32; 3]>() + size_of::<Vec3>() + size_of::<f32>())) as u64;
+/// Triangles of a task.
+const TASK: usize = 1 << 13;
+/// Shares of the corners, of each of which one thread adds up the normals.
+const SHARES: usize = 16;
+
+/// The triangles that are seen, and their corners.
+pub(super) struct Visible {
+    triangles: Ranked,
+    corners: Vec<[u32; 3]>,
+    /// To the right and up from the middle in heights times the distance, and the distance, in units of the eye's.
+    seen: Vec<[f32; 3]>,
+    /// Not of unit length.
+    normals: Vec<Vec3>,
+    /// None where no values are shown.
+    values: Vec<f32>,
+}
+
+/// A place on a surface.
+pub(super) struct Spot {
+    /// Not of unit length.
+    pub(super) normal: Vec3,
+    pub(super) value: f32,
+    /// From the nearest edge of its triangle, in heights of the picture.
+    pub(super) edge: f32,
+    /// The radius of the circle within its triangle, in heights of the picture.
+    pub(super) radius: f32,
+}
+
+impl Visible {
+    /// What is seen of a mesh on a raster, on which it was drawn.
+    pub(super) fn of(
+        raster: &Raster,
+        shape: &Shape<'_>,
+        camera: &Camera,
+        values: &Values<'_>,
+    ) -> Result<Self, PictureError> {
+        let triangles = Entered::none_of(0..shape.mesh.triangle_count() as u32);
+        let samples = raster.width * raster.height;
+        (0..samples).into_par_iter().with_min_len(TASK).for_each(|n| {
+            if let Some(sample) = raster.sample(n) {
+                triangles.insert(sample.triangle);
+            }
+        });
+        let triangles = triangles.ranked();
+
+        let mut corners: Vec<[u32; 3]> = Vec::with_capacity(triangles.len());
+        shape.triangles(|first, all| {
+            let own = first..first + all.len() as u32;
+            corners.extend(triangles.map(own, |number| Some(all[(number - first) as usize])));
+            Ok(())
+        })?;
+        let vertices = Entered::none_of(0..shape.vertices());
+        corners.par_iter().flatten_iter().for_each(|&corner| vertices.insert(corner));
+        let vertices = vertices.ranked();
+        corners.par_iter_mut().flatten_iter().for_each(|corner| *corner = rank(&vertices, *corner));
+
+        let mut visible = Self {
+            triangles,
+            corners,
+            seen: vec![[0.0; 3]; vertices.len()],
+            normals: vec![Vec3::ZERO; vertices.len()],
+            values: Vec::new(),
+        };
+        let add_up = !shape.mesh.has_normals();
+        shape.batches(|batch| {
+            let found = vertices.map(0..shape.vertices(), |vertex| {
+                let place = batch.places[batch.find(vertex)?];
+                Some((
+                    rank(&vertices, vertex),
+                    camera.seen(place.into()).map(|x| (x / camera.distance()) as f32),
+                ))
+            });
+            found.into_iter().for_each(|(rank, seen)| visible.seen[rank as usize] = seen);
+            if add_up {
+                add_normals(batch, &vertices, camera.distance(), &mut visible.normals);
+            }
+            Ok(())
+        })?;
+        visible.carried(shape, &vertices, values)?;
+        Ok(visible)
+    }
+
+    /// Sets the normals and the values that vertices carry.
+    fn carried(&mut self, shape: &Shape<'_>, vertices: &Ranked, values: &Values<'_>) -> io::Result<()> {
+        let all = 0..shape.vertices();
+        let (normals, valued) = (shape.mesh.has_normals(), values.any());
+        if !normals && !valued {
+            return Ok(());
+        }
+        if let (Some(kept_normals), Some(kept_values)) = (shape.kept_normals(), shape.kept_values()) {
+            if normals {
+                self.normals = vertices.map(all.clone(), |n| Some(Vec3::from(kept_normals[n as usize])));
+            }
+            if valued {
+                self.values = vertices.map(all, |n| Some(kept_values[n as usize]));
+            }
+            return Ok(());
+        }
+        self.normals.truncate(if normals { 0 } else { self.normals.len() });
+        for (piece, own) in shape.pieces().enumerate() {
+            let members: Vec<usize> =
+                vertices.within(own.clone()).map(|number| (number - own.start) as usize).collect();
+            if members.is_empty() {
+                continue;
+            }
+            let read = shape.mesh.vertices(piece)?;
+            if normals {
+                self.normals.extend(members.iter().map(|&n| Vec3::from(read.normals[n])));
+            }
+            if valued {
+                let of_piece = values.of(&read);
+                self.values.extend(members.iter().map(|&n| of_piece[n]));
+            }
+        }
+        Ok(())
+    }
+
+    /// The place on a triangle that is seen in a direction: to the right and up in heights from the middle.
+    pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> Spot {
+        let corners = self.corners[rank(&self.triangles, triangle) as usize].map(|corner| corner as usize);
+        let seen = corners.map(|corner| self.seen[corner]);
+        // How far the corners are from the line of sight, at their distances.
+        let [a, b, c] = seen.map(|[x, y, distance]| Vec2::new(x, y) - distance * towards);
+        let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
+        let sum: f32 = shares.iter().sum();
+        let shares = shares.map(|share| (share / sum).max(0.0));
+        let sum: f32 = shares.iter().sum();
+        let shares =
+            if sum.is_finite() && sum > 0.0 { shares.map(|share| share / sum) } else { [1.0 / 3.0; 3] };
+        let weighted = |n: usize| self.normals[corners[n]].normalize_or_zero() * shares[n];
+        let value = match &self.values[..] {
+            [] => 0.0,
+            values => (0..3).map(|n| values[corners[n]] * shares[n]).sum(),
+        };
+        Spot { normal: weighted(0) + weighted(1) + weighted(2), value, ..edges(seen, [a, b, c]) }
+    }
+}
+
+/// How far the edges of a triangle are seen from the line of sight.
+fn edges(seen: [[f32; 3]; 3], from_line: [Vec2; 3]) -> Spot {
+    let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / seen[n][2]);
+    let sides = [[0, 1], [1, 2], [2, 0]].map(|[n, m]| (at[n].perp_dot(at[m]).abs(), at[n].distance(at[m])));
+    let edge = sides.map(|(area, length)| area / length).into_iter().fold(f32::INFINITY, f32::min);
+    let area = (at[1] - at[0]).perp_dot(at[2] - at[0]).abs();
+    let radius = area / sides.iter().map(|(_, length)| length).sum::<f32>();
+    Spot { normal: Vec3::ZERO, value: 0.0, edge, radius }
+}
+
+/// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the order of the triangles.
+fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
+    let share = normals.len().div_ceil(SHARES).max(1);
+    // For each task its additions to each share.
+    let additions: Vec<[Vec<(u32, Vec3)>; SHARES]> = batch
+        .triangles
+        .par_chunks(TASK)
+        .map(|triangles| {
+            let mut additions: [Vec<(u32, Vec3)>; SHARES] = Default::default();
+            for corners in triangles {
+                let ranks = corners.map(|corner| vertices.rank(corner));
+                if ranks == [None; 3] {
+                    continue;
+                }
+                let [a, b, c] = corners.map(|corner| DVec3::from(batch.places[batch.index(corner)]) / unit);
+                let normal = (b - a).cross(c - a).as_vec3();
+                for rank in ranks.into_iter().flatten() {
+                    additions[rank as usize / share].push((rank, normal));
+                }
+            }
+            additions
+        })
+        .collect();
+    normals.par_chunks_mut(share).enumerate().for_each(|(n, normals)| {
+        for (rank, normal) in additions.iter().flat_map(|of_task| &of_task[n]) {
+            normals[*rank as usize - n * share] += normal;
+        }
+    });
+}
+
+fn rank(set: &Ranked, number: u32) -> u32 {
+    set.rank(number).expect("what is seen is in the set of what is seen")
+}
