@@ -103,6 +103,7 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
                 carried_halo: 3,
                 keeps_details: false,
                 vertices_alone: 60,
+                full_bin: None,
                 wide_levels: 0,
                 normals: false,
                 components: Vec::new(),

@@ -5,13 +5,14 @@
 
 use bytesize::ByteSize;
 use glam::IVec3;
+use hashbrown::HashSet;
 use thiserror::Error;
 
 use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
 use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::surface::attribute;
-use crate::surface::dual_mc::{bin_vertices, block_vertices};
+use crate::surface::dual_mc::{DEEP_VERTICES, bin_vertices, block_vertices};
 use crate::surface::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
 
@@ -56,6 +57,8 @@ pub struct Drawing {
     pub keeps_details: bool,
     /// Vertices around a particle alone.
     pub vertices_alone: u64,
+    /// Particles of a bin that is full of fluid, at the least, where the spacing is known.
+    pub full_bin: Option<u64>,
     /// How many times the DIF is kept once more in cells twice as wide.
     pub wide_levels: u32,
     /// Whether vertices get normals.
@@ -136,6 +139,18 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
     bytes + open.into_iter().map(|(_, sum)| page(sum)).sum::<u64>()
 }
 
+/// The bins that are full of fluid.
+fn full_bins(bins: impl Iterator<Item = (MortonKey, usize)>, drawing: &Drawing) -> HashSet<IVec3> {
+    let Some(full) = drawing.full_bin else { return HashSet::new() };
+    bins.filter(|&(_, count)| count as u64 >= full).map(|(key, _)| key.coord()).collect()
+}
+
+/// Whether a bin is full of fluid, and those beside it are.
+fn is_deep(bin: IVec3, full: &HashSet<IVec3>) -> bool {
+    let beside = [IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|axis| [bin - axis, bin + axis]);
+    full.contains(&bin) && beside.into_iter().all(|bin| full.contains(&bin))
+}
+
 impl Estimate {
     /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input and a
     /// backend of which `in_memory` bytes are taken all the time.
@@ -156,10 +171,15 @@ impl Estimate {
             let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
             estimate.field += wide_bytes(by_bin, drawing.wide_levels);
         }
-        for (_, count) in bins {
+        let full = full_bins(bins.clone(), drawing);
+        for (key, count) in bins {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
             estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
-            estimate.add_bin(count as u64, shape.map_or(0, |shape| page(count, shape)), drawing);
+            let vertices = match is_deep(key.coord(), &full) {
+                true => DEEP_VERTICES,
+                false => bin_vertices(count as u64, drawing.vertices_alone),
+            };
+            estimate.add_bin(vertices, shape.map_or(0, |shape| page(count, shape)), drawing);
         }
         estimate
     }
@@ -171,7 +191,8 @@ impl Estimate {
         let nonzero = |page: &PageInfo| (page.key, page.full_count as usize * shape.cells_a_particle());
         estimate.field += wide_bytes(pages.iter().map(nonzero), drawing.wide_levels);
         for page in pages {
-            estimate.add_bin(page.full_count.into(), page.most_bytes(shape) as u64, drawing);
+            let vertices = bin_vertices(page.full_count.into(), drawing.vertices_alone);
+            estimate.add_bin(vertices, page.most_bytes(shape) as u64, drawing);
         }
         estimate
     }
@@ -182,12 +203,11 @@ impl Estimate {
         Self { program: PROGRAM + threads + in_memory, carried, ..Self::default() }
     }
 
-    /// Adds a bin of so many particles, and so many bytes of the DIF.
-    fn add_bin(&mut self, particles: u64, field: u64, drawing: &Drawing) {
+    /// Adds a bin of so many vertices, and so many bytes of the DIF.
+    fn add_bin(&mut self, vertices: u64, field: u64, drawing: &Drawing) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
-        self.surface +=
-            (drawing.vertex_bytes() + TILE_SHARE) * bin_vertices(particles, drawing.vertices_alone);
+        self.surface += (drawing.vertex_bytes() + TILE_SHARE) * vertices;
     }
 
     /// The peak with everything in memory.

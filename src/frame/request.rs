@@ -12,7 +12,7 @@ use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, Sigma, Smooth};
-use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::grid::{BIN, BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells, vertices_alone};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
@@ -122,6 +122,7 @@ impl FieldRequest {
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
             keeps_details: false,
             vertices_alone: vertices_alone(spacing_cells),
+            full_bin: spacing.map(|_| (FULL_BIN * (f64::from(BIN) / spacing_cells).powi(3)) as u64),
             wide_levels: 0,
             normals: surfacing.normals == Normals::Gradient,
             components,
@@ -146,6 +147,9 @@ impl FieldRequest {
         self.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side())
     }
 }
+
+/// A bin that holds this share of what its volume does at the particles' spacing is full of fluid.
+const FULL_BIN: f64 = 0.6;
 
 /// How wide a Gaussian smooths the attributes of clouds, in spacings.
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;
