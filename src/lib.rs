@@ -54,11 +54,13 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, limits, and
-/// how to change it.
+/// Guides: what goes in and out, simulations, animations in Blender and ParaView, periodic boxes, pictures, what to choose, how accurate and
+/// how fast it is, GPUs, limits, and how to change it.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
+    #[doc = include_str!("bindings/blender/animations.md")]
+    pub mod animations {}
     #[doc = include_str!("field/choosing.md")]
     pub mod choosing {}
     #[doc = include_str!("contributing.md")]

@@ -86,6 +86,10 @@ class MENISCUS_PT_shape(_Panel, bpy.types.Panel):
         column = sampled.column(align=True)
         column.prop(settings, "cell_viewport")
         column.prop(settings, "cell_render")
+        sampled.prop(settings, "tank")
+        if settings.tank:
+            sampled.prop(settings, "tank_low")
+            sampled.prop(settings, "tank_high")
         if packed:
             _sentence(layout, context, "Packed frames have the spacing and the cells that they were packed in, and no velocities", "INFO")
         layout.prop(settings, "smooth")

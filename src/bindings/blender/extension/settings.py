@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
 from . import live
 
@@ -90,6 +90,26 @@ class MeniscusSurface(bpy.types.PropertyGroup):
         default=CELL,
         min=0.05,
         soft_max=2.0,
+        update=_changed,
+    )
+    tank: BoolProperty(
+        name="Tank",
+        description="End the fluid exactly at walls, beyond which particles are left out",
+        default=False,
+        update=_changed,
+    )
+    tank_low: FloatVectorProperty(
+        name="Lowest",
+        description="The tank's lowest corner, in the particles' coordinates",
+        precision=5,
+        default=(-1.0, -1.0, -1.0),
+        update=_changed,
+    )
+    tank_high: FloatVectorProperty(
+        name="Highest",
+        description="The tank's highest corner, in the particles' coordinates",
+        precision=5,
+        default=(1.0, 1.0, 1.0),
         update=_changed,
     )
     smooth: FloatProperty(

@@ -29,6 +29,7 @@ def test_the_key_changes_with_settings_and_with_the_file(sequence: Path) -> None
         replace(asked, source=replace(asked.source, sampling=Sampling(spacing=1.0, cell=0.5))),
         replace(asked, source=replace(asked.source, sampling=Sampling(spacing=1.1, cell=1.0))),
         replace(asked, source=replace(asked.source, sampling=Sampling(1.0, 1.0, attributes=("id",)))),
+        replace(asked, source=replace(asked.source, sampling=Sampling(1.0, 1.0, domain=(-9.0, -9.0, -9.0, 9.0, 9.0, 9.0)))),
     ]
     assert len({each.name for each in [asked, *others]}) == 1 + len(others)
     name, written = asked.name, file.stat()

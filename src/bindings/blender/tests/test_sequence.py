@@ -53,8 +53,8 @@ def test_frames_are_shown_by_their_numbers() -> None:
 def test_steps_go_on_faster_or_slower() -> None:
     assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
     assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
-    # A tenth has no exact double: ten of them are one all the same.
-    assert [Timing(0, 0, 0.1).number(frame) for frame in (9, 10, 30)] == [0, 1, 3]
+    # A third that was typed is a little less: three of them are one all the same.
+    assert [Timing(0, 0, 0.3333333).number(frame) for frame in (2, 3, 9)] == [0, 1, 3]
 
 
 def test_a_listing_is_read_again_when_its_folder_has_changed(sequence: Path) -> None:

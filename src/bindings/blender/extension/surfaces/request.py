@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Hashable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import meniscus
@@ -26,6 +26,8 @@ class Sampling:
     cell: float | None = None
     attributes: tuple[str, ...] | None = None
     particle_type: str | None = None
+    #: The lowest and the highest corner of a tank.
+    domain: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,15 @@ class FromPoints:
     @property
     def key(self) -> Hashable:
         """Changes where the samples would."""
-        return self.digest, len(self.positions), self.sampling.spacing, self.sampling.cell
+        return self.digest, len(self.positions), self._asked
 
     def sample(self) -> meniscus.Frame:
-        asked = _given(Sampling(self.sampling.spacing, self.sampling.cell))
-        return meniscus.Frame(self.positions, velocity=self.velocity, **asked)
+        return meniscus.Frame(self.positions, velocity=self.velocity, **_given(self._asked))
+
+    @property
+    def _asked(self) -> Sampling:
+        """What is of files says nothing of these."""
+        return replace(self.sampling, attributes=None, particle_type=None)
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,13 @@ def other_settings_make_another_surface_and_the_same_none() -> None:
     settings.cell_render = 0.3
     settings.smooth = 1.6
     assert len(made) == count, made[count:]
+    settings.tank, settings.tank_low, settings.tank_high = True, (-1.95, 0.03, -0.7), (1.65, 2.8, 0.7)
+    assert shows(shown.data, expected(20, domain=(-1.95, 0.03, -0.7, 1.65, 2.8, 0.7))) and abs(positions(shown.data)[:, 1].min() - 0.03) < 1e-6
+    settings.tank_high = (-3.0, 0.0, 0.0)
+    assert live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
+    print(f"    a tank inside out: {live.status_of(shown.data).error}")
+    settings.tank = False
+    assert shows(shown.data, expected(20))
     settings.attributes = "density"
     assert "density" in shown.data.attributes and "velocity" not in shown.data.attributes
     settings.attributes = "heat"
