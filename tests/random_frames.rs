@@ -453,3 +453,29 @@ fn random_frames_are_watertight_or_refused_and_the_same_however_they_are_made() 
     println!("{drawn} of {frames} frames have a surface; {:.0} s", begun.elapsed().as_secs_f64());
     assert!(drawn > frames / SHARE, "only {drawn} of {frames} have a surface");
 }
+
+#[test]
+fn the_definition_of_watertight_tells_meshes_that_are_not() {
+    let ball: Vec<[f64; 3]> = common::fill(4.0, 1.0, 0.2, 1, |p| p.length() < 3.0);
+    let whole = Reconstruction::new().spacing(1.0).run(&ball).unwrap().to_mesh().unwrap();
+    assert_eq!(watertight::defect(&whole), None);
+    let told = |change: fn(&mut Mesh)| {
+        let mut mesh = whole.clone();
+        change(&mut mesh);
+        watertight::defect(&mesh).expect("a defect")
+    };
+    assert!(told(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1)).contains("one side only"));
+    assert!(told(|mesh| mesh.triangles[0].swap(0, 1)).contains("two triangles go along"));
+    assert!(told(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
+    assert!(told(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
+    assert!(told(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
+    // Two balls that have a vertex in common, and nothing else.
+    let joined = told(|mesh| {
+        let last = mesh.positions.len() as u32 - 1;
+        let other = |t: &[u32; 3]| t.map(|v| if v == 0 { 0 } else { v + last });
+        let other: Vec<_> = mesh.triangles.iter().map(other).collect();
+        mesh.triangles.extend(other);
+        mesh.positions.extend_from_within(1..);
+    });
+    assert!(joined.contains("joins surfaces"), "{joined}");
+}
