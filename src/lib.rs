@@ -51,7 +51,7 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, and limits.
+/// Guides: what goes in and out, simulations, periodic boxes, pictures, what to choose, how accurate and how fast it is, GPUs, limits, and trust.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -79,6 +79,8 @@ pub mod guide {
     pub mod simulations {}
     #[doc = include_str!("frame/speed.md")]
     pub mod speed {}
+    #[doc = include_str!("system/trust.md")]
+    pub mod trust {}
 }
 
 /// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to compare.

@@ -10,7 +10,7 @@
 //! 2. its extension in `reader_for` and `KNOWN` of [`input`], which a test compares, and in `UNTOLD` of
 //!    `src/backend/choice.rs` where a file's size does not tell how much its particles are;
 //! 3. its axis that points up, if that is z, in `usual_up` of `src/reconstruction/orientation.rs`;
-//! 4. a sample in `tests/readers.rs`, from where every prefix and every flipped byte of it is tried;
+//! 4. a sample in `tests/readers.rs`, from where every prefix of it is tried, and a target in `tests/fuzz`, where all else is done to it;
 //! 5. a row in `formats.md`, and its name in README.md and in the help of `reconstruct` and `pack`.
 //!
 //! A format of meshes is one of [`MeshFormat`](output::MeshFormat), which says what it can hold, with a writer that takes a
