@@ -55,7 +55,7 @@ mod vulkan;
 pub mod method {}
 
 /// Guides: what goes in and out, simulations, animations in Blender and ParaView, periodic boxes, pictures, what to choose, how accurate and
-/// how fast it is, GPUs, limits, and how to change it.
+/// how fast it is, GPUs, limits, trust, and how to change it.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -87,6 +87,8 @@ pub mod guide {
     pub mod simulations {}
     #[doc = include_str!("frame/speed.md")]
     pub mod speed {}
+    #[doc = include_str!("system/trust.md")]
+    pub mod trust {}
 }
 
 /// Meshes: their pieces, whole ones in memory, and what there is to check, to measure and to compare.

@@ -7,6 +7,7 @@ pub mod distances;
 pub mod periodic;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
+pub mod watertight;
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::brick::{Bins, BrickSide, Census, DifField, FrameFacts, InvalidParticles};

@@ -239,7 +239,11 @@ impl Stored<'_> {
                 let count = self.number(&mut stream)?;
                 let block = self.number(&mut stream)?;
                 let last = self.number(&mut stream)?;
-                let full = if last == 0 { count } else { count.saturating_sub(1) };
+                let full = if last == 0 { Some(count) } else { count.checked_sub(1) };
+                let full = full.ok_or_else(|| {
+                    let what = format!("array {} has a last block, and none in all", self.array.name);
+                    malformed(self.array.place(), what)
+                })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
                 // As many as the file has lengths for.
                 let mut packed = Vec::new();

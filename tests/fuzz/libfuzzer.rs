@@ -1,0 +1,44 @@
+//! What libFuzzer calls: the target that `MENISCUS_FUZZ` names. See `tools/fuzz`.
+#![cfg_attr(not(test), no_main)]
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "the program's modules are here whole, of which one target uses a part"
+)]
+
+include!("program.rs");
+
+#[path = "targets/mod.rs"]
+mod targets;
+
+use std::sync::OnceLock;
+
+use libfuzzer_sys::fuzz_target;
+
+static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
+
+/// The target, whose seeds are written into the folder that `MENISCUS_SEEDS` names, and its words into a file beside it.
+fn chosen() -> fn(&[u8]) {
+    targets::on_one_thread();
+    let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();
+    let all = targets::all();
+    let names = || all.iter().map(|target| target.name).collect::<Vec<_>>().join("\n");
+    let Some(target) = all.iter().find(|target| target.name == name) else {
+        println!("{}", names());
+        std::process::exit(2);
+    };
+    if let Some(folder) = std::env::var_os("MENISCUS_SEEDS").map(std::path::PathBuf::from) {
+        for (number, seed) in (target.seeds)().into_iter().enumerate() {
+            std::fs::write(folder.join(format!("seed_{number}")), seed).unwrap();
+        }
+        let quoted = |word: &&str| word.bytes().map(|byte| format!("\\x{byte:02x}")).collect::<String>();
+        let words: String = target.words.iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
+        std::fs::write(folder.with_extension("dict"), words).unwrap();
+        std::process::exit(0);
+    }
+    target.run
+}
+
+fuzz_target!(init: { RUN.get_or_init(chosen); }, |data: &[u8]| {
+    RUN.get_or_init(chosen)(data);
+});

@@ -1,0 +1,43 @@
+//! A folder of each thread's own, in which files are written again and again.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use tempfile::TempDir;
+
+thread_local! {
+    static FOLDER: TempDir = in_memory().unwrap_or_else(|| tempfile::tempdir().unwrap());
+}
+
+/// Where files need no disk, if there is such a place: one that is truncated and written again is slow on most.
+fn in_memory() -> Option<TempDir> {
+    tempfile::tempdir_in("/dev/shm").ok()
+}
+
+/// Path of a name in the folder.
+pub fn path(name: &str) -> PathBuf {
+    FOLDER.with(|folder| folder.path().join(name))
+}
+
+/// Writes a file there.
+pub fn file(name: &str, bytes: &[u8]) -> PathBuf {
+    let path = path(name);
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+/// Makes a folder in it that is empty.
+pub fn empty(name: &str) -> PathBuf {
+    let folder = path(name);
+    clear(&folder);
+    folder
+}
+
+/// Removes all that is in a folder.
+fn clear(folder: &Path) {
+    match fs::remove_dir_all(folder) {
+        Err(fault) if fault.kind() == std::io::ErrorKind::NotFound => {}
+        removed => removed.unwrap(),
+    }
+    fs::create_dir_all(folder).unwrap();
+}

@@ -1,0 +1,211 @@
+//! Readers of meshes, and what writers make of odd ones.
+
+use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::mesh::{Mesh, VertexAttribute, check, measure};
+
+use super::Target;
+use super::particles::VTU;
+
+pub fn targets() -> Vec<Target> {
+    vec![
+        Target {
+            name: "mesh-ply",
+            runs: 5000,
+            run: |data| read(MeshFormat::Ply, data),
+            seeds: plys,
+            words: PLY,
+        },
+        Target {
+            name: "mesh-obj",
+            runs: 5000,
+            run: |data| read(MeshFormat::Obj, data),
+            seeds: || written(MeshFormat::Obj),
+            words: OBJ,
+        },
+        Target {
+            name: "mesh-vtk",
+            runs: 5000,
+            run: |data| read(MeshFormat::Vtk, data),
+            seeds: vtks,
+            words: VTK,
+        },
+        Target {
+            name: "mesh-vtp",
+            runs: 3000,
+            run: |data| read(MeshFormat::Vtp, data),
+            seeds: || written(MeshFormat::Vtp),
+            words: VTU,
+        },
+        Target {
+            name: "mesh-stl",
+            runs: 5000,
+            run: |data| read(MeshFormat::Stl, data),
+            seeds: stls,
+            words: &["solid", "facet normal", "outer loop", "vertex", "endfacet"],
+        },
+        Target {
+            name: "mesh-vtkhdf",
+            runs: 1000,
+            run: |data| read(MeshFormat::VtkHdf, data),
+            seeds: || written(MeshFormat::VtkHdf),
+            words: &["VTKHDF", "Polygons", "Connectivity"],
+        },
+        Target {
+            name: "mesh-names",
+            runs: 3000,
+            run: written_and_read,
+            seeds: names,
+            words: &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "%20", "\n"],
+        },
+    ]
+}
+
+pub const PLY: &[&str] = &[
+    "ply\n",
+    "format ascii 1.0\n",
+    "format binary_big_endian 1.0\n",
+    "element vertex ",
+    "element face ",
+    "property float x\n",
+    "property list uchar int vertex_indices\n",
+    "property double ",
+    "end_header\n",
+    "comment ",
+    "obj_info ",
+    "4294967295",
+    "18446744073709551615",
+];
+pub const VTK: &[&str] = &[
+    "ASCII\n",
+    "BINARY\n",
+    "DATASET POLYDATA\n",
+    "DATASET UNSTRUCTURED_GRID\n",
+    "POINTS ",
+    "CELLS ",
+    "CELL_TYPES ",
+    "POLYGONS ",
+    "VERTICES ",
+    "POINT_DATA ",
+    "CELL_DATA ",
+    "FIELD FieldData ",
+    "SCALARS ",
+    "VECTORS ",
+    "NORMALS ",
+    "LOOKUP_TABLE default\n",
+    "METADATA\n",
+    "OFFSETS vtktypeint64\n",
+    "CONNECTIVITY vtktypeint64\n",
+    " double\n",
+    " bit\n",
+    " string\n",
+    " vtkIdType\n",
+    "18446744073709551615",
+];
+const OBJ: &[&str] = &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
+
+/// Reads a mesh, which is what it has to be whatever is in the file, and comes back when it is written.
+fn read(format: MeshFormat, data: &[u8]) {
+    let mesh = match format.read(data) {
+        Ok(mesh) => mesh,
+        Err(fault) => return assert!(!fault.to_string().is_empty()),
+    };
+    let vertices = mesh.positions.len();
+    assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < vertices), "a missing vertex");
+    assert!(mesh.normals.as_ref().is_none_or(|normals| normals.len() == vertices));
+    assert!(mesh.attributes.iter().all(|a| a.values.len() == a.components * vertices));
+    assert!(!check(&mesh).to_string().is_empty());
+    let _ = measure(&mesh);
+    let again = round(MeshFormat::Ply, &mesh);
+    assert!(again.triangles == mesh.triangles && bits(&again.positions) == bits(&mesh.positions));
+}
+
+fn bits(positions: &[[f64; 3]]) -> Vec<u64> {
+    positions.as_flattened().iter().map(|x| x.to_bits()).collect()
+}
+
+/// Writes a mesh, and reads it.
+fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
+    let mut bytes = Vec::new();
+    format.write(&mut bytes, mesh, CoordinateWidth::F64).unwrap();
+    format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, of our own: {fault}"))
+}
+
+/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is.
+fn written_and_read(data: &[u8]) {
+    let Ok(text) = str::from_utf8(data) else { return };
+    let mut mesh = mesh();
+    mesh.attributes = text
+        .split('\t')
+        .take(5)
+        .enumerate()
+        .map(|(number, name)| {
+            let components = [1, 3, 2, 4, 9][number];
+            VertexAttribute { name: name.to_owned(), components, values: vec![0.5; 4 * components] }
+        })
+        .collect();
+    for format in [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf] {
+        let again = round(format, &mesh);
+        assert_eq!((&again.positions, &again.triangles), (&mesh.positions, &mesh.triangles), "{format}");
+        assert_eq!(again.normals, mesh.normals, "{format}");
+    }
+}
+
+fn mesh() -> Mesh {
+    let positions = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let triangles = vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
+    let values = (0..12).map(|i| i as f32).collect();
+    let velocity = VertexAttribute { name: "velocity".into(), components: 3, values };
+    let density = VertexAttribute { name: "density".into(), components: 1, values: vec![0.5; 4] };
+    Mesh {
+        positions,
+        triangles,
+        normals: Some(vec![[0.0, 0.6, 0.8]; 4]),
+        attributes: vec![velocity, density],
+    }
+}
+
+fn written(format: MeshFormat) -> Vec<Vec<u8>> {
+    let write = |width| {
+        let mut bytes = Vec::new();
+        format.write(&mut bytes, &mesh(), width).unwrap();
+        bytes
+    };
+    vec![write(CoordinateWidth::F32), write(CoordinateWidth::F64)]
+}
+
+fn stls() -> Vec<Vec<u8>> {
+    let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1e-3 0\nendloop\nendfacet\nendsolid a\n";
+    [written(MeshFormat::Stl), vec![text.into()]].concat()
+}
+
+pub fn plys() -> Vec<Vec<u8>> {
+    let header = "element vertex 3\nproperty float x\nproperty double y\nproperty float z\nproperty uchar c\n\
+                  element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    let ascii = format!("ply\nformat ascii 1.0\n{header}0 0 0 9\n1 0 0 9\n0 1 0 9\n3 0 1 2\n");
+    let mut big = format!("ply\nformat binary_big_endian 1.0\n{header}").into_bytes();
+    for [x, y, z] in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0_f32]] {
+        big.extend(x.to_be_bytes());
+        big.extend(f64::from(y).to_be_bytes());
+        big.extend(z.to_be_bytes());
+        big.push(9);
+    }
+    big.push(3);
+    big.extend([0_i32, 1, 2].into_iter().flat_map(i32::to_be_bytes));
+    [written(MeshFormat::Ply), vec![ascii.into_bytes(), big]].concat()
+}
+
+pub fn vtks() -> Vec<Vec<u8>> {
+    let old = "# vtk DataFile Version 4.1\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 2 double\n0 1 2 3 4 5\nCELLS 2 4\n1 0 1 1\n\
+               CELL_TYPES 2\n1\n1\nPOINT_DATA 2\nSCALARS id unsigned_int 1\nLOOKUP_TABLE id_table\n7 8\nFIELD FieldData 2\n\
+               velocity 3 2 float\n1 2 3 4 5 6\nmass%20density 1 2 float\n1000 9\n";
+    let new = "# vtk DataFile Version 5.1\ntitle\nASCII\nDATASET POLYDATA\nFIELD FieldData 1\nTimeValue 1 1 double\n0.5\nPOINTS 3 float\n\
+               0 1 2 3 4 5 6 7 9\nMETADATA\nINFORMATION 1\nNAME L2_NORM_RANGE LOCATION vtkDataArray\nDATA 2 0 1\n\n\
+               POLYGONS 2 3\nOFFSETS vtktypeint64\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\nPOINT_DATA 3\nNORMALS n float\n\
+               0 0 1 0 0 1 0 0 1\n";
+    [written(MeshFormat::Vtk), vec![old.into(), new.into()]].concat()
+}
+
+fn names() -> Vec<Vec<u8>> {
+    vec![b"velocity\tdensity".to_vec(), "mass density\t\u{e9}\t\tx".into()]
+}

@@ -1,0 +1,109 @@
+//! Names of frames, and what is made of them.
+
+use std::fs::{self, File};
+use std::path::Path;
+
+use meniscus::Simulation;
+use meniscus::internals::simulation::inputs::{Inputs, Pattern};
+use meniscus::internals::simulation::naming::Naming;
+
+use super::{Target, folder};
+
+pub fn targets() -> Vec<Target> {
+    let words = &[
+        "{}",
+        "{:04}",
+        "{:0",
+        "}",
+        "_0001",
+        ".bgeo",
+        ".xyz.gz",
+        ".vtu",
+        ".pvtu",
+        "*",
+        "?",
+        "[0-9]",
+        "18446744073709551616",
+        "/",
+        "..",
+        "_p00_",
+    ];
+    vec![
+        Target {
+            name: "patterns",
+            runs: 50000,
+            run: patterns,
+            seeds: || vec![b"sim/f_{:04}.bgeo".to_vec(), b"{}".to_vec()],
+            words,
+        },
+        Target {
+            name: "frames",
+            runs: 1000,
+            run: frames,
+            seeds: || {
+                vec![
+                    b"f_{}.xyz\nf_1.xyz\nf_2.xyz\nf_10.xyz.gz".to_vec(),
+                    b".\na_01.csv\na_02.csv\nb_1.xyz".to_vec(),
+                    b"*.vtu\na_1.vtu\na_2_0.vtu".to_vec(),
+                ]
+            },
+            words,
+        },
+    ]
+}
+
+/// A pattern that is read gives each number a name of its own.
+fn patterns(data: &[u8]) {
+    let Ok(text) = str::from_utf8(data) else { return };
+    if let Ok(Some(pattern)) = Pattern::parse(Path::new(text)) {
+        let paths = [0, 7, 1234, u64::MAX].map(|number| pattern.path(number, &number.to_string()));
+        assert!((1..4).all(|i| !paths[..i].contains(&paths[i])), "{paths:?}");
+        assert!(
+            Pattern::parse(&paths[0]).is_ok_and(|again| again.is_none()),
+            "{text:?} is a pattern when it is filled"
+        );
+    }
+    let _ = Naming::of(Path::new(text));
+}
+
+/// The first line is a request, the others are files that are there: frames are each of one number and one output, in order.
+fn frames(data: &[u8]) {
+    let Ok(text) = str::from_utf8(data) else { return };
+    let mut lines = text.split('\n');
+    let request = lines.next().unwrap_or_default();
+    // Nothing but what is in the folder.
+    if request.contains("..")
+        || request.contains("**")
+        || request.contains('\0')
+        || Path::new(request).is_absolute()
+    {
+        return;
+    }
+    let folder = folder::empty("frames");
+    for name in lines.take(6) {
+        let fits = !name.is_empty()
+            && name.len() < 100
+            && !name.contains(['/', '\0'])
+            && name != "."
+            && name != "..";
+        if fits {
+            drop(File::create(folder.join(name)));
+        }
+    }
+    let inputs = [folder.join(request)];
+    let _ = Simulation::if_several(&inputs, &folder.join("m_{}.ply"));
+    let Ok(Some(inputs)) = Inputs::of(&inputs) else { return };
+    assert!(!inputs.describe().is_empty());
+    let simulations = inputs.simulations().unwrap_or_default();
+    for inputs in simulations.iter().chain([&inputs]) {
+        let Ok(found) = inputs.list() else { continue };
+        assert!(found.is_sorted_by(|a, b| a.number < b.number), "frames are out of order");
+        assert!(found.iter().all(|frame| fs::metadata(&frame.path).is_ok()), "a frame is not there");
+        for naming in ["m_{}.ply", "m_{:03}.vtp", "made/"] {
+            let naming = Naming::of(&folder.join(naming)).unwrap().unwrap();
+            let outputs: Vec<_> = found.iter().map(|frame| naming.path(frame)).collect();
+            assert!((1..outputs.len()).all(|i| outputs[i - 1] != outputs[i]), "two frames have one output");
+            found.iter().for_each(|frame| drop(naming.simulation(frame)));
+        }
+    }
+}

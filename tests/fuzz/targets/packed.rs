@@ -1,0 +1,193 @@
+//! Packed frames: as they are with checksums made right again, built around pages that are mutated unpacked, and drawn.
+
+use meniscus::internals::grid::CellBox;
+use meniscus::internals::io::mnf::open_frame;
+use meniscus::mesh::check;
+use meniscus::{IndicatorKind, Reconstruction};
+
+use super::{Target, folder};
+
+pub fn targets() -> Vec<Target> {
+    vec![
+        Target { name: "mnf", runs: 2000, run: |data| open(&sealed(data)), seeds: frames, words: &[] },
+        Target { name: "mnf-pages", runs: 2000, run: |data| open(&built(data)), seeds: plain, words: &[] },
+        Target { name: "mnf-surface", runs: 100, run: |data| draw(&built(data)), seeds: plain, words: &[] },
+    ]
+}
+
+const HEADER: usize = 16;
+/// The footer without the number of pages, and what a periodic box adds to it.
+const FACTS: usize = 136;
+const PERIODIC: usize = 56;
+const ENTRY: usize = 44;
+const TAIL: usize = 20;
+const MAGIC: &[u8] = b"\x89MNF\r\n\x1a\n";
+const END_MAGIC: &[u8] = b"\n\x1a\n\rFNM\x89";
+
+fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
+    Some(u64::from_le_bytes(bytes.get(at..at + 8)?.try_into().unwrap()))
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().unwrap()))
+}
+
+/// Where the footer of a frame begins, and its index.
+fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
+    let tail = bytes.len().checked_sub(TAIL)?;
+    let footer =
+        usize::try_from(u64_at(bytes, tail)?).ok().filter(|footer| (HEADER..tail).contains(footer))?;
+    let periodic = if u32_at(bytes, footer + 32)? & 2 == 2 { PERIODIC } else { 0 };
+    let index = footer + FACTS + periodic + 8;
+    (index <= tail).then_some((footer, index))
+}
+
+/// The same bytes, but for checksums, which are right wherever they have a place.
+fn sealed(data: &[u8]) -> Vec<u8> {
+    let mut bytes = data.to_vec();
+    let Some((footer, index)) = layout(&bytes) else { return bytes };
+    let tail = bytes.len() - TAIL;
+    for entry in (index..tail).step_by(ENTRY).take_while(|entry| entry + ENTRY <= tail) {
+        let at = u64_at(&bytes, entry + 8).and_then(|at| usize::try_from(at).ok());
+        let length = u32_at(&bytes, entry + 24).map(|length| length as usize);
+        let page = at.zip(length).and_then(|(at, length)| bytes.get(at..at.checked_add(length)?));
+        if let Some(sum) = page.map(crc32fast::hash) {
+            bytes[entry + 28..entry + 32].copy_from_slice(&sum.to_le_bytes());
+        }
+    }
+    seal_footer(&mut bytes, footer);
+    bytes
+}
+
+fn seal_footer(bytes: &mut [u8], footer: usize) {
+    let tail = bytes.len() - TAIL;
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&bytes[..HEADER]);
+    hasher.update(&bytes[footer..tail + 8]);
+    bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
+}
+
+/// A frame whose pages are given unpacked: version, side, footer, and of each page its key, bricks, full cells, box, and the length and
+/// bytes of its planes.
+fn built(plain: &[u8]) -> Vec<u8> {
+    let mut rest = plain;
+    let mut take = |count: usize| {
+        let (taken, left) = rest.split_at(count.min(rest.len()));
+        rest = left;
+        let mut taken = taken.to_vec();
+        taken.resize(count, 0);
+        taken
+    };
+    let [version, side] = [take(1)[0], take(1)[0]];
+    let mut footer = take(FACTS);
+    if u32_at(&footer, 32).is_some_and(|walls| walls & 2 == 2) {
+        footer.extend(take(PERIODIC));
+    }
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend(u32::from(version).to_le_bytes());
+    bytes.extend(u32::from(side).to_le_bytes());
+    let (mut index, mut pages) = (Vec::new(), 0_u64);
+    let mut compressor = zstd::bulk::Compressor::new(1).unwrap();
+    compressor.set_parameter(zstd::zstd_safe::CParameter::ContentSizeFlag(false)).unwrap();
+    loop {
+        let head = take(26);
+        let length = u16::from_le_bytes(take(2).try_into().unwrap());
+        if head.iter().all(|&byte| byte == 0) && length == 0 {
+            break;
+        }
+        let page = compressor.compress(&take(length.into())).unwrap();
+        index.extend(&head[..8]);
+        index.extend((bytes.len() as u64).to_le_bytes());
+        index.extend(&head[8..16]);
+        index.extend((page.len() as u32).to_le_bytes());
+        index.extend(crc32fast::hash(&page).to_le_bytes());
+        index.extend(&head[16..26]);
+        index.extend([0; 2]);
+        bytes.extend(page);
+        pages += 1;
+    }
+    let at = bytes.len();
+    bytes.extend(footer);
+    bytes.extend(pages.to_le_bytes());
+    bytes.extend(index);
+    bytes.extend((at as u64).to_le_bytes());
+    bytes.extend([0; 4]);
+    bytes.extend(END_MAGIC);
+    seal_footer(&mut bytes, at);
+    bytes
+}
+
+/// The inverse, of a frame that is whole.
+fn unbuilt(frame: &[u8]) -> Vec<u8> {
+    let (footer, index) = layout(frame).unwrap();
+    let mut plain = vec![frame[8], frame[12]];
+    plain.extend(&frame[footer..index - 8]);
+    for entry in frame[index..frame.len() - TAIL].chunks(ENTRY) {
+        let (at, length) = (u64_at(entry, 8).unwrap() as usize, u32_at(entry, 24).unwrap() as usize);
+        let planes = zstd::bulk::decompress(&frame[at..at + length], 1 << 16).unwrap();
+        plain.extend([&entry[..8], &entry[16..24], &entry[32..42]].concat());
+        plain.extend((planes.len() as u16).to_le_bytes());
+        plain.extend(planes);
+    }
+    assert!(built(&plain) == frame, "built otherwise than it was");
+    plain
+}
+
+/// Opens a frame, and looks at its field.
+fn open(bytes: &[u8]) {
+    let path = folder::file("a.mnf", bytes);
+    for cache in [0, u64::MAX] {
+        let Ok(frame) = open_frame(&path, cache) else { return };
+        for info in frame.dif.infos().iter().take(3) {
+            let _ = frame.dif.gather(info.full.grown(3, 3));
+            let _ = frame.dif.gather(CellBox::cube(info.key.coord(), 16));
+        }
+    }
+}
+
+/// Draws a frame: whatever passes for one has a surface that is closed, oriented and manifold, or says why it has none.
+fn draw(bytes: &[u8]) {
+    let path = folder::file("b.mnf", bytes);
+    let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
+    let surface = request.run_file(&path);
+    match surface {
+        Ok(surface) => {
+            let report = check(&surface.to_mesh().unwrap());
+            assert!(report.is_closed_oriented_manifold() || surface.mesh().triangle_count() == 0, "{report}");
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// Small frames of every indicator, between walls, in a periodic box, and of the first version.
+fn frames() -> Vec<Vec<u8>> {
+    let particles: Vec<[f64; 3]> =
+        (0..20_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
+    let path = folder::path("seed.mnf");
+    let pack = |request: Reconstruction| {
+        let frame = request.spacing(1.0).threads(1).sample(&particles).unwrap();
+        frame
+            .pack(Reconstruction::new().packed_output(&path, meniscus::files::Replace::Allow).unwrap())
+            .unwrap();
+        std::fs::read(&path).unwrap()
+    };
+    let by = |kind| Reconstruction::new().indicator(kind).cell(1.0);
+    let mut frames = vec![
+        pack(by(IndicatorKind::Cloud)),
+        pack(by(IndicatorKind::Counting)),
+        pack(by(IndicatorKind::Symmetry).domain([0.0; 3], [3.0; 3])),
+        pack(by(IndicatorKind::Cloud).periodic([Some([0.0, 40.0]), None, None])),
+    ];
+    let mut first = frames[1].clone();
+    first[8] = 1;
+    frames.push(sealed(&first));
+    assert!(
+        frames.iter().all(|frame| open_frame(&folder::file("seed.mnf", frame), 0).is_ok()),
+        "a seed is no frame"
+    );
+    frames
+}
+
+fn plain() -> Vec<Vec<u8>> {
+    frames().iter().map(|frame| unbuilt(frame)).collect()
+}

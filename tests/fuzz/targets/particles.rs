@@ -1,0 +1,306 @@
+//! Readers of particles.
+
+use std::path::Path;
+
+use meniscus::internals::io::bytes::{Bytes, Unpacking};
+use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::{ParticleFile, ReadFault, bgeo, bi4, h5, npy, npz, ply, vtk, vtp, xyz};
+use meniscus::internals::particles::Particles;
+use zip::CompressionMethod;
+
+use super::build::{self, Bi4, VtkXml, tuples};
+use super::{Target, meshes};
+
+/// Attributes that are read of one file.
+const MOST_ATTRIBUTES: usize = 20;
+
+pub fn targets() -> Vec<Target> {
+    vec![
+        Target {
+            name: "bgeo",
+            runs: 20000,
+            run: |data| read_through(bgeo::read_particles(own(data))),
+            seeds: bgeos,
+            words: &[],
+        },
+        Target {
+            name: "bi4",
+            runs: 10000,
+            run: |data| read_through(bi4::read_particles(own(data))),
+            seeds: bi4s,
+            words: BI4,
+        },
+        Target {
+            name: "npy",
+            runs: 20000,
+            run: |data| read_through(npy::read_particles(own(data))),
+            seeds: npys,
+            words: NPY,
+        },
+        Target {
+            name: "npz",
+            runs: 3000,
+            run: |data| read_through(npz::read_particles(own(data), memory())),
+            seeds: npzs,
+            words: NPY,
+        },
+        Target {
+            name: "text",
+            runs: 10000,
+            run: |data| read_through(xyz::read_text(own(data), memory())),
+            seeds: tables,
+            words: TABLE,
+        },
+        Target {
+            name: "xyz",
+            runs: 10000,
+            run: |data| read_through(xyz::read_particles(own(data), memory())),
+            seeds: xyzs,
+            words: TABLE,
+        },
+        Target { name: "ply", runs: 10000, run: run_ply, seeds: meshes::plys, words: meshes::PLY },
+        Target { name: "vtk", runs: 10000, run: run_vtk, seeds: meshes::vtks, words: meshes::VTK },
+        Target { name: "vtu", runs: 3000, run: run_vtu, seeds: vtus, words: VTU },
+        Target { name: "hdf5", runs: 1000, run: run_hdf5, seeds: hdf5s, words: HDF5 },
+    ]
+}
+
+const BI4: &[&str] = &[
+    "CaseNfixed",
+    "CaseNmoving",
+    "CaseNfloat",
+    "CaseNfluid",
+    "NpDynamic",
+    "Npiece",
+    "Piece",
+    "Dp",
+    "PART_",
+    "Pos",
+    "Posd",
+    "Idp",
+    "Idpd",
+    "Vel",
+    "Rhop",
+    "\nARRAY",
+    "\nVALUES",
+    "\nITEM\n",
+];
+pub const NPY: &[&str] = &[
+    "'descr': ",
+    "'fortran_order': ",
+    "'shape': ",
+    "True",
+    "False",
+    "'<f4'",
+    "'>f8'",
+    "'<i8'",
+    "'|u1'",
+    "'<f2'",
+    "(7, 3), }",
+    "()",
+    "18446744073709551615",
+    "pos.npy",
+    "vel.npy",
+];
+const TABLE: &[&str] = &[
+    "x,y,z",
+    "nan",
+    "inf",
+    "-inf",
+    "1e308",
+    "1e-320",
+    "# ",
+    ";",
+    "\r\n",
+    "\"Points:0\"",
+    "vel:0",
+    "[m/s]",
+    "\u{feff}",
+    ".x",
+];
+pub const VTU: &[&str] = &[
+    "<DataArray ",
+    "</DataArray>",
+    "<Piece ",
+    "<Points>",
+    "</Points>",
+    "<PointData>",
+    "NumberOfPoints=\"",
+    "NumberOfComponents=\"",
+    "format=\"ascii\"",
+    "format=\"binary\"",
+    "format=\"appended\"",
+    "offset=\"",
+    "type=\"Float64\"",
+    "type=\"Int8\"",
+    "type=\"UInt64\"",
+    "Name=\"Points\"",
+    "Name=\"vtkGhostType\"",
+    "compressor=\"vtkZLibDataCompressor\"",
+    "header_type=\"UInt64\"",
+    "byte_order=\"BigEndian\"",
+    "<AppendedData encoding=\"raw\">_",
+    "<!--",
+    "-->",
+    "<![CDATA[",
+    "]]>",
+    "&amp;",
+    "<Polys>",
+    "<Verts>",
+];
+const HDF5: &[&str] = &[
+    "\u{89}HDF",
+    "TREE",
+    "SNOD",
+    "HEAP",
+    "GCOL",
+    "OHDR",
+    "OCHK",
+    "FRHP",
+    "BTHD",
+    "FSSE",
+    "VTKHDF",
+    "Points",
+    "Steps",
+    "PartType0",
+    "Coordinates",
+    "Header",
+    "NumPart_ThisFile",
+    "openPMD",
+    "position",
+    "particles",
+    "solver_data",
+    "Step#1",
+];
+
+/// Memory without a limit.
+pub fn memory() -> Unpacking<'static> {
+    Unpacking::in_memory()
+}
+
+pub fn own(data: &[u8]) -> Bytes {
+    Bytes::Owned(data.to_vec())
+}
+
+/// Reads every number of a file: the same whatever the range.
+pub fn read_through(read: Result<ParticleFile, ReadFault>) {
+    let file = match read {
+        Ok(file) => file,
+        Err(fault) => return assert!(!fault.to_string().is_empty()),
+    };
+    let particles = &file.particles;
+    let (count, half) = (particles.len(), particles.len() / 2);
+    let (mut all, mut rest) = (vec![[0.0; 3]; count], vec![[0.0; 3]; count - half]);
+    particles.positions(0, &mut all);
+    particles.positions(half, &mut rest);
+    let bits = |positions: &[[f64; 3]]| -> Vec<u64> {
+        positions.as_flattened().iter().map(|x| x.to_bits()).collect()
+    };
+    assert_eq!(bits(&all[half..]), bits(&rest), "other positions from the middle on");
+    for (index, info) in particles.attributes().iter().enumerate().take(MOST_ATTRIBUTES) {
+        let (mut all, mut rest) =
+            (vec![0.0_f32; count * info.components], vec![0.0_f32; (count - half) * info.components]);
+        particles.attribute(index, 0, &mut all);
+        particles.attribute(index, half, &mut rest);
+        let bits = |values: &[f32]| -> Vec<u32> { values.iter().map(|x| x.to_bits()).collect() };
+        assert_eq!(
+            bits(&all[half * info.components..]),
+            bits(&rest),
+            "another {} from the middle on",
+            info.name
+        );
+    }
+    let _ = particles.check();
+}
+
+fn run_ply(data: &[u8]) {
+    read_through(ply::read_points(own(data), memory()));
+    let _ = ply::has_faces(data);
+}
+
+fn run_vtk(data: &[u8]) {
+    read_through(vtk::read_points(own(data), memory()));
+    let _ = (vtk::has_faces(data), vtk::is_text(data));
+}
+
+fn run_vtu(data: &[u8]) {
+    read_through(vtp::read_particles(own(data), memory()));
+    let _ = (vtp::has_faces(data), vtp::is_text(data));
+}
+
+/// The first byte says which step is wanted, and of which particles.
+fn run_hdf5(data: &[u8]) {
+    let Some((choice, data)) = data.split_first() else { return };
+    let step = u64::from(choice & 3).checked_sub(1);
+    let particle_type = [None, Some("0"), Some("fluid"), Some("PartType1")][usize::from(choice >> 2 & 3)];
+    let wanted = Wanted { particle_type, ..Wanted::default() };
+    let read = h5::open_particles(Path::new("nowhere/a_0.hdf5"), own(data), step, wanted, memory());
+    read_through(read.map_err(|error| error.fault));
+    let _ = (h5::steps(own(data)), h5::has_faces(own(data)));
+}
+
+fn bgeos() -> Vec<Vec<u8>> {
+    vec![build::bgeo(&tuples(3)), build::bgeo(&[])]
+}
+
+fn bi4s() -> Vec<Vec<u8>> {
+    let layout = |bits: u32| {
+        let [big, wide, double, mixed] = [0, 1, 2, 3].map(|bit| bits >> bit & 1 == 1);
+        Bi4 { big, wide, double, mixed, pieces: 1, piece: 0 }
+    };
+    (0..16).map(|bits| layout(bits).build(&tuples(7))).collect()
+}
+
+pub fn npys() -> Vec<Vec<u8>> {
+    let kinds = ["<f4", "<f8", ">f4", ">f8"];
+    kinds
+        .into_iter()
+        .flat_map(|descr| [false, true].map(|fortran| build::npy(&tuples(3), descr, fortran)))
+        .collect()
+}
+
+fn npzs() -> Vec<Vec<u8>> {
+    [CompressionMethod::Stored, CompressionMethod::Deflated]
+        .map(|how| build::npz_frame(&tuples(3), how))
+        .to_vec()
+}
+
+fn tables() -> Vec<Vec<u8>> {
+    let tables = [
+        "x,y,z,vel:0,vel:1,vel:2,rho\n1,2,3,4,5,6,7\n# note\n1e3,-.5,nan,4,5,6,7\n",
+        "TimeStep [s];Np;Nbound\n0.5;2;0\n\nPos.x [m];Pos.y [m];Pos.z [m];Idp;Vel.x [m/s];Vel.y [m/s];Vel.z [m/s];\n1;2;3;10;4;5;6;\n",
+        "\u{feff}# by hand\n1 2 3\n\n4\t5  -6e-1 # end\n",
+        "\"Points:0\",\"Points:1\",\"Points:2\"\n1,2,3\n4,5,-0.6\n",
+    ];
+    tables.map(|table| table.as_bytes().to_vec()).to_vec()
+}
+
+fn xyzs() -> Vec<Vec<u8>> {
+    [tables(), vec![build::raw(&tuples(4))]].concat()
+}
+
+pub fn vtus() -> Vec<Vec<u8>> {
+    VtkXml::all().into_iter().map(|layout| layout.build(&tuples(2))).collect()
+}
+
+fn hdf5s() -> Vec<Vec<u8>> {
+    // Made by `tools/interop`.
+    let files: [&[u8]; 8] = [
+        include_bytes!("../../data/h5/huge.h5"),
+        include_bytes!("../../data/h5/packed.h5"),
+        include_bytes!("../../data/h5/steps.h5part"),
+        include_bytes!("../../data/simulations/gadget_005.1.hdf5"),
+        include_bytes!("../../data/simulations/gadget_005.hdf5"),
+        include_bytes!("../../data/simulations/steps.vtkhdf"),
+        include_bytes!("../../data/simulations/openpmd.h5"),
+        include_bytes!("../../data/simulations/pysph_40.hdf5"),
+    ];
+    let swift: &[u8] = include_bytes!("../../data/simulations/swift_0003.hdf5");
+    let with_choice = |(choice, file): (u8, &[u8])| [&[choice][..], file].concat();
+    files
+        .into_iter()
+        .chain([swift])
+        .zip([0, 0, 2, 0, 4, 1, 1, 8, 4])
+        .map(|(file, choice)| with_choice((choice, file)))
+        .collect()
+}

@@ -1,0 +1,142 @@
+//! What a conversion keeps beside its meshes: its state and its records, as damaged as one likes; and scenes beside particles.
+
+use std::fs;
+
+use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::simulation::records::Records;
+use meniscus::internals::simulation::state::{Settings, Store};
+
+use super::{Target, folder};
+
+pub fn targets() -> Vec<Target> {
+    vec![
+        Target { name: "records", runs: 1000, run: records, seeds: record_seeds, words: RECORD },
+        Target { name: "state", runs: 2000, run: state, seeds: state_seeds, words: RECORD },
+        Target {
+            name: "scene-json",
+            runs: 3000,
+            run: |data| scene("scene.json", data),
+            seeds: json_seeds,
+            words: &["\"Configuration\"", "\"particleRadius\"", "1e308", "-0"],
+        },
+        Target {
+            name: "scene-xml",
+            runs: 3000,
+            run: |data| scene("case.xml", data),
+            seeds: xml_seeds,
+            words: &["<case", "<dp ", "<definition ", "value=\"", "dp=\"", "<!--", "<!DOCTYPE", "&#0;"],
+        },
+    ]
+}
+
+const RECORD: &[&str] = &[
+    "\"frame\":",
+    "\"crc\":",
+    "\"input\":",
+    "\"mesh\":",
+    "\"bounds\":null",
+    "1e999",
+    "-1",
+    "18446744073709551615",
+    "\n",
+    "\"cell_size\":",
+    "\"origin\":",
+    "\"mean\":",
+    "\"iso\":",
+    "\"plateau\":",
+    "null",
+];
+
+/// Logs of several processes, divided by a byte that no text has. However they are damaged, merging them loses none of what they tell.
+fn records(data: &[u8]) {
+    let folder = folder::empty("out.ply.meniscus");
+    let log = |number: usize| {
+        if number == 0 { "frames.jsonl".to_owned() } else { format!("frames.{number}.jsonl") }
+    };
+    for (number, lines) in data.split(|&byte| byte == 0xff).enumerate().take(4) {
+        fs::write(folder.join(log(number)), lines).unwrap();
+    }
+    let before = Records::read(&folder);
+    let store = Store::beside(&folder::path("out.ply"));
+    store.log.merge().unwrap();
+    assert!(Records::read(&folder) == before, "records are lost");
+    let here = folder::file("mesh.ply", b"mesh");
+    for frame in [0, 1, 2, u64::MAX] {
+        if let Some(record) = before.current(frame, &here, &here, 5) {
+            store.log.keep(record).unwrap();
+            assert!(Records::read(&folder) == before, "a record that is kept again is another");
+            let _ = record.is_whole(&here);
+        }
+    }
+}
+
+/// A state that is read is the same when it was kept and is read again.
+fn state(data: &[u8]) {
+    folder::empty("out.ply.meniscus");
+    let store = Store::beside(&folder::path("out.ply"));
+    fs::write(store.state_path(), data).unwrap();
+    match store.load() {
+        Ok(state) => {
+            let state = state.expect("it is there");
+            store.save(&state).unwrap();
+            let again = store.load().unwrap().expect("it is there");
+            assert_eq!((again.fingerprint(), &again), (state.fingerprint(), &state));
+            let _ = state.differing(&Settings::new());
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// Whatever is beside the particles, their spacing is a length or is not known.
+fn scene(name: &str, data: &[u8]) {
+    let folder = folder::empty("scene");
+    fs::write(folder.join(name), data).unwrap();
+    if let Some((spacing, path)) = spacing_beside(&folder.join("a.bgeo")) {
+        assert!(spacing.is_finite() && spacing > 0.0, "{spacing}");
+        assert_eq!(path, folder.join(name));
+    }
+}
+
+fn record_seeds() -> Vec<Vec<u8>> {
+    let record = |frame: u64, fingerprint: u32| {
+        format!(
+            "{{\"input\":{{\"bytes\":4,\"modified\":7}},\"fingerprint\":{fingerprint},\"mesh\":{{\"frame\":{frame},\"time\":0.1,\"file\":\"mesh.ply\",\
+             \"bytes\":4,\"particles\":1,\"vertices\":0,\"triangles\":0,\"bounds\":[[1e-17,-0.1,0.3],[0.5,0.0,1e300]],\"normals\":true,\
+             \"attributes\":[{{\"name\":\"v\",\"components\":3}}]}},\"crc\":77}}\n"
+        )
+    };
+    let logs = [[record(1, 5), record(2, 5)].concat(), record(1, 6), String::new()].map(String::into_bytes);
+    let seed = logs.join(&0xff);
+    let folder = folder::empty("seed");
+    fs::write(folder.join("frames.jsonl"), record(1, 5)).unwrap();
+    assert!(Records::read(&folder) != Records::default(), "a seed is no record");
+    vec![seed]
+}
+
+fn state_seeds() -> Vec<Vec<u8>> {
+    let frames = folder::empty("seed");
+    let particles: Vec<u8> = (0..30_u32)
+        .flat_map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| c as f32))
+        .flat_map(f32::to_le_bytes)
+        .collect();
+    fs::write(frames.join("a_1.xyz"), particles).unwrap();
+    let of = |kind: meniscus::IndicatorKind| {
+        let request = meniscus::Reconstruction::new().threads(1).spacing(1.0).indicator(kind);
+        let simulation =
+            meniscus::Simulation::new(frames.join("a_{}.xyz"), frames.join("m_{}.ply")).overwrite();
+        simulation.reconstruction(request).run(|_| ()).unwrap();
+        fs::read(frames.join("m.ply.meniscus/state.json")).unwrap()
+    };
+    vec![of(meniscus::IndicatorKind::Cloud), of(meniscus::IndicatorKind::Counting)]
+}
+
+fn json_seeds() -> Vec<Vec<u8>> {
+    vec![br#"{"Configuration": {"particleRadius": 0.025, "a": [1, "\u00e9"]}}"#.to_vec()]
+}
+
+fn xml_seeds() -> Vec<Vec<u8>> {
+    vec![
+        b"<?xml version=\"1.0\"?><case><casedef><constantsdef/><geometry><definition dp=\"0.02\"/></geometry></casedef></case>".to_vec(),
+        b"<case><execution><constants><dp value=\"0.02\" units=\"m\"/></constants></execution></case>".to_vec(),
+    ]
+}

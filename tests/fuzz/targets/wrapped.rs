@@ -1,0 +1,147 @@
+//! Files that are compressed or summed up, around bytes that are not: what is mutated is what is inside.
+
+use meniscus::files;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::io::{npz, vtp};
+use zip::CompressionMethod;
+
+use super::build::{self, gzip};
+use super::particles::{self, NPY, memory, own, read_through};
+use super::{Target, folder, meshes};
+
+pub fn targets() -> Vec<Target> {
+    vec![
+        Target { name: "gzip", runs: 2000, run: run_gzip, seeds: gzips, words: &["\u{1f}"] },
+        Target { name: "npz-arrays", runs: 2000, run: run_npz, seeds: arrays, words: NPY },
+        Target { name: "vtu-blocks", runs: 3000, run: run_blocks, seeds: blocks, words: &[] },
+        Target {
+            name: "info",
+            runs: 3000,
+            run: run_info,
+            seeds: infos,
+            words: &["POINTS ", "element face 1\n", "<Piece Source=\"a.vtu\"/>"],
+        },
+    ]
+}
+
+/// The first byte says what is inside, and whether all of it or the packed bytes are damaged.
+fn run_gzip(data: &[u8]) {
+    let Some((choice, data)) = data.split_first() else { return };
+    let name = ["a.bgeo", "a.xyz", "a.npy.gz", "a.ply", "a.csv.gz", "a.bi4"][usize::from(choice & 7) % 6];
+    let packed = match choice >> 3 & 3 {
+        0 => [gzip(data), gzip(data)].concat(),
+        // A stream that ends as it likes.
+        1 => {
+            let mut packed = gzip(data);
+            let end = packed.len() - usize::from(choice >> 5);
+            packed.truncate(end);
+            packed
+        }
+        2 => [b"\x1f\x8b", data].concat(),
+        _ => gzip(data),
+    };
+    read_through(open_particles(&folder::file(name, &packed), memory()).map_err(|error| error.fault));
+}
+
+fn gzips() -> Vec<Vec<u8>> {
+    let files = [
+        build::bgeo(&build::tuples(3)),
+        build::raw(&build::tuples(3)),
+        build::npy(&build::tuples(3), "<f4", false),
+    ];
+    let wrapped = (0_u8..).zip(files).map(|(kind, file)| [&[kind | 0x18][..], &file].concat());
+    let packed = [&[0x11][..], &gzip(&build::raw(&build::tuples(3)))[2..]].concat();
+    wrapped.chain([packed]).collect()
+}
+
+/// Arrays, each after its length in two bytes, in an archive whose sums are right.
+fn run_npz(data: &[u8]) {
+    let Some((choice, mut data)) = data.split_first() else { return };
+    let mut arrays = Vec::new();
+    for name in ["pos", "vel", "x", "y", "z", "id"] {
+        let Some((length, rest)) = data.split_first_chunk::<2>() else { break };
+        let (array, rest) = rest.split_at(usize::from(u16::from_le_bytes(*length)).min(rest.len()));
+        arrays.push((name, array.to_vec()));
+        data = rest;
+    }
+    let compression = if choice & 1 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
+    read_through(npz::read_particles(own(&build::npz(&arrays, compression)), memory()));
+}
+
+fn arrays() -> Vec<Vec<u8>> {
+    let with_length = |array: &Vec<u8>| [&(array.len() as u16).to_le_bytes()[..], array].concat();
+    let arrays = particles::npys();
+    let pair = |pair: &[Vec<u8>]| [vec![1], pair.iter().flat_map(with_length).collect()].concat();
+    arrays.chunks(2).map(pair).collect()
+}
+
+/// Blocks of zlib, with whatever lengths the first bytes say.
+fn run_blocks(data: &[u8]) {
+    let Some((head, data)) = data.split_first_chunk::<8>() else { return };
+    let [kind, points, block, last, count, ..] = *head;
+    let (kinds, sizes) = (["Float32", "Float64", "Int8", "UInt16", "Int64", "Float32"], [4, 8, 1, 2, 8, 4]);
+    let kind = usize::from(kind) % kinds.len();
+    let (block, points) = (usize::from(block).max(1), usize::from(points));
+    let whole: Vec<Vec<u8>> = data.chunks(block).map(zlib).collect();
+    let mut lengths = vec![whole.len() as u32, block as u32, (data.len() % block) as u32];
+    lengths.extend(whole.iter().map(|block| block.len() as u32));
+    // Right but for what these bytes say.
+    if count != 0 {
+        let at = usize::from(count) % lengths.len();
+        lengths[at] = lengths[at].wrapping_add(u32::from(last)).wrapping_sub(128);
+    }
+    let mut file = format!(
+        "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt32\" \
+         compressor=\"vtkZLibDataCompressor\"><PolyData><Piece NumberOfPoints=\"{points}\"><Points>\
+         <DataArray type=\"{}\" Name=\"Points\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>\
+         </Points></Piece></PolyData><AppendedData encoding=\"raw\">_",
+        kinds[kind]
+    )
+    .into_bytes();
+    file.extend(lengths.iter().flat_map(|length| length.to_le_bytes()));
+    file.extend(whole.concat());
+    file.extend(b"</AppendedData></VTKFile>");
+    let read = vtp::read_particles(own(&file), memory());
+    // All as it should be is read.
+    if count == 0 && data.len() == 3 * points * sizes[kind] && !data.is_empty() {
+        assert!(read.is_ok(), "{:?}", read.err());
+    }
+    read_through(read);
+}
+
+fn zlib(block: &[u8]) -> Vec<u8> {
+    use std::io::Write;
+    let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(block).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn blocks() -> Vec<Vec<u8>> {
+    let raw = build::raw(&build::tuples(3));
+    [[0, 3, 16, 0, 0, 0, 0, 0], [0, 3, 16, 130, 1, 0, 0, 0], [5, 3, 36, 0, 0, 0, 0, 0]]
+        .map(|head: [u8; 8]| [&head[..], &raw].concat())
+        .to_vec()
+}
+
+/// What `info` says of files, which are mapped here as they are in the program; the first byte says the extension.
+fn run_info(data: &[u8]) {
+    let Some((choice, data)) = data.split_first() else { return };
+    let names = [
+        "a.ply", "a.vtk", "a.vtp", "a.pvtp", "a.pvtu", "a.vtkhdf", "a.npy", "a.bi4", "a.mnf", "a.obj",
+        "a.stl", "a.csv",
+    ];
+    let path = folder::file(names[usize::from(*choice) % names.len()], data);
+    if let Err(error) = files::info(&path) {
+        assert!(!error.to_string().is_empty());
+    }
+}
+
+fn infos() -> Vec<Vec<u8>> {
+    let list = "<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData><Piece Source=\"a.vtp\"/><Piece Source=\"../a.vtp\"/></PPolyData></VTKFile>";
+    let first = |mut files: Vec<Vec<u8>>| files.swap_remove(0);
+    let files =
+        [first(meshes::plys()), first(meshes::vtks()), first(particles::vtus()), list.into(), list.into()];
+    let mut all: Vec<_> = (0_u8..).zip(files).map(|(kind, file)| [&[kind][..], &file].concat()).collect();
+    all.push([&[6][..], &first(particles::npys())].concat());
+    all
+}

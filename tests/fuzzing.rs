@@ -1,0 +1,84 @@
+//! Every target of `tests/fuzz`, on stable Rust: mutations of its seeds, the same each time. What libFuzzer does for hours this does for
+//! seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as much, of the targets whose names contain `MENISCUS_FUZZ`.
+#![allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "the program's modules are here whole, of which one target uses a part"
+)]
+
+include!("fuzz/program.rs");
+
+#[path = "fuzz/mutate.rs"]
+mod mutate;
+#[path = "../tools/bench/scene.rs"]
+mod scene;
+#[path = "fuzz/targets/mod.rs"]
+mod targets;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use targets::Target;
+
+/// Seeds so short, of targets that are run so often, are damaged in every byte.
+const SHORT: usize = 2000;
+const QUICK: u32 = 2000;
+
+/// Tries the seeds of a target and mutations of them; returns how many, and the time that it took.
+fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
+    let begun = Instant::now();
+    let seeds = (target.seeds)();
+    assert!(!seeds.is_empty(), "{} has no seeds", target.name);
+    let mut runs = 0;
+    let mut run = |what: &dyn std::fmt::Display, data: &[u8]| {
+        runs += 1;
+        if catch_unwind(AssertUnwindSafe(|| (target.run)(data))).is_err() {
+            panic!("{}: {what} of its seeds fails: {}", target.name, data.escape_ascii());
+        }
+    };
+    for (number, seed) in seeds.iter().enumerate() {
+        run(&format_args!("number {number}"), seed);
+    }
+    // Of what is quick every byte is damaged.
+    for (number, seed) in
+        seeds.iter().enumerate().filter(|(_, seed)| target.runs >= QUICK && seed.len() < SHORT)
+    {
+        for (at, mask) in (0..seed.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|mask| (at, mask))) {
+            let mut data = seed.clone();
+            data[at] ^= mask;
+            run(&format_args!("number {number} with byte {at} changed by {mask:#x}"), &data);
+        }
+    }
+    for number in 0..u64::from(target.runs) * u64::from(times) {
+        let data = mutate::mutated(&seeds, target.words, number);
+        run(&format_args!("mutation {number}"), &data);
+    }
+    (runs, begun.elapsed())
+}
+
+#[test]
+fn no_mutation_of_any_input_brings_a_target_down() {
+    let set = |name: &str| std::env::var(name).ok();
+    let times = set("MENISCUS_FUZZ_RUNS").map_or(1, |times| times.parse().expect("a number of times"));
+    let name = set("MENISCUS_FUZZ").unwrap_or_default();
+    let mut chosen: Vec<Target> = targets::all().into_iter().filter(|t| t.name.contains(&name)).collect();
+    assert!(!chosen.is_empty(), "no target is called {name}");
+    chosen.reverse();
+    let left = Mutex::new(chosen);
+    let worker = || {
+        // What the library shares among threads stays on this one: no target waits for another.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let next = || left.lock().unwrap().pop();
+        while let Some(target) = next() {
+            let (runs, took) = pool.install(|| fuzz(&target, times));
+            println!("{:12} {runs:9} runs {:8.2} s", target.name, took.as_secs_f64());
+        }
+    };
+    std::thread::scope(|scope| {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        let failed = workers.into_iter().filter_map(|worker| worker.join().err()).count();
+        assert_eq!(failed, 0, "targets failed, see above");
+    });
+}
