@@ -383,7 +383,7 @@ fn try_frame(seed: u64) -> bool {
         && one_in(random, 16)
         && let Ok(backend) = device::shared()
     {
-        let found = outcome(request.clone().backend(backend).run(&frame.water));
+        let found = outcome(request.backend(backend).run(&frame.water));
         assert_same(&found, &expected, &format!("frame {seed} on a device"));
     }
     mesh.is_some_and(|mesh| !mesh.triangles.is_empty())
