@@ -14,8 +14,9 @@ use common::{device, shuffle, watertight};
 use glam::DVec3;
 use meniscus::files::Replace;
 use meniscus::internals::brick::BrickSide;
-use meniscus::internals::frame::Sampling;
+use meniscus::internals::frame::{Frame as Sampled, FrameError, Sampling};
 use meniscus::internals::particles::AttributeInfo;
+use meniscus::internals::system::timings::Timings;
 use meniscus::mesh::Mesh;
 use meniscus::{
     Cause, Error, IndicatorKind, MemoryBudget, Method, Particles, PeriodicMesh, Reconstruction, Surface,
@@ -417,13 +418,15 @@ fn in_bricks(frame: &Frame) {
         side,
         ..common::sampling()
     };
-    let meshes = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen]
-        .map(|side| common::reconstruct(&frame.water, &sampling(side), &common::surfacing()).1.mesh);
-    assert!(
-        meshes[0] == meshes[1] && meshes[1] == meshes[2],
-        "frame {}: another mesh in other bricks",
-        frame.seed
-    );
+    let mesh = |side| {
+        let timings = &mut Timings::default();
+        let sampled = Sampled::sample(&frame.water, &sampling(side), timings)?;
+        Ok::<_, FrameError>(sampled.surface(&common::surfacing(), timings)?.to_mesh().unwrap())
+    };
+    let meshes = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
+    let [four, eight, sixteen] = meshes.map(|side| mesh(side).map_err(|fault| fault.to_string()));
+    assert_same(&four, &eight, &format!("frame {} in bricks of 4 cells", frame.seed));
+    assert_same(&sixteen, &eight, &format!("frame {} in bricks of 16 cells", frame.seed));
 }
 
 #[test]
