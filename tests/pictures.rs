@@ -17,8 +17,9 @@ use std::process::{Command, Output};
 use common::scene::Random;
 use common::shapes::{cuboid, sphere, torus};
 use meniscus::files::Replace;
+use meniscus::mesh::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
-use meniscus::picture::{Colour, Image, Picture, PictureError, Pictures, Scope, View};
+use meniscus::picture::{Colour, Image, Picture, PictureError, Pictures, Reference, Scope, View};
 use meniscus::{Cancel, Cause, Error, UpAxis};
 use rayon::ThreadPoolBuilder;
 use tempfile::TempDir;
@@ -210,6 +211,181 @@ fn what_no_picture_can_show_is_refused() {
     assert_eq!(small().draw(&lacking).unwrap(), small().draw(&ball).unwrap());
 }
 
+#[test]
+fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_body() {
+    // A slab of many thin triangles, seen from an angle at which every edge is crossed by samples.
+    let side = 60_u32;
+    let mut slab = cuboid([-1.0, -1.0, -0.1], [1.0, 1.0, 0.1]);
+    slab.triangles.retain(|t| t.iter().any(|&v| slab.positions[v as usize][2] < 0.0));
+    let first = slab.positions.len() as u32;
+    let at = |n: u32| 2.0 * (f64::from(n) / f64::from(side)).powi(3) - 1.0;
+    for y in 0..=side {
+        slab.positions.extend((0..=side).map(|x| [at(x), at(y), 0.1]));
+    }
+    for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
+        let corner = |x: u32, y: u32| first + y * (side + 1) + x;
+        let [a, b, c, d] = [corner(x, y), corner(x + 1, y), corner(x + 1, y + 1), corner(x, y + 1)];
+        slab.triangles.extend([[a, b, c], [a, c, d]]);
+    }
+    let plain = cuboid([-1.0, -1.0, -0.1], [1.0, 1.0, 0.1]);
+    let view = View::At { eye: [0.3, 0.2, 2.0], target: [0.1, 0.0, 0.0] };
+    let picture = small().view(view);
+    let [fine, coarse] = [&slab, &plain].map(|mesh| picture.draw(mesh).unwrap());
+    // A crack would show the wall behind, or let a line of sight leave what it never entered.
+    let middle = |image: &Image| {
+        let rows = image.rgb().chunks(3 * 160).skip(30).take(60);
+        rows.flat_map(|row| row[3 * 40..3 * 120].to_vec()).collect::<Vec<u8>>()
+    };
+    let differ = middle(&fine).iter().zip(middle(&coarse)).filter(|(a, b)| a.abs_diff(*b) > 6).count();
+    assert_eq!(differ, 0, "of {}", middle(&fine).len());
+}
+
+#[test]
+fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
+    let mut mesh = torus(1200, 600);
+    let heights = mesh.positions.iter().map(|p| p[1] as f32).collect();
+    mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
+    let by_height = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
+    let mut dressed = mesh.clone();
+    dressed.normals = Some(mesh.positions.iter().map(|p| [p[0] as f32, 1.0, 0.5]).collect());
+    for (mesh, colour) in [(&mesh, Colour::Water), (&mesh, by_height.clone()), (&dressed, by_height)] {
+        let picture = small().colour(colour);
+        let whole = picture.draw(mesh).unwrap();
+        // Less than the vertices and triangles alone take.
+        let memory = 40 << 20;
+        assert!(36 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
+        assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
+        let refused = picture.memory(20 << 20).draw(mesh).unwrap_err();
+        assert!(matches!(refused, PictureError::Memory { needed, .. } if needed > 20 << 20), "{refused}");
+    }
+}
+
+#[test]
+fn a_large_file_is_drawn_in_a_stream_with_the_same_bytes() {
+    let folder = TempDir::new().unwrap();
+    let mut mesh = torus(1200, 600);
+    let velocities = mesh.positions.iter().flat_map(|p| p.map(|x| x as f32)).collect();
+    mesh.attributes.push(VertexAttribute { name: "velocity".into(), components: 3, values: velocities });
+    let write = |name: &str, mesh: &Mesh| {
+        let file = folder.path().join(name);
+        let output = meniscus::internals::io::output::MeshOutput::prepare(&file, Replace::Refuse).unwrap();
+        output.write(mesh, meniscus::internals::io::CoordinateWidth::F32).unwrap();
+    };
+    write("large.ply", &mesh);
+    let run = |output: &str, memory: &str| {
+        let arguments =
+            ["large.ply", "-o", output, "--size", "160x120", "--colour", "velocity", "--memory", memory];
+        render(folder.path(), &arguments)
+    };
+    assert!(run("whole.png", "2GiB").status.success());
+    let streamed = run("streamed.png", "60MiB");
+    assert!(streamed.status.success(), "{}", String::from_utf8_lossy(&streamed.stderr));
+    let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    assert_eq!(bytes("whole.png"), bytes("streamed.png"));
+    // A face that is no triangle is told of with its place.
+    let file = folder.path().join("large.ply");
+    let mut broken = fs::read(&file).unwrap();
+    let last = broken.len() - 13;
+    broken[last] = 4;
+    fs::write(&file, broken).unwrap();
+    let told = run("broken.png", "60MiB");
+    assert_eq!(told.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&told.stderr).into_owned();
+    assert!(told.contains("large.ply") && told.contains("triangles"), "{told}");
+    assert!(!folder.path().join("broken.png").exists());
+}
+
+#[test]
+fn the_edges_of_triangles_are_shown_where_they_are_larger_than_their_wires() {
+    let ink = |mesh: &Mesh| {
+        let image = small().colour(RED).wireframe(true).draw(mesh).unwrap();
+        image.rgb().chunks(3).filter(|pixel| pixel.iter().all(|&channel| channel < 110)).count()
+    };
+    let dark = |mesh: &Mesh| {
+        let image = small().colour(RED).draw(mesh).unwrap();
+        image.rgb().chunks(3).filter(|pixel| pixel.iter().all(|&channel| channel < 110)).count()
+    };
+    let coarse = sphere(1.0, 2);
+    assert!(ink(&coarse) > dark(&coarse) + 300, "{} {}", ink(&coarse), dark(&coarse));
+    let fine = sphere(1.0, 7);
+    assert!(ink(&fine) < dark(&fine) + 100, "{} {}", ink(&fine), dark(&fine));
+}
+
+#[test]
+fn distances_from_another_surface_are_negative_inside_and_coloured_around_zero() {
+    let reference = Reference::new(&sphere(1.0, 5)).unwrap();
+    let by = Colour::Distance { from: reference, map: "red-blue".parse().unwrap() };
+    let picture = small().colour(by);
+    for (radius, blue) in [(1.1, true), (0.9, false)] {
+        let ball = sphere(radius, 4);
+        let [lo, hi] = picture.scope_of(&ball).unwrap().range.unwrap();
+        assert!(lo == -hi && (hi - 0.1).abs() < 0.01, "{lo} {hi}");
+        let image = picture.draw(&ball).unwrap();
+        let middle = &image.rgb()[3 * (60 * 160 + 80)..][..3];
+        assert_eq!(middle[2] > middle[0], blue, "{radius}: {middle:?}");
+    }
+    let nothing = Reference::new(&Mesh::default()).unwrap_err();
+    assert_eq!(nothing.to_string(), "the reference has no triangle with an area");
+
+    let folder = frames();
+    let run = |arguments: &[&str]| {
+        let out = render(folder.path(), arguments);
+        (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())
+    };
+    let asked = ["ball_2.ply", "-o", "a.png", "--size", "96x54", "--reference"];
+    let with = |more: &[&'static str]| run(&[&asked[..], more].concat());
+    assert_eq!(with(&["ball_7.ply"]).0, Some(0));
+    assert_eq!(with(&["ball_7.ply", "--colour", "distance:turbo", "--overwrite"]).0, Some(0));
+    let (code, told) = with(&["ball_7.ply", "--colour", "ff0000", "--overwrite"]);
+    assert!(code == Some(2) && told.contains("--colour distance"), "{told}");
+    let (code, told) = with(&["gone.ply", "--overwrite"]);
+    assert!(code == Some(3) && told.contains("gone.ply"), "{told}");
+}
+
+#[test]
+fn meshes_that_are_strange_give_a_picture() {
+    let ball = sphere(1.0, 4);
+    let scaled = |by: f64| {
+        let mut mesh = ball.clone();
+        mesh.positions.iter_mut().for_each(|p| *p = p.map(|x| x * by));
+        mesh
+    };
+    let usual = small().draw(&ball).unwrap();
+    for by in [1e-30, 1e-9, 1e9, 1e30, 1e60] {
+        let seen = small().draw(&scaled(by)).unwrap();
+        let differ = seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 4).count();
+        assert!(differ < 100, "{by}: {differ} bytes differ");
+    }
+    // A vertex that is nowhere, or too far away for any number, does not count for the box.
+    for wrong in [f64::NAN, f64::INFINITY, 1e200] {
+        let mut mesh = ball.clone();
+        mesh.positions.push([wrong, 0.0, 0.0]);
+        mesh.triangles.push([0, 1, mesh.positions.len() as u32 - 1]);
+        let seen = small().draw(&mesh).unwrap();
+        let differ = seen.rgb().iter().zip(usual.rgb()).filter(|(a, b)| a.abs_diff(**b) > 40).count();
+        assert!(differ < 2000, "{wrong}: {differ} bytes differ");
+    }
+    let flat = Mesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
+        triangles: vec![[0, 1, 2], [0, 0, 1], [1, 1, 1]],
+        ..Mesh::default()
+    };
+    let point = Mesh { positions: vec![[3.0; 3]; 3], triangles: vec![[0, 1, 2]], ..Mesh::default() };
+    for mesh in [flat, point] {
+        assert_eq!(small().ground(true).wireframe(true).draw(&mesh).unwrap().rgb().len(), 3 * 160 * 120);
+    }
+    // Values that are no numbers are grey, and the others keep their colours.
+    let mut valued = ball.clone();
+    let values = valued.positions.iter().map(|p| if p[1] > 0.0 { f32::NAN } else { p[0] as f32 });
+    let values = values.collect();
+    valued.attributes.push(VertexAttribute { name: "broken".into(), components: 1, values });
+    let map = "red-blue".parse().unwrap();
+    let image = small().colour(Colour::Attribute { name: "broken".into(), map }).draw(&valued).unwrap();
+    let at = |x: usize, y: usize| [0, 1, 2].map(|c| i32::from(image.rgb()[3 * (y * 160 + x) + c]));
+    let spread = |pixel: [i32; 3]| pixel.iter().max().unwrap() - pixel.iter().min().unwrap();
+    assert!(spread(at(80, 30)) < 10 && spread(at(55, 75)) > 30, "{:?} {:?}", at(80, 30), at(55, 75));
+}
+
 /// Balls that move, in numbered files, and something else beside them.
 fn frames() -> TempDir {
     let folder = TempDir::new().unwrap();
@@ -298,6 +474,7 @@ fn what_is_asked_for_wrongly_is_refused_before_the_work_and_leaves_nothing() {
         (&["ball_2.ply", "-o", "a.png", "--colour", "velocity"], 2, "ball_2.ply: no attribute \"velocity\""),
         (&["ball_2.ply", "-o", "a.png", "--colour", "velocity:mauve"], 2, "no colour map \"mauve\""),
         (&["ball_2.ply", "-o", "a.png", "--memory", "1MiB"], 2, "ball_2.ply: a picture of this mesh takes"),
+        (&["ball_2.ply", "-o", "a.png", "--reference", "bad.ply"], 3, "bad.ply"),
         (&["ball_2.ply", "-o", "none/a.png"], 4, "none/a.png"),
         (&["gone.ply", "-o", "a.png"], 3, "gone.ply"),
         (&["bad.ply", "-o", "a.png"], 3, "bad.ply"),

@@ -198,7 +198,7 @@ impl Error {
             | Self::Threads(_)
             | Self::LittleMemory { .. } => Cause::Request,
             #[cfg(feature = "pictures")]
-            Self::Picture { fault: PictureError::Io(_), .. } => Cause::Input,
+            Self::Picture { fault: PictureError::Io(_) | PictureError::Reference(_), .. } => Cause::Input,
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,

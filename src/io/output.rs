@@ -225,6 +225,47 @@ pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
     read.map_err(|fault| ReadError::new(path, fault))
 }
 
+/// A mesh of a file: in memory, or read from there piece by piece.
+pub enum OpenedMesh {
+    /// In memory as a whole.
+    Whole(Mesh),
+    /// In its file.
+    Streamed(Box<ply::StreamedMesh>),
+}
+
+impl OpenedMesh {
+    /// The mesh, piece by piece.
+    #[must_use]
+    pub fn source(&self) -> &dyn MeshSource {
+        match self {
+            Self::Whole(mesh) => mesh,
+            Self::Streamed(mesh) => &**mesh,
+        }
+    }
+}
+
+/// Bytes in memory for each of a binary file: the file as it is read, and what becomes of it.
+const BYTES_A_BYTE: u64 = 3;
+
+/// Opens the mesh in `path`. Where reading it as a whole would take more than `memory` bytes, a .ply file as this library writes it is
+/// read piece by piece.
+///
+/// # Errors
+/// Those of [`read_mesh`].
+pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
+    let large = std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
+    if large && MeshFormat::of(path) == Some(MeshFormat::Ply) {
+        let bytes = open_bytes(path)?;
+        if let Bytes::Mapped(_) = &bytes {
+            let streamed = ply::StreamedMesh::open(bytes, open_bytes(path)?);
+            if let Some(mesh) = streamed.map_err(|fault| ReadError::new(path, fault))? {
+                return Ok(OpenedMesh::Streamed(Box::new(mesh)));
+            }
+        }
+    }
+    read_mesh(path).map(OpenedMesh::Whole)
+}
+
 #[cfg(feature = "hdf5")]
 fn read_hdf(bytes: Bytes) -> Result<Mesh, ReadFault> {
     super::h5::read_mesh(bytes)

@@ -126,8 +126,8 @@ impl Frame {
         report.threads = threads.current_num_threads();
         checked.go_on()?;
         let (threads, asked) = (threads.into(), checked.asked.clone());
-        let control = checked.resources.control.clone();
-        Ok(Surface { drawn, threads, asked, control, particles_up: self.up })
+        let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
+        Ok(Surface { drawn, threads, asked, control, memory, particles_up: self.up })
     }
 
     /// Writes the frame's samples to a file, to be drawn later.

@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::Path;
 
 use crate::error::Error;
+use crate::grid::units::MemoryBudget;
 use crate::io::output::MeshFormat;
 use crate::io::whole::Replace;
 use crate::io::{UpAxis, WriteError, stl};
@@ -32,6 +33,8 @@ pub struct Surface {
     pub(crate) asked: Asked,
     /// Whoever had it drawn.
     pub(crate) control: Control,
+    /// Memory that may be used for it.
+    pub(crate) memory: MemoryBudget,
     pub(crate) particles_up: UpAxis,
 }
 
@@ -61,13 +64,15 @@ impl Surface {
         &self.drawn.report
     }
 
-    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in its particles.
+    /// Draws a picture of the mesh, on the threads that made it, with the axis up that points up in its particles. A picture that says
+    /// nothing of memory takes no more than half of the frame's: the other half is the mesh's.
     ///
     /// # Errors
     /// [`Error::Picture`] and [`Error::Threads`].
     #[cfg(feature = "pictures")]
     pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
         let picture = picture.clone().up(self.asked.particles_up.unwrap_or(self.particles_up));
+        let picture = picture.memory_unless_said(self.memory.0 / 2);
         let threads = self.threads.started().map_err(Error::Threads)?;
         let drawn = threads.install(|| picture.draw(self.mesh()));
         drawn.map_err(|fault| Error::Picture { path: None, fault })

@@ -111,7 +111,8 @@ impl LiveSimulation {
         })?;
         let Checked { asked, resources, .. } = &*self.ready.checked;
         let (asked, control) = (asked.clone(), resources.control.clone());
-        Ok(Surface { drawn, threads: (&threads).into(), asked, control, particles_up: UpAxis::Y })
+        let memory = resources.budget;
+        Ok(Surface { drawn, threads: (&threads).into(), asked, control, memory, particles_up: UpAxis::Y })
     }
 
     fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {

@@ -5,11 +5,10 @@ use std::thread::available_parallelism;
 
 use crate::error::{Error, SimulationError};
 use crate::io::identity::is_same_file;
-use crate::io::output::{MeshFormat, read_mesh};
+use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::whole::{Replace, WholeFile};
 use crate::io::{WriteError, WriteFault};
 use crate::reconstruction::Threads;
-use crate::surface::mesh::Mesh;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
 use crate::system::cancel::Cancel;
 
@@ -42,6 +41,7 @@ pub struct Pictures {
     fps: f64,
     replace: Replace,
     threads: Option<usize>,
+    memory: Option<u64>,
     cancel: Cancel,
 }
 
@@ -109,6 +109,7 @@ impl Pictures {
             fps: FPS,
             replace: Replace::Refuse,
             threads: None,
+            memory: None,
             cancel: Cancel::new(),
         }
     }
@@ -135,6 +136,13 @@ impl Pictures {
     /// Sets the number of threads: one for each core otherwise.
     pub fn threads(mut self, count: usize) -> Self {
         self.threads = Some(count);
+        self
+    }
+
+    /// Sets the bytes of memory that a mesh and its picture may take. A .ply as this library writes it is drawn from its file, in a stream,
+    /// where it would take more than half of them.
+    pub fn memory(mut self, bytes: u64) -> Self {
+        self.memory = Some(bytes);
         self
     }
 
@@ -340,21 +348,31 @@ impl Pictures {
         let mut scope = Scope::default();
         for frame in frames {
             let mesh = self.read(frame)?;
-            scope = scope.joined(self.picture.scope_of(&mesh).map_err(|fault| of_file(frame, fault))?);
+            let of_mesh = self.picture.scope_of(mesh.source()).map_err(|fault| of_file(frame, fault))?;
+            scope = scope.joined(of_mesh);
         }
         Ok(scope)
     }
 
     fn image(&self, frame: &FrameFile) -> Result<Image, Error> {
         let mesh = self.read(frame)?;
-        self.picture.draw(&mesh).map_err(|fault| of_file(frame, fault))
+        let held = match &mesh {
+            OpenedMesh::Whole(mesh) => mesh.bytes(),
+            OpenedMesh::Streamed(_) => 0,
+        };
+        let picture = match self.memory {
+            Some(memory) => self.picture.clone().memory(memory.saturating_sub(held)),
+            None => self.picture.clone(),
+        };
+        picture.draw(mesh.source()).map_err(|fault| of_file(frame, fault))
     }
 
-    fn read(&self, frame: &FrameFile) -> Result<Mesh, Error> {
+    /// A mesh in half of the memory, or read piece by piece.
+    fn read(&self, frame: &FrameFile) -> Result<OpenedMesh, Error> {
         if self.cancel.is_cancelled() {
             return Err(Error::Cancelled);
         }
-        Ok(read_mesh(&frame.path)?)
+        Ok(open_mesh(&frame.path, self.memory.map_or(u64::MAX, |memory| memory / 2))?)
     }
 }
 

@@ -4,6 +4,7 @@
 //! `cargo run --release --example evaluate -- [TOPIC] [--out DIR] [--quick] [MESH...]`
 
 mod accuracy;
+mod camera;
 mod defaults;
 mod isovalue;
 #[path = "../../tests/common/shapes.rs"]
@@ -11,7 +12,6 @@ mod meshes;
 mod methods;
 mod pictures;
 mod quality;
-mod render;
 mod resolution;
 mod rest;
 mod roughness;

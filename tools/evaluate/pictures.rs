@@ -10,12 +10,13 @@ use meniscus::internals::frame::{Detail, Normals};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
 use meniscus::internals::particles::{Particles, bounds};
-use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 use meniscus::internals::system::timings::Timings;
+use meniscus::picture::{Colour, Image};
 use rayon::prelude::*;
 
+use crate::camera::{Camera, write, write_sheet};
 use crate::methods::{Iso, Method, grid};
-use crate::render::{Camera, Picture, bytes};
 use crate::sample::{Lattice, fill, place};
 use crate::scene::splash;
 use crate::shapes::{Solid, solids};
@@ -65,7 +66,7 @@ impl Scene {
         Ok(Self { particles, spacing, camera: Camera::of([bounds.lo, bounds.hi]) })
     }
 
-    fn picture(&self, method: &Method, size: [usize; 2]) -> Outcome<Picture> {
+    fn picture(&self, method: &Method, size: [usize; 2]) -> Outcome<Image> {
         let surface = method.surface(
             &*self.particles,
             grid(self.spacing)?,
@@ -73,7 +74,7 @@ impl Scene {
             Normals::None,
             &mut Timings::default(),
         )?;
-        Ok(Picture::of(&surface.to_mesh()?, None, &self.camera, size))
+        self.camera.picture(&surface.to_mesh()?, size)
     }
 }
 
@@ -83,7 +84,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     println!("pictures in {}:\n", options.out.display());
     for method in Method::ALL.iter().copied().chain(Method::detailed(Detail::Recovered)) {
         let file = options.out.join(format!("frame-{}.png", method.slug()));
-        scene.picture(&method, SIZE)?.write(&file)?;
+        write(&scene.picture(&method, SIZE)?, &file)?;
         println!("- {}: {}", file.display(), method.name());
     }
     for solid in &solids(options)? {
@@ -101,15 +102,20 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
         Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: options.inset, seed: 1 };
     let particles = fill(solid, &lattice);
     let surface = method.surface(&particles[..], grid(1.0)?, 1.0, Normals::None, &mut Timings::default())?;
-    let mesh = surface.to_mesh()?;
-    let colours: Vec<Vec3> =
-        mesh.positions.par_iter().map(|&p| colour(-solid.depth(p.into()) / FULL_COLOUR)).collect();
+    let mut mesh = surface.to_mesh()?;
+    let distances: Vec<f64> = mesh.positions.par_iter().map(|&p| -solid.depth(p.into())).collect();
+    let colours: Vec<Vec3> = distances.iter().map(|distance| colour(distance / FULL_COLOUR)).collect();
     let stem = format!("{}-{}", solid.name, method.slug());
     let (ply, png) = (options.out.join(format!("{stem}.ply")), options.out.join(format!("{stem}.png")));
     write_coloured(&mesh, &colours, &ply)?;
     let reach = DVec3::splat(solid.radius / 3_f64.sqrt());
     let camera = Camera::of([solid.centre - reach, solid.centre + reach]);
-    Picture::of(&mesh, Some(&colours), &camera, SIZE).write(&png)?;
+    // The map's red is its least value.
+    let values = distances.into_iter().map(|distance| -distance as f32).collect();
+    mesh.attributes.push(VertexAttribute { name: "inside".to_owned(), components: 1, values });
+    let by_distance = Colour::Attribute { name: "inside".to_owned(), map: "red-blue".parse()? };
+    let full = FULL_COLOUR as f32;
+    write(&camera.coloured(&mesh, SIZE, by_distance, Some([-full, full]))?, &png)?;
     println!(
         "- {}, {}: {} by {}, blue {FULL_COLOUR} spacings inside of the truth to red as far outside",
         png.display(),
@@ -125,6 +131,10 @@ fn colour(share: f64) -> Vec3 {
     let share = share.clamp(-1.0, 1.0) as f32;
     let end = if share < 0.0 { Vec3::new(0.1, 0.25, 0.9) } else { Vec3::new(0.9, 0.15, 0.1) };
     Vec3::ONE.lerp(end, share.abs())
+}
+
+fn bytes(colour: Vec3) -> [u8; 3] {
+    (colour * 255.0).round().to_array().map(|channel| channel as u8)
 }
 
 /// As .ply with red, green, blue, which programs show without being asked.
@@ -159,7 +169,7 @@ pub fn parameters(options: &Options) -> Outcome<()> {
         [("symmetry", Method::symmetry as fn(f64, Iso) -> Method), ("counting", Method::counting)]
     {
         let all = SIGMAS.into_iter().flat_map(|sigma| ISOS.map(|iso| (sigma, iso)));
-        let pictures: Outcome<Vec<Picture>> = all
+        let pictures: Outcome<Vec<Image>> = all
             .map(|(sigma, iso)| {
                 let c = match iso {
                     Iso::Auto => "auto".to_owned(),
@@ -170,7 +180,7 @@ pub fn parameters(options: &Options) -> Outcome<()> {
             })
             .collect();
         let file = options.out.join(format!("parameters-{name}.png"));
-        Picture::sheet(&pictures?, ISOS.len()).write(&file)?;
+        write_sheet(&pictures?, ISOS.len(), &file)?;
         println!("- {}", file.display());
     }
     println!();

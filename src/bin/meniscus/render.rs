@@ -5,8 +5,10 @@ use std::str::FromStr;
 
 use bytesize::ByteSize;
 use clap::Args;
+use clap::builder::ArgPredicate;
 use meniscus::files::Replace;
-use meniscus::picture::{Colour, ColourMap, Picture, Pictures, View};
+use meniscus::mesh::read_mesh;
+use meniscus::picture::{Colour, ColourMap, Picture, Pictures, Reference, View};
 use meniscus::{Error, default_memory};
 
 use crate::interrupt;
@@ -36,16 +38,22 @@ pub struct Options {
     /// Show the floor of the box, and the shadow on it.
     #[arg(long)]
     ground: bool,
-    /// water, a colour as ff8800, or an attribute as velocity or velocity:turbo, by its length.
-    #[arg(long, value_name = "COLOUR", default_value = "water", value_parser = colour)]
-    colour: Colour,
+    /// Show the edges of the triangles.
+    #[arg(long)]
+    wireframe: bool,
+    /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or distance:red-blue, with --reference.
+    #[arg(long, value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
+    colour: Asked,
+    /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit of length.
+    #[arg(long, value_name = "MESH")]
+    reference: Option<PathBuf>,
     /// Pictures of an animation a second.
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
     /// Threads to use [default: all cores].
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Memory for a picture beside its mesh, as 512MiB [default: three quarters of what is available].
+    /// Memory for a mesh and its picture, as 512MiB; a larger .ply is drawn in a stream [default: three quarters of what is available].
     #[arg(long, value_name = "SIZE")]
     memory: Option<ByteSize>,
     /// Replace a picture that exists.
@@ -63,13 +71,14 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let mut picture = Picture::new()
         .up(options.up.into())
         .ground(options.ground)
-        .colour(options.colour.clone())
-        .memory(memory);
+        .wireframe(options.wireframe)
+        .colour(options.colour()?);
     if let Some(numbers) = &options.camera {
         picture = picture.view(view(numbers)?);
     }
     let mut pictures = Pictures::new(picture, &options.meshes, &options.output)
         .replace(if options.overwrite { Replace::Allow } else { Replace::Refuse })
+        .memory(memory)
         .cancel(interrupt::handle());
     if let Some([width, height]) = options.size {
         pictures = pictures.size(width, height);
@@ -111,19 +120,49 @@ fn view(numbers: &[f64]) -> Result<View, Error> {
     }
 }
 
-fn colour(text: &str) -> Result<Colour, String> {
+/// Colours as the command line says them.
+#[derive(Clone)]
+enum Asked {
+    Colour(Colour),
+    Named(String, Option<ColourMap>),
+}
+
+/// The name of the distance from a reference.
+const DISTANCE: &str = "distance";
+
+impl Options {
+    fn colour(&self) -> Result<Colour, Error> {
+        let (name, map) = match (&self.colour, &self.reference) {
+            (Asked::Named(name, map), Some(path)) if name == DISTANCE => {
+                let mesh = read_mesh(path)?;
+                let fail = |fault| Error::Picture { path: Some(path.clone()), fault };
+                let from = Reference::new(&mesh).map_err(fail)?;
+                return Ok(Colour::Distance { from, map: map.unwrap_or_else(ColourMap::diverging) });
+            }
+            (_, Some(path)) => {
+                let what = format!("{}: a reference is for --colour {DISTANCE}", path.display());
+                return Err(Error::Request(what));
+            }
+            (Asked::Colour(colour), None) => return Ok(colour.clone()),
+            (Asked::Named(name, map), None) => (name.clone(), map.unwrap_or_default()),
+        };
+        Ok(Colour::Attribute { name, map })
+    }
+}
+
+fn colour(text: &str) -> Result<Asked, String> {
     if text == "water" {
-        return Ok(Colour::Water);
+        return Ok(Asked::Colour(Colour::Water));
     }
     let digits = text.strip_prefix('#').unwrap_or(text);
     if digits.len() == 6
         && let Ok(rgb) = u32::from_str_radix(digits, 16)
     {
-        return Ok(Colour::Solid([rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8)));
+        return Ok(Asked::Colour(Colour::Solid([rgb >> 16, rgb >> 8, rgb].map(|channel| channel as u8))));
     }
     let (name, map) = match text.rsplit_once(':') {
-        Some((name, map)) => (name, ColourMap::from_str(map).map_err(|error| error.to_string())?),
-        None => (text, ColourMap::default()),
+        Some((name, map)) => (name, Some(ColourMap::from_str(map).map_err(|error| error.to_string())?)),
+        None => (text, None),
     };
-    Ok(Colour::Attribute { name: name.to_owned(), map })
+    Ok(Asked::Named(name.to_owned(), map))
 }

@@ -5,9 +5,11 @@
 
 mod header;
 mod read;
+mod stream;
 mod write;
 
 pub use read::{has_faces, read_mesh, read_particles, read_points};
+pub use stream::StreamedMesh;
 pub use write::write_mesh;
 
 /// Properties that together are one attribute of three components.

@@ -80,7 +80,11 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(vertices.into_mesh(bytes, triangles.triangles))
 }
 
-fn vertices(source: &dyn ByteStore, header: &Header, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
+pub(super) fn vertices(
+    source: &dyn ByteStore,
+    header: &Header,
+    unpacking: Unpacking,
+) -> Result<Vertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element = element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
     if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
@@ -237,7 +241,7 @@ fn end_row(scan: &mut Scanner) -> Result<(), ReadFault> {
 }
 
 /// The element that holds faces, if there are any, and the number of the property that lists corners.
-fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
+pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
     let filled = |name| header.elements.iter().find(|element| element.name == name && element.count > 0);
     if filled("tristrips").is_some() {
         return Err(ReadFault::Unsupported("triangle strips; save the mesh with faces".into()));
@@ -258,7 +262,7 @@ fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFault> {
 }
 
 /// Where the rows of `element` start, all before it being passed.
-fn start(source: &dyn ByteStore, header: &Header, element: &Element) -> Result<usize, ReadFault> {
+pub(super) fn start(source: &dyn ByteStore, header: &Header, element: &Element) -> Result<usize, ReadFault> {
     let before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
     before.into_iter().try_fold(header.body, |at, other| skip(source, header.encoding, other, at))
 }

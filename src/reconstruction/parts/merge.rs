@@ -59,9 +59,9 @@ impl Parts {
         let mut drawn = drawn?;
         drawn.report.timings = timings;
         let asked = checked.asked.clone();
-        let control = checked.resources.control.clone();
+        let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
         let (threads, particles_up) = ((&threads).into(), usual_up(&self.input));
-        Ok(Surface { drawn, threads, asked, particles_up, control })
+        Ok(Surface { drawn, threads, asked, particles_up, control, memory })
     }
 }
 

@@ -125,7 +125,7 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
 /// A mesh, ready to be sampled and searched.
 #[derive(Debug)]
 pub struct Surface {
-    /// What positions are counted from.
+    /// Positions are counted from here.
     origin: DVec3,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,

@@ -11,6 +11,9 @@ const FILLED: f64 = 0.94;
 /// From the nearest plane that is drawn to the eye, as a share of the distance to what it looks at.
 const NEAREST: f64 = 1e-3;
 
+/// The greatest coordinate that is drawn: squares of those beyond it are not finite soon, and they do not count for the box.
+pub(super) const FARTHEST: f64 = 1e100;
+
 /// A way to look at a mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
@@ -40,7 +43,7 @@ pub(super) struct Camera {
     /// To the right, up, and back to the viewer.
     pub(super) axes: DMat3,
     focal: f64,
-    /// Of the eye from what it looks at.
+    /// From the eye to what it looks at.
     distance: f64,
 }
 

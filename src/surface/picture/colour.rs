@@ -39,7 +39,7 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// What a legend is of, if there is one, and its colours.
+    /// Names the subject of the legend, if there is one, and its colours.
     pub(super) fn legend(&self) -> Option<(&str, ColourMap)> {
         match self {
             Self::Water | Self::Solid(_) => None,
@@ -91,6 +91,9 @@ const MAPS: [(&str, Gradient); 9] = [
     ("red-blue", colorous::RED_BLUE),
 ];
 
+/// The number of the map whose middle is pale.
+const DIVERGING: usize = MAPS.len() - 1;
+
 impl ColourMap {
     /// Names of all maps.
     pub const NAMES: [&'static str; MAPS.len()] = {
@@ -102,6 +105,12 @@ impl ColourMap {
         }
         names
     };
+
+    /// The map for values around zero.
+    #[must_use]
+    pub fn diverging() -> Self {
+        Self(DIVERGING)
+    }
 
     /// The colour of a value from 0 to 1; what is no number is grey.
     pub(super) fn of(self, value: f32) -> [u8; 3] {
@@ -126,7 +135,7 @@ impl FromStr for ColourMap {
 /// Values that vertices are coloured by.
 pub(super) enum Values<'a> {
     None,
-    /// Those of an attribute of so many components.
+    /// An attribute of so many components.
     Attribute {
         index: usize,
         components: usize,

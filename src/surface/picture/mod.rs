@@ -12,6 +12,7 @@ mod error;
 mod image;
 mod legend;
 mod light;
+mod memory;
 mod ranked;
 mod raster;
 mod request;

@@ -85,7 +85,7 @@ impl Ranked {
         all.filter(move |at| (start..end).contains(at)).map(|at| at + self.first)
     }
 
-    /// What becomes of the members of a range, in order, worked out by several threads.
+    /// Maps the members of a range, on several threads; in their order.
     pub(super) fn map<T: Send>(&self, range: Range<u32>, of: impl Fn(u32) -> Option<T> + Sync) -> Vec<T> {
         const NUMBERS: u32 = 1 << 13;
         let parts: Vec<Vec<T>> = (0..range.len() as u32)

@@ -2,14 +2,15 @@
 //! visibility buffer, Burns and Hunt 2013).
 //!
 //! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers; one on an edge belongs to the triangle
-//! below or to the right of it. So a closed surface has no cracks, and every line of sight leaves it as often as it enters. What several
-//! threads make of a sample is a sum of integers and a maximum, in which their order does not show.
+//! below or to the right of it. So a closed surface has no cracks, and every line of sight leaves it as often as it enters. What triangles
+//! make of a sample is a sum of integers and a maximum, in which their order does not show. Each thread draws rows of its own.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 
 use bytemuck::allocation::zeroed_vec;
 
-use super::camera::Camera;
+use super::camera::{Camera, FARTHEST};
 
 /// Steps along the edge of a sample.
 const STEPS: i32 = 1 << STEP_BITS;
@@ -28,7 +29,15 @@ pub(super) struct Corner {
     near: f32,
 }
 
-/// What is seen at a sample.
+impl Corner {
+    /// The rows between which it is; all where it has no place.
+    pub(super) fn rows(self) -> Range<i32> {
+        let row = self.at[1] >> STEP_BITS;
+        if self.near > 0.0 { row..row + 2 } else { i32::MIN..i32::MAX }
+    }
+}
+
+/// The nearest triangle at a sample, and the way through the fluid behind it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
     /// The triangle's number.
@@ -74,7 +83,7 @@ impl Raster {
         (width * height * (size_of::<AtomicU64>() + size_of::<AtomicI32>())) as u64
     }
 
-    /// What is seen at a sample; `None` where there is nothing.
+    /// Returns what is seen at a sample; `None` where there is nothing.
     pub(super) fn sample(&self, n: usize) -> Option<Sample> {
         let nearest = self.nearest[n].load(Ordering::Relaxed);
         (nearest > 0).then(|| Sample {
@@ -102,10 +111,16 @@ impl Raster {
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
-    /// Draws a triangle; `seen` tells how its corners are seen, where it has to be cut off.
-    pub(super) fn draw(&self, number: u32, corners: [Corner; 3], seen: impl FnOnce() -> [[f64; 3]; 3]) {
+    /// Draws what is in some rows of a triangle; `seen` tells how its corners are seen, where it has to be cut off.
+    pub(super) fn draw(
+        &self,
+        rows: &Range<i32>,
+        number: u32,
+        corners: [Corner; 3],
+        seen: impl FnOnce() -> [[f64; 3]; 3],
+    ) {
         if corners.iter().all(|corner| corner.near > 0.0) {
-            self.fill(number, corners);
+            self.fill(rows, number, corners);
             return;
         }
         // Fanned: what is left of a triangle is convex.
@@ -114,13 +129,13 @@ impl Raster {
         if let [first, rest @ ..] = &corners[..]
             && corners.iter().all(|corner| corner.near > 0.0)
         {
-            rest.windows(2).for_each(|pair| self.fill(number, [*first, pair[0], pair[1]]));
+            rest.windows(2).for_each(|pair| self.fill(rows, number, [*first, pair[0], pair[1]]));
         }
     }
 
-    /// What of a triangle is before the eye, and not too far to the side (Sutherland and Hodgman 1974).
+    /// Cuts off what of a triangle is behind the eye, or too far to the side (Sutherland and Hodgman 1974).
     fn cut(&self, corners: [[f64; 3]; 3]) -> Vec<[f64; 3]> {
-        if !corners.iter().flatten().all(|x| x.is_finite()) {
+        if !corners.iter().flatten().all(|x| x.abs() <= FARTHEST) {
             return Vec::new();
         }
         let side = f64::from(FAR / (4 * STEPS)) / self.width.max(self.height) as f64;
@@ -156,16 +171,19 @@ impl Raster {
         polygon
     }
 
-    fn fill(&self, number: u32, [a, b, c]: [Corner; 3]) {
-        let range = |axis: usize, samples: usize| {
+    fn fill(&self, rows: &Range<i32>, number: u32, [a, b, c]: [Corner; 3]) {
+        let range = |axis: usize, samples: &Range<i32>| {
             let of = [a, b, c].map(|corner| corner.at[axis]);
             let (lo, hi) = (of[0].min(of[1]).min(of[2]), of[0].max(of[1]).max(of[2]));
             // Samples are at whole multiples.
-            [((lo + STEPS - 1) >> STEP_BITS).max(0), (hi >> STEP_BITS).min(samples as i32 - 1)]
+            [((lo + STEPS - 1) >> STEP_BITS).max(samples.start), (hi >> STEP_BITS).min(samples.end - 1)]
         };
-        let [left, right] = range(0, self.width);
-        let [top, bottom] = range(1, self.height);
-        if left > right || top > bottom {
+        let [top, bottom] = range(1, rows);
+        if top > bottom {
+            return;
+        }
+        let [left, right] = range(0, &(0..self.width as i32));
+        if left > right {
             return;
         }
         let across = |p: Corner, q: Corner| [0, 1].map(|axis| i64::from(q.at[axis]) - i64::from(p.at[axis]));
@@ -213,13 +231,16 @@ impl Raster {
         }
     }
 
+    /// Adds to a sample, which no other thread does at the time: so it is read and written, which is much faster than both in one.
     fn put(&self, n: usize, number: u32, near: f32, leaves: f32) {
+        let (nearest, through) = (&self.nearest[n], &self.through[n]);
         // Of those that are equally near, the first.
         let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
-        if self.nearest[n].load(Ordering::Relaxed) < key {
-            self.nearest[n].fetch_max(key, Ordering::Relaxed);
+        if nearest.load(Ordering::Relaxed) < key {
+            nearest.store(key, Ordering::Relaxed);
         }
         // Sums may exceed their range in between: they come back.
-        self.through[n].fetch_add((leaves / near * self.way_steps) as i64 as i32, Ordering::Relaxed);
+        let way = (leaves / near * self.way_steps) as i64 as i32;
+        through.store(through.load(Ordering::Relaxed).wrapping_add(way), Ordering::Relaxed);
     }
 }

@@ -144,6 +144,12 @@ impl Picture {
         }
     }
 
+    /// Sets the bytes of memory, where nothing is said of them.
+    pub(crate) fn memory_unless_said(mut self, bytes: u64) -> Self {
+        self.memory = self.memory.or(Some(bytes));
+        self
+    }
+
     pub(super) fn pixels(&self) -> [usize; 2] {
         self.size.unwrap_or(DEFAULT_SIZE)
     }

@@ -217,7 +217,7 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// What light falls on.
+/// A surface that light falls on.
 #[derive(Debug, Clone, Copy, Default)]
 struct Surface {
     /// One over the distance, in units of the eye's.

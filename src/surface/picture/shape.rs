@@ -9,8 +9,10 @@ use rayon::prelude::*;
 use crate::surface::mesh::bounds::{Bounds, joined};
 use crate::surface::mesh::source::MeshSource;
 
+use super::camera::FARTHEST;
 use super::colour::Values;
 use super::error::PictureError;
+use super::memory::Memory;
 use super::ranked::{Entered, Ranked};
 use super::request::Scope;
 
@@ -24,8 +26,6 @@ pub(super) const LEAST_BATCH: u64 = 1 << 17;
 pub(super) const LEAST_BATCH_BYTES: u64 = LEAST_BATCH * BATCH_BYTES;
 /// Pieces that each thread reads before they are put together.
 const PIECES: usize = 16;
-/// Coordinates beyond this have squares that are not finite soon: what lies there does not count for the box.
-const FARTHEST: f64 = 1e100;
 
 /// A mesh, its box and the range of its values.
 pub(super) struct Shape<'a> {
@@ -70,14 +70,6 @@ impl Batch<'_> {
     pub(super) fn index(&self, corner: u32) -> usize {
         self.find(corner).expect("a batch has its triangles' corners")
     }
-}
-
-/// Memory for a mesh.
-pub(super) enum Memory {
-    /// As much as it takes.
-    Whole,
-    /// No more than for batches of so many bytes.
-    Batches(u64),
 }
 
 impl<'a> Shape<'a> {

@@ -1,4 +1,4 @@
-//! What is seen of a mesh at any sample: its triangles, and for their corners where they are seen, normals and values.
+//! The visible part of a mesh: triangles that are seen at any sample, and for their corners where they are seen, normals and values.
 
 use std::io;
 
@@ -8,13 +8,11 @@ use rayon::prelude::*;
 use super::camera::Camera;
 use super::colour::Values;
 use super::error::PictureError;
+use super::memory::Budget;
 use super::ranked::{Entered, Ranked};
 use super::raster::Raster;
 use super::shape::{Batch, Shape};
 
-/// Bytes of a triangle that is seen, and of its corners where they are no other's.
-pub(super) const VISIBLE_BYTES: u64 =
-    (size_of::<[u32; 3]>() + 3 * (size_of::<[f32; 3]>() + size_of::<Vec3>() + size_of::<f32>())) as u64;
 /// Triangles of a task.
 const TASK: usize = 1 << 13;
 /// Shares of the corners, of each of which one thread adds up the normals.
@@ -44,12 +42,17 @@ pub(super) struct Spot {
 }
 
 impl Visible {
-    /// What is seen of a mesh on a raster, on which it was drawn.
+    /// Bytes of a triangle that is seen, while normals are added up too, and of a corner.
+    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<(u32, Vec3)>()) as u64;
+    pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
+
+    /// Gathers what is seen of a mesh on a raster, on which it was drawn.
     pub(super) fn of(
         raster: &Raster,
         shape: &Shape<'_>,
         camera: &Camera,
         values: &Values<'_>,
+        budget: &Budget,
     ) -> Result<Self, PictureError> {
         let triangles = Entered::none_of(0..shape.mesh.triangle_count() as u32);
         let samples = raster.width * raster.height;
@@ -69,6 +72,8 @@ impl Visible {
         let vertices = Entered::none_of(0..shape.vertices());
         corners.par_iter().flatten_iter().for_each(|&corner| vertices.insert(corner));
         let vertices = vertices.ranked();
+        let [seen_triangles, seen_vertices] = [triangles.len(), vertices.len()].map(|count| count as u64);
+        budget.check(seen_triangles * Self::TRIANGLE_BYTES + seen_vertices * Self::VERTEX_BYTES)?;
         corners.par_iter_mut().flatten_iter().for_each(|corner| *corner = rank(&vertices, *corner));
 
         let mut visible = Self {

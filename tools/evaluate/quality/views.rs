@@ -3,12 +3,13 @@
 use std::collections::HashMap;
 
 use glam::{DVec3, IVec3};
+use meniscus::picture::Image;
 use rayon::prelude::*;
 
 use super::frames::Frame;
 use super::lines::{Board, Points, cell_name};
 use super::programs::Method;
-use crate::render::{Camera, Picture};
+use crate::camera::{Camera, write_sheet};
 use crate::{Options, Outcome};
 
 /// Of a picture on a sheet, and of one beside another.
@@ -54,24 +55,24 @@ fn views(
     let input = board.input(points)?;
     let asked = |method: &&Method| method.documented && method.takes(points.len());
     let methods: Vec<&Method> = board.methods.iter().filter(asked).collect();
-    let pictures: Vec<(Picture, Option<Picture>)> = methods
+    let pictures: Vec<(Image, Option<Image>)> = methods
         .par_iter()
         .enumerate()
         .with_max_len(1)
         .map(|(n, method)| {
             let mesh = board.mesh(method, &input, cell)?.unwrap_or_default();
             let label = format!("{}, {}", method.name, cell_name(cell.or(method.program.cell)));
-            let picture = |size| Picture::of(&mesh, None, camera, size).labelled(&label);
-            Ok((picture(SMALL), (n < 2).then(|| picture(LARGE))))
+            let picture = |size| Outcome::Ok(camera.picture(&mesh, size)?.labelled(&label));
+            Ok((picture(SMALL)?, (n < 2).then(|| picture(LARGE)).transpose()?))
         })
         .collect::<Outcome<_>>()?;
     let stem = format!("{name} {view} {}", cell_name(cell)).replace(' ', "-");
-    let (small, large): (Vec<Picture>, Vec<Option<Picture>>) = pictures.into_iter().unzip();
-    let large: Vec<Picture> = large.into_iter().flatten().collect();
+    let (small, large): (Vec<Image>, Vec<Option<Image>>) = pictures.into_iter().unzip();
+    let large: Vec<Image> = large.into_iter().flatten().collect();
     for (file, pictures, columns) in
         [(format!("{stem}.png"), small, COLUMNS), (format!("{stem}-beside.png"), large, 2)]
     {
-        Picture::sheet(&pictures, columns).write(&options.out.join(&file))?;
+        write_sheet(&pictures, columns, &options.out.join(&file))?;
         println!("- {file}");
     }
     Ok(())

@@ -1,0 +1,126 @@
+//! A mesh that stays in its file: pieces are read when they are asked for.
+
+use std::io;
+
+use crate::io::bytes::{Bytes, Unpacking};
+use crate::io::columns::{Endian, Scalar};
+use crate::io::pieces::Pieces;
+use crate::io::windows::{Source, Windows};
+use crate::io::{ReadFault, malformed};
+use crate::particles::{AttributeInfo, Particles, Unread, velocity_attribute};
+use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
+
+use super::header::{Encoding, Header};
+use super::read::{faces, start, vertices};
+
+/// Vertices or triangles of a piece.
+const PIECE: usize = 1 << 15;
+/// Bytes of a triangle: how many corners it has, and their numbers.
+const ROW: usize = 1 + 3 * size_of::<u32>();
+
+/// The mesh of a binary .ply file, of which no more is in memory than what is read at the moment.
+#[derive(Debug)]
+pub struct StreamedMesh {
+    vertices: Pieces,
+    /// The numbers of the vertices' attributes: of the normals, and of all others.
+    normals: Option<usize>,
+    others: Vec<usize>,
+    faces: Source,
+    /// Where the triangles start.
+    at: usize,
+    outline: Outline,
+}
+
+impl StreamedMesh {
+    /// A mesh as this library writes it: little-endian, all faces triangles, corners in 32 bits, nothing behind them; `None` for any
+    /// other. The file's bytes are given twice, to read vertices and faces apart.
+    ///
+    /// # Errors
+    /// Those of [`read_mesh`](super::read_mesh), as far as the header shows them.
+    pub fn open(bytes: Bytes, again: Bytes) -> Result<Option<Self>, ReadFault> {
+        let header = Header::parse(&bytes)?;
+        let Some((element, _)) = faces(&header)? else { return Ok(None) };
+        let is_list = |of: &super::header::Property| {
+            of.list == Some(Scalar::U8) && matches!(of.scalar, Scalar::I32 | Scalar::U32)
+        };
+        let fits = header.encoding == Encoding::Binary(Endian::Little)
+            && matches!(&element.properties[..], [list] if is_list(list));
+        let at = start(&bytes, &header, element)?;
+        let triangles = element.count;
+        if !fits || triangles.checked_mul(ROW).and_then(|rows| rows.checked_add(at)) != Some(bytes.len()) {
+            return Ok(None);
+        }
+        let read = vertices(&bytes, &header, Unpacking::in_memory())?;
+        let (count, normals) = (read.count, read.normals);
+        let vertices = read.into_particles(bytes, "PLY").particles;
+        let all = vertices.attributes();
+        let others: Vec<usize> = (0..all.len()).filter(|&index| Some(index) != normals).collect();
+        let velocity = velocity_attribute(all);
+        let info = |&index: &usize| AttributeInfo {
+            name: if Some(index) == velocity { "velocity".to_owned() } else { all[index].name.clone() },
+            components: all[index].components,
+        };
+        let outline = Outline {
+            vertices: count as u64,
+            triangles: triangles as u64,
+            normals: normals.is_some(),
+            attributes: others.iter().map(info).collect(),
+            pieces: count.max(triangles).div_ceil(PIECE),
+        };
+        Ok(Some(Self { vertices, normals, others, faces: again.into(), at, outline }))
+    }
+}
+
+impl MeshSource for StreamedMesh {
+    fn outline(&self) -> Outline {
+        self.outline.clone()
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let range = range(piece, self.outline.vertices);
+        let (first, count) = (range.start, range.len());
+        let mut positions = vec![[0.0; 3]; count];
+        self.vertices.positions(first, &mut positions);
+        let attribute = |&index: &usize| {
+            let mut values = vec![0.0; count * self.vertices.attributes()[index].components];
+            self.vertices.attribute(index, first, &mut values);
+            values.into()
+        };
+        let normals = self.normals.map_or_else(Vec::new, |index| {
+            let mut normals = vec![[0.0; 3]; count];
+            self.vertices.attribute(index, first, normals.as_flattened_mut());
+            normals
+        });
+        let attributes = self.others.iter().map(attribute).collect();
+        self.vertices.check().map_err(unread)?;
+        Ok(Vertices { positions: positions.into(), normals: normals.into(), attributes })
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let range = range(piece, self.outline.triangles);
+        let bytes = self.at + range.start * ROW..self.at + range.end * ROW;
+        let corners = |row: &[u8; ROW]| {
+            let [count, numbers @ ..] = row;
+            let number = |n: usize| {
+                let bytes = [0, 1, 2, 3].map(|byte| numbers[4 * n + byte]);
+                u64::from(u32::from_le_bytes(bytes))
+            };
+            (*count == 3).then(|| [0, 1, 2].map(number))
+        };
+        let triangles: Option<Vec<_>> =
+            self.faces.with(bytes.clone(), |bytes| bytes.as_chunks().0.iter().map(corners).collect());
+        self.faces.check().map_err(unread)?;
+        triangles.ok_or_else(|| {
+            let what = "faces are no triangles; a mesh of other faces is read as a whole";
+            io::Error::new(io::ErrorKind::InvalidData, malformed(bytes.start, what))
+        })
+    }
+}
+
+fn range(piece: usize, of: u64) -> std::ops::Range<usize> {
+    (piece * PIECE).min(of as usize)..((piece + 1) * PIECE).min(of as usize)
+}
+
+fn unread(fault: Unread) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, fault)
+}

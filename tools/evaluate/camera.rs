@@ -1,0 +1,82 @@
+//! One camera for all pictures that are to be compared.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use glam::DVec3;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::picture::{Colour, Image, Picture, Scope, View};
+
+use crate::Outcome;
+
+const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
+/// Distance from which a ball fills the height of a picture, in radii: half of what is seen upright is 14 degrees.
+const DISTANCE: f64 = 4.011;
+/// What is not coloured by something else: opaque, so that all that is seen is the surface.
+const WATER: Colour = Colour::Solid([92, 158, 214]);
+
+/// Looks at a ball, y up.
+#[derive(Debug, Clone, Copy)]
+pub struct Camera {
+    pub centre: DVec3,
+    pub radius: f64,
+}
+
+impl Camera {
+    /// That sees all of a box.
+    pub fn of([lo, hi]: [DVec3; 2]) -> Self {
+        Self { centre: (lo + hi) / 2.0, radius: (hi - lo).length() / 2.0 }
+    }
+
+    /// A picture of what a mesh has there; in a scene of the ball's size, whatever is in the mesh.
+    pub fn picture(&self, mesh: &Mesh, [width, height]: [usize; 2]) -> Outcome<Image> {
+        self.coloured(mesh, [width, height], WATER, None)
+    }
+
+    /// As [`picture`](Self::picture), by another colour, whose values have a range.
+    pub fn coloured(
+        &self,
+        mesh: &Mesh,
+        [width, height]: [usize; 2],
+        colour: Colour,
+        range: Option<[f32; 2]>,
+    ) -> Outcome<Image> {
+        let eye = self.centre + TOWARDS.normalize() * DISTANCE * self.radius;
+        let half = DVec3::splat(self.radius / 3_f64.sqrt());
+        let mut scope = Scope::default();
+        scope.bounds = Some([self.centre - half, self.centre + half].map(Into::into));
+        scope.range = range;
+        let picture = Picture::new().size(width, height).colour(colour).scope(scope);
+        Ok(picture.view(View::At { eye: eye.into(), target: self.centre.into() }).draw(mesh)?)
+    }
+}
+
+/// Writes a .png file.
+pub fn write(image: &Image, path: &Path) -> Outcome<()> {
+    let mut out = BufWriter::new(File::create(path)?);
+    Ok(image.write_png(&mut out)?)
+}
+
+/// Writes a .png file of images side by side.
+pub fn write_sheet(images: &[Image], columns: usize, path: &Path) -> Outcome<()> {
+    write(&Image::sheet(images, columns).ok_or("a sheet of no pictures")?, path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::meshes::sphere;
+
+    #[test]
+    fn a_ball_fills_the_share_of_the_picture_that_it_should() {
+        let camera = Camera { centre: DVec3::ONE, radius: 2.0 };
+        let mut ball = sphere(1.0, 5);
+        ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x + 1.0));
+        let [image, nothing] = [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
+        let differ = image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
+        // From so far, the ball's radius on a picture one high is a quarter.
+        let expected = std::f64::consts::PI * 50.0 * 50.0;
+        assert!((differ as f64 / expected - 1.0).abs() < 0.05, "{differ} pixels, not {expected}");
+    }
+}
