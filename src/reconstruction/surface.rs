@@ -34,6 +34,7 @@ pub struct Surface {
     /// Whoever had it drawn.
     pub(crate) control: Control,
     /// Memory that may be used for it.
+    #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
     pub(crate) memory: MemoryBudget,
     pub(crate) particles_up: UpAxis,
 }
