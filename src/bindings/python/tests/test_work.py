@@ -129,7 +129,7 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     finally:
         over.set()
         thread.join()
-    assert meshes + errors == 40 and meshes > 0
+    assert meshes + errors == 40
 
 
 RESIDENT = """
