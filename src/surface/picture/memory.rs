@@ -4,7 +4,7 @@ use super::error::PictureError;
 
 /// Memory for a mesh.
 pub(super) enum Memory {
-    /// Whatever it takes.
+    /// Room for the whole mesh, whatever it takes.
     Whole,
     /// No more than for batches of so many bytes.
     Batches(u64),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -108,12 +109,16 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     calm = lattice(8.0)
     positions = calm.copy()
     over = threading.Event()
+    # Whoever holds it has the array as it was: a quick machine might refuse every other call.
+    still = threading.Lock()
 
     def disturb() -> None:
         rng = np.random.default_rng(1)
         while not over.is_set():
-            positions[rng.integers(len(calm), size=200)] = rng.choice([0.0, 1.0, -4.0, 1e30, np.nan, np.inf], (200, 3))
-            positions[:] = calm
+            with still:
+                positions[rng.integers(len(calm), size=200)] = rng.choice([0.0, 1.0, -4.0, 1e30, np.nan, np.inf], (200, 3))
+                positions[:] = calm
+            time.sleep(0)
 
     thread = threading.Thread(target=disturb)
     thread.start()
@@ -121,7 +126,8 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     try:
         for number in range(40):
             try:
-                mesh = meniscus.reconstruct(positions, velocity=positions, spacing=1.0, cell=(0.2, 0.5)[number % 2], threads=2)
+                with still if number % 8 == 7 else contextlib.nullcontext():
+                    mesh = meniscus.reconstruct(positions, velocity=positions, spacing=1.0, cell=(0.2, 0.5)[number % 2], threads=2)
                 meshes += bool(mesh.check())
             except meniscus.Error as error:
                 assert "a bug" not in str(error)
@@ -129,7 +135,7 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     finally:
         over.set()
         thread.join()
-    assert meshes + errors == 40
+    assert meshes + errors == 40 and meshes > 0
 
 
 RESIDENT = """
