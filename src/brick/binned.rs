@@ -11,19 +11,19 @@ use super::spill::SpilledBins;
 pub enum BinnedParticles {
     /// All of them.
     InMemory(Bins),
-    /// Run by run in a scratch file.
+    /// Run by run, those that memory has no room for in a scratch file.
     Spilled(SpilledBins),
 }
 
 impl BinnedParticles {
-    /// Shows all bins to `take`, run by run.
+    /// Shows all bins to `take`, run by run; it returns how many bytes it has kept in memory so far.
     ///
     /// # Errors
-    /// Those of `take`, and where a scratch file cannot be read.
-    pub fn visit(&self, mut take: impl FnMut(&Bins) -> io::Result<()>) -> io::Result<()> {
+    /// Those of `take`, and where a scratch file cannot be read or written.
+    pub fn visit(self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         match self {
-            Self::InMemory(bins) => take(bins),
-            Self::Spilled(spilled) => (0..spilled.runs().len()).try_for_each(|run| take(&spilled.load(run)?)),
+            Self::InMemory(bins) => take(&bins).map(|_| ()),
+            Self::Spilled(spilled) => spilled.visit(take),
         }
     }
 
@@ -34,18 +34,17 @@ impl BinnedParticles {
     pub fn visit_and_keep(
         self,
         folder: &Path,
-        mut take: impl FnMut(&Bins) -> io::Result<()>,
+        mut take: impl FnMut(&Bins) -> io::Result<u64>,
     ) -> io::Result<Bins> {
         let spilled = match self {
-            Self::InMemory(bins) => return take(&bins).map(|()| bins),
+            Self::InMemory(bins) => return take(&bins).map(|_| bins),
             Self::Spilled(spilled) => spilled,
         };
         let mut sorted = spilled.sorted_store(folder)?;
-        for run in 0..spilled.runs().len() {
-            let bins = spilled.load(run)?;
-            take(&bins)?;
-            sorted.push(&bins)?;
-        }
+        spilled.visit(|bins| {
+            sorted.push(bins)?;
+            take(bins)
+        })?;
         Ok(sorted.finish())
     }
 }

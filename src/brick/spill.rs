@@ -1,14 +1,15 @@
-//! Binning beyond memory: particles put into runs of bins in a scratch file, sorted run by run.
+//! Binning beyond memory: particles put into runs of bins, in memory while there is room and then in a scratch file, and sorted
+//! run by run.
 //!
-//! A run is a stretch of the Morton curve with as many particles as memory takes. Its particles are written
+//! A run is a stretch of the Morton curve with as many particles as are sorted at once. Its particles are kept
 //! in pieces, each the Elias-Fano code of packed particles whose free upper bits name their bins in the run,
-//! and behind it their attributes in the same order.
+//! and behind it their attributes in the same order. Coded, more of them fit into memory than sorted.
 
 use std::io;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use rayon::prelude::*;
@@ -39,20 +40,60 @@ pub struct SpilledBins {
     scratch: Scratch,
     /// The pieces of every run.
     pieces: Vec<Mutex<Vec<Piece>>>,
+    memory: Room,
+}
+
+/// The memory that pieces may take.
+#[derive(Debug)]
+struct Room {
+    /// Bytes at the most, with what visitors keep of the runs that they have seen.
+    most: u64,
+    /// Bytes that pieces take.
+    taken: AtomicU64,
+}
+
+impl Room {
+    /// Whether so many bytes more have room, which are then taken.
+    fn take(&self, bytes: u64) -> bool {
+        let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
+        self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fitting).is_ok()
+    }
+
+    fn give_back(&self, bytes: u64) {
+        self.taken.fetch_sub(bytes, Ordering::Relaxed);
+    }
+
+    fn taken(&self) -> u64 {
+        self.taken.load(Ordering::Relaxed)
+    }
+}
+
+/// Some particles of a run.
+#[derive(Debug)]
+struct Piece {
+    particles: usize,
+    at: Place,
 }
 
 /// Where a piece is.
-#[derive(Debug, Clone, Copy)]
-struct Piece {
-    at: u64,
-    particles: usize,
+#[derive(Debug)]
+enum Place {
+    /// Its code, and its attributes.
+    Memory(Box<[u64]>, Box<[f32]>),
+    /// From there on in the scratch file, one after the other.
+    File(u64),
+}
+
+/// Bytes of a piece in memory.
+fn piece_bytes(words: &[u64], values: &[f32]) -> u64 {
+    (size_of_val(words) + size_of_val(values)) as u64
 }
 
 /// Bytes that coding leaves of a packed particle, at the least.
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Bytes that a particle with attributes of so many components takes in the scratch file, at the least.
+    /// Bytes that a particle with attributes of so many components takes before it is sorted, at the least.
     #[must_use]
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
@@ -64,9 +105,15 @@ impl SpilledBins {
         components: Vec<usize>,
         runs: Vec<Range<usize>>,
         folder: &Path,
+        memory_bytes: u64,
     ) -> io::Result<Self> {
         let pieces = runs.iter().map(|_| Mutex::default()).collect();
-        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, pieces })
+        let memory = Room { most: memory_bytes, taken: AtomicU64::new(0) };
+        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, pieces, memory })
+    }
+
+    fn pieces(&self, run: usize) -> MutexGuard<'_, Vec<Piece>> {
+        self.pieces[run].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The runs, as ranges of bins.
@@ -99,25 +146,76 @@ impl SpilledBins {
         RunBuffers { spilled: self, full, records, values }
     }
 
-    /// Reads run number `run` piece by piece, and puts each particle into its bin's place.
+    /// Shows all bins to `take`, run by run, once; it returns how many bytes it has kept in memory so far, which the runs that it has not
+    /// seen make room for.
     ///
     /// # Errors
-    /// Where the scratch file cannot be read.
-    pub fn load(&self, run: usize) -> io::Result<Bins> {
+    /// Those of `take`, and where the scratch file cannot be read or written.
+    pub fn visit(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
+        for run in 0..self.runs.len() {
+            let kept = take(&self.sorted(run)?)?;
+            // Runs are alike, so the next adds about as much as those before did; some add more.
+            let soon = kept.saturating_add(2 * kept / (run as u64 + 1));
+            self.keep_within(self.memory.most.saturating_sub(soon))?;
+        }
+        Ok(())
+    }
+
+    /// Moves pieces to the scratch file until those in memory take no more than `bytes`: those first that are wanted last.
+    fn keep_within(&self, bytes: u64) -> io::Result<()> {
+        for run in (0..self.runs.len()).rev() {
+            for piece in &mut *self.pieces(run) {
+                if self.memory.taken() <= bytes {
+                    return Ok(());
+                }
+                if let Place::Memory(words, values) = &piece.at {
+                    let at = self.write(words, values)?;
+                    self.memory.give_back(piece_bytes(words, values));
+                    piece.at = Place::File(at);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a piece to the scratch file, and returns where it is.
+    fn write(&self, words: &[u64], values: &[f32]) -> io::Result<u64> {
+        let [words, values]: [&[u8]; 2] = [cast_slice(words), cast_slice(values)];
+        let at = self.scratch.reserve((words.len() + values.len()) as u64);
+        self.scratch.write_at(at, words)?;
+        self.scratch.write_at(at + words.len() as u64, values)?;
+        Ok(at)
+    }
+
+    /// The code and the attributes of a piece.
+    fn read(&self, run: usize, piece: Piece) -> io::Result<(Box<[u64]>, Box<[f32]>)> {
+        let at = match piece.at {
+            Place::File(at) => at,
+            Place::Memory(words, values) => {
+                self.memory.give_back(piece_bytes(&words, &values));
+                return Ok((words, values));
+            }
+        };
+        let mut words = vec![0_u64; self.code(run, piece.particles).words()].into_boxed_slice();
+        self.scratch.read_at(at, cast_slice_mut(&mut words))?;
+        let mut values = vec![0_f32; self.width() * piece.particles].into_boxed_slice();
+        self.scratch.read_at(at + size_of_val(&*words) as u64, cast_slice_mut(&mut values))?;
+        Ok((words, values))
+    }
+
+    /// Takes run number `run` piece by piece, and puts each particle into its bin's place.
+    fn sorted(&self, run: usize) -> io::Result<Bins> {
         let bins = self.runs[run].clone();
         let begin = self.first[bins.start];
         let slots = Slots::new(self.first[bins.end] - begin, &self.components);
         let next: Vec<AtomicUsize> =
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
         let width = self.width();
-        let pieces = self.pieces[run].lock().unwrap_or_else(PoisonError::into_inner);
-        pieces.par_iter().try_for_each(|piece| {
+        let pieces = std::mem::take(&mut *self.pieces(run));
+        pieces.into_par_iter().try_for_each(|piece| {
             let code = self.code(run, piece.particles);
-            let mut words = vec![0_u64; code.words()];
-            self.scratch.read_at(piece.at, cast_slice_mut(&mut words))?;
-            let mut values = vec![0_f32; width * piece.particles];
-            self.scratch.read_at(piece.at + 8 * words.len() as u64, cast_slice_mut(&mut values))?;
             let mut records = Vec::with_capacity(piece.particles);
+            let (words, values) = self.read(run, piece)?;
             records.extend(code.decode(&words));
             let mut values = values.chunks_exact(width.max(1));
             for bin in records.chunk_by(|a, b| a >> RECORD_BITS == b >> RECORD_BITS) {
@@ -203,7 +301,7 @@ pub(super) struct RunBuffers<'a> {
 }
 
 impl RunBuffers<'_> {
-    /// Adds a particle of bin number `bin`, which lies in run number `run`.
+    /// Adds a particle of bin number `bin` in run number `run`.
     pub(super) fn push(
         &mut self,
         run: usize,
@@ -211,9 +309,8 @@ impl RunBuffers<'_> {
         record: Record,
         attributes: impl Iterator<Item = f32>,
     ) -> io::Result<()> {
-        let in_run = (bin - self.spilled.runs[run].start) as Record;
         let records = &mut self.records[run];
-        records.push(in_run << RECORD_BITS | record);
+        records.push((bin as Record) << RECORD_BITS | record);
         self.values[run].extend(attributes);
         if records.len() == self.full { self.write(run) } else { Ok(()) }
     }
@@ -234,15 +331,86 @@ impl RunBuffers<'_> {
         let words = code.encode(order.iter().map(|&i| records[i as usize]));
         let width = spilled.width();
         let tuple = |&i: &u32| &values[i as usize * width..][..width];
-        let sorted: Vec<f32> = order.iter().flat_map(tuple).copied().collect();
-        let [words, sorted]: [&[u8]; 2] = [cast_slice(&words), cast_slice(&sorted)];
-        let at = spilled.scratch.reserve((words.len() + sorted.len()) as u64);
-        spilled.scratch.write_at(at, words)?;
-        spilled.scratch.write_at(at + words.len() as u64, sorted)?;
-        let mut pieces = spilled.pieces[run].lock().unwrap_or_else(PoisonError::into_inner);
-        pieces.push(Piece { at, particles: records.len() });
+        let mut sorted = Vec::with_capacity(values.len());
+        sorted.extend(order.iter().flat_map(tuple).copied());
+        let at = match spilled.memory.take(piece_bytes(&words, &sorted)) {
+            true => Place::Memory(words.into(), sorted.into()),
+            false => Place::File(spilled.write(&words, &sorted)?),
+        };
+        spilled.pieces(run).push(Piece { particles: records.len(), at });
         records.clear();
         values.clear();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::super::bin::{BinPlan, CountingRoom, InvalidParticles};
+    use super::*;
+    use crate::grid::Grid;
+
+    const PARTICLES: usize = 40_000;
+
+    /// The particles of each bin, sorted, as runs show them to a visitor that keeps so many bytes of each; and the bytes of pieces
+    /// that were in memory, and in the scratch file, when all were binned and when each run had been seen.
+    fn visited(memory_bytes: u64, kept: u64) -> (Vec<(MortonKey, Vec<Record>)>, Vec<[u64; 2]>) {
+        let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
+        let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;
+        let particles: Vec<[f64; 3]> =
+            (0..PARTICLES).map(|i| std::array::from_fn(|a| coordinate(i, a))).collect();
+        let room = CountingRoom::BINS;
+        let plan = BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, room).unwrap();
+        let runs = plan.runs(&particles[..], &[], 5000 * 8);
+        assert!(runs.len() > 6, "{} runs tell nothing", runs.len());
+        let folder = tempfile::tempdir().unwrap();
+        let spilled = plan.spill(&particles[..], &[], runs, folder.path(), 1 << 16, memory_bytes);
+        let spilled = spilled.unwrap().unwrap();
+        let places = |spilled: &SpilledBins| [spilled.memory.taken(), spilled.scratch.len()];
+        let (mut bins, mut bytes) = (Vec::new(), vec![places(&spilled)]);
+        let spilled = &spilled;
+        spilled
+            .visit(|run| {
+                bytes.push(places(spilled));
+                for bin in 0..run.keys().len() {
+                    let mut records = run.contents(bin)?.packed().to_vec();
+                    records.sort_unstable();
+                    bins.push((run.keys()[bin], records));
+                }
+                Ok(bytes.len() as u64 * kept)
+            })
+            .unwrap();
+        (bins, bytes)
+    }
+
+    #[test]
+    fn runs_are_the_same_in_memory_in_a_file_and_in_both() {
+        let (expected, in_file) = visited(0, 0);
+        assert_eq!(expected.iter().map(|(_, records)| records.len()).sum::<usize>(), PARTICLES);
+        assert!(in_file.iter().all(|&[memory, file]| memory == 0 && file > 6 * PARTICLES as u64));
+        let all = in_file[0][1];
+        let (bins, in_memory) = visited(u64::MAX, 0);
+        assert!(bins == expected && in_memory.iter().all(|&[_, file]| file == 0));
+        assert_eq!(in_memory[0][0], all);
+        assert!(in_memory.is_sorted_by(|a, b| a[0] > b[0]), "runs give back what they took: {in_memory:?}");
+        let (bins, in_both) = visited(all / 2, 0);
+        assert!(bins == expected);
+        assert!(in_both[0][0] <= all / 2 && in_both[0].iter().sum::<u64>() == all, "{in_both:?}");
+    }
+
+    #[test]
+    fn what_a_visitor_keeps_moves_runs_to_the_file_that_have_no_room_beside_it() {
+        let (expected, _) = visited(0, 0);
+        // In the end what is kept takes all the room.
+        let (_, in_memory) = visited(u64::MAX, 0);
+        let (room, kept) = (in_memory[0][0], in_memory[0][0] / in_memory.len() as u64);
+        let (bins, bytes) = visited(room, kept);
+        assert!(bins == expected);
+        for (seen, &[memory, _]) in bytes.iter().enumerate().skip(1) {
+            assert!(memory + seen as u64 * kept <= room, "{seen} runs: {bytes:?}");
+        }
+        assert!(bytes.last().unwrap()[1] > 0, "nothing moved: {bytes:?}");
     }
 }

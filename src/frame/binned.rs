@@ -25,8 +25,9 @@ pub(super) fn sorted(
         return Ok(BinnedParticles::InMemory(bin_plan.fill(particles, carried)?));
     };
     let runs = bin_plan.runs(particles, carried, shares.particles);
-    // The field is not there yet, so its share is free for buffers.
-    let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, shares.field as usize);
+    // No run is being sorted yet, so that share is free for buffers.
+    let buffers = shares.particles as usize;
+    let spilled = bin_plan.spill(particles, carried, runs, &resources.scratch, buffers, shares.coded);
     Ok(BinnedParticles::Spilled(spilled.map_err(resources.scratch_error())??))
 }
 
@@ -49,7 +50,8 @@ impl Binned for HostBins<'_> {
         let Self { binned, stages, mut sink, mut occupied, resources, keep } = self;
         let take = |bins: &Bins| {
             occupied.add(bins)?;
-            sink.take(stages, bins, rule)
+            sink.take(stages, bins, rule)?;
+            Ok(sink.bytes_in_memory())
         };
         let kept = match binned {
             BinnedParticles::InMemory(bins) => {

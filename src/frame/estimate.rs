@@ -81,6 +81,8 @@ pub enum Plan {
 pub struct Shares {
     /// Bytes of particles being sorted.
     pub particles: u64,
+    /// Bytes of particles that are coded until they are sorted, and of the DIF of those that were.
+    pub coded: u64,
     /// Bytes of the DIF.
     pub field: u64,
     /// Bytes of the surface.
@@ -237,7 +239,7 @@ impl Estimate {
     pub fn least_scratch(&self, plan: Plan) -> u64 {
         match plan {
             Plan::InCore => 0,
-            Plan::OutOfCore(_) => self.spilled + self.beside_the_surface(),
+            Plan::OutOfCore(shares) => self.spilled.saturating_sub(shares.coded) + self.beside_the_surface(),
         }
     }
 
@@ -248,7 +250,9 @@ impl Estimate {
             return Plan::InCore;
         }
         let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
-        Plan::OutOfCore(Shares { particles: left / 2, field: left / 4, surface: left / 4 })
+        // A DIF that is in memory whole leaves less for the surface, which is used once.
+        let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
+        Plan::OutOfCore(Shares { particles: left / 8, coded: left / 4 * 3, field, surface: left - field })
     }
 
     /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a scratch file. The
@@ -269,8 +273,9 @@ impl Estimate {
     pub fn peak(&self, plan: Plan) -> u64 {
         match plan {
             Plan::InCore => self.in_core(),
-            Plan::OutOfCore(Shares { particles, field, surface }) => {
-                self.program + self.index + particles.max(surface) + field
+            Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
+                let sampling = particles + coded.min(self.particles).max(field);
+                self.program + self.index + sampling.max(field + surface.min(self.surface))
             }
         }
     }

@@ -39,7 +39,7 @@ impl SampledKernels {
         let spacing = kernel_spacing(facts.spacing, &facts.grid)?;
         let share = match plan {
             Plan::InCore => u64::MAX,
-            Plan::OutOfCore(shares) => shares.particles / 2,
+            Plan::OutOfCore(shares) => shares.field,
         };
         let field = kernel_field(bins, method, spacing, share, &resources.scratch)
             .map_err(resources.scratch_error())?;

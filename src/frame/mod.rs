@@ -129,7 +129,7 @@ impl Frame {
                 (Field::Dif { sampled, stages }, occupied, bins)
             }
             FieldRequest::Kernels(method) => {
-                let bins = binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins));
+                let bins = binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
                 let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
                 timings.done("bin");
                 let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;

@@ -79,6 +79,15 @@ impl FieldSink {
         Ok(())
     }
 
+    /// Bytes of what was taken so far and is in memory.
+    pub(super) fn bytes_in_memory(&self) -> u64 {
+        match self {
+            Self::Memory(pages) => pages.iter().map(|(_, samples)| samples.bytes() as u64).sum(),
+            Self::Whole(field) => field.sample_bytes(),
+            Self::File { .. } => 0,
+        }
+    }
+
     /// Cells that are full.
     pub(super) fn full_cells(&self) -> u64 {
         match self {
