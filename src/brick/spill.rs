@@ -78,15 +78,24 @@ struct Piece {
 /// Where a piece is.
 #[derive(Debug)]
 enum Place {
-    /// Its code, and its attributes.
-    Memory(Box<[u64]>, Box<[f32]>),
-    /// From there on in the scratch file, one after the other.
+    Memory(Coded),
+    /// From there on in the scratch file.
     File(u64),
 }
 
-/// Bytes of a piece in memory.
-fn piece_bytes(words: &[u64], values: &[f32]) -> u64 {
-    (size_of_val(words) + size_of_val(values)) as u64
+/// The particles of a piece.
+#[derive(Debug)]
+struct Coded {
+    /// The code of the packed particles.
+    words: Box<[u64]>,
+    /// All components of all attributes of one particle after the other.
+    values: Box<[f32]>,
+}
+
+impl Coded {
+    fn bytes(&self) -> u64 {
+        (size_of_val(&*self.words) + size_of_val(&*self.values)) as u64
+    }
 }
 
 /// Bytes that coding leaves of a packed particle, at the least.
@@ -168,9 +177,9 @@ impl SpilledBins {
                 if self.memory.taken() <= bytes {
                     return Ok(());
                 }
-                if let Place::Memory(words, values) = &piece.at {
-                    let at = self.write(words, values)?;
-                    self.memory.give_back(piece_bytes(words, values));
+                if let Place::Memory(coded) = &piece.at {
+                    let at = self.write(coded)?;
+                    self.memory.give_back(coded.bytes());
                     piece.at = Place::File(at);
                 }
             }
@@ -179,7 +188,7 @@ impl SpilledBins {
     }
 
     /// Writes a piece to the scratch file, and returns where it is.
-    fn write(&self, words: &[u64], values: &[f32]) -> io::Result<u64> {
+    fn write(&self, Coded { words, values }: &Coded) -> io::Result<u64> {
         let [words, values]: [&[u8]; 2] = [cast_slice(words), cast_slice(values)];
         let at = self.scratch.reserve((words.len() + values.len()) as u64);
         self.scratch.write_at(at, words)?;
@@ -187,20 +196,20 @@ impl SpilledBins {
         Ok(at)
     }
 
-    /// The code and the attributes of a piece.
-    fn read(&self, run: usize, piece: Piece) -> io::Result<(Box<[u64]>, Box<[f32]>)> {
+    /// The particles of a piece of a run; one in memory is no longer there.
+    fn read(&self, run: usize, piece: Piece) -> io::Result<Coded> {
         let at = match piece.at {
             Place::File(at) => at,
-            Place::Memory(words, values) => {
-                self.memory.give_back(piece_bytes(&words, &values));
-                return Ok((words, values));
+            Place::Memory(coded) => {
+                self.memory.give_back(coded.bytes());
+                return Ok(coded);
             }
         };
         let mut words = vec![0_u64; self.code(run, piece.particles).words()].into_boxed_slice();
         self.scratch.read_at(at, cast_slice_mut(&mut words))?;
         let mut values = vec![0_f32; self.width() * piece.particles].into_boxed_slice();
         self.scratch.read_at(at + size_of_val(&*words) as u64, cast_slice_mut(&mut values))?;
-        Ok((words, values))
+        Ok(Coded { words, values })
     }
 
     /// Takes run number `run` piece by piece, and puts each particle into its bin's place.
@@ -215,7 +224,7 @@ impl SpilledBins {
         pieces.into_par_iter().try_for_each(|piece| {
             let code = self.code(run, piece.particles);
             let mut records = Vec::with_capacity(piece.particles);
-            let (words, values) = self.read(run, piece)?;
+            let Coded { words, values } = self.read(run, piece)?;
             records.extend(code.decode(&words));
             let mut values = values.chunks_exact(width.max(1));
             for bin in records.chunk_by(|a, b| a >> RECORD_BITS == b >> RECORD_BITS) {
@@ -333,9 +342,10 @@ impl RunBuffers<'_> {
         let tuple = |&i: &u32| &values[i as usize * width..][..width];
         let mut sorted = Vec::with_capacity(values.len());
         sorted.extend(order.iter().flat_map(tuple).copied());
-        let at = match spilled.memory.take(piece_bytes(&words, &sorted)) {
-            true => Place::Memory(words.into(), sorted.into()),
-            false => Place::File(spilled.write(&words, &sorted)?),
+        let coded = Coded { words: words.into(), values: sorted.into() };
+        let at = match spilled.memory.take(coded.bytes()) {
+            true => Place::Memory(coded),
+            false => Place::File(spilled.write(&coded)?),
         };
         spilled.pieces(run).push(Piece { particles: records.len(), at });
         records.clear();
@@ -354,9 +364,12 @@ mod tests {
 
     const PARTICLES: usize = 40_000;
 
-    /// The particles of each bin, sorted, as runs show them to a visitor that keeps so many bytes of each; and the bytes of pieces
-    /// that were in memory, and in the scratch file, when all were binned and when each run had been seen.
-    fn visited(memory_bytes: u64, kept: u64) -> (Vec<(MortonKey, Vec<Record>)>, Vec<[u64; 2]>) {
+    /// The particles of each bin, sorted.
+    type Sorted = Vec<(MortonKey, Vec<Record>)>;
+
+    /// All bins as a visitor sees them that keeps so many bytes of each run; and the bytes of pieces in memory, and in the scratch file,
+    /// when all were binned and when each run was sorted.
+    fn visited(memory_bytes: u64, kept: u64) -> (Sorted, Vec<[u64; 2]>) {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let coordinate = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 320.0;
         let particles: Vec<[f64; 3]> =

@@ -36,7 +36,7 @@ pub struct Estimate {
     pub places: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
-    /// Particles in a scratch file, not yet sorted: what they take there at the least.
+    /// Particles that are coded until they are sorted, at the least.
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
