@@ -252,7 +252,9 @@ impl Estimate {
         let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
         // A DIF that is in memory whole leaves less for the surface, which is used once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        Plan::OutOfCore(Shares { particles: left / 8, coded: left / 4 * 3, field, surface: left - field })
+        // Beside the surface, and before that beside coded particles, there are stacks, and what the allocator keeps.
+        let surface = ((left - field) / 2).min(left / 4);
+        Plan::OutOfCore(Shares { particles: left / 8, coded: left / 4 * 3, field, surface })
     }
 
     /// Bytes of the surface that may be in memory under `budget`; what exceeds them goes to a scratch file. The
