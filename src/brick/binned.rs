@@ -19,7 +19,7 @@ impl BinnedParticles {
     /// Shows all bins to `take`, run by run; it returns how many bytes it has kept in memory so far.
     ///
     /// # Errors
-    /// Those of `take`, and where a scratch file cannot be read or written.
+    /// Where `take` fails, or a scratch file cannot be read or written.
     pub fn visit(self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         match self {
             Self::InMemory(bins) => take(&bins).map(|_| ()),

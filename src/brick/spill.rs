@@ -159,7 +159,7 @@ impl SpilledBins {
     /// seen make room for.
     ///
     /// # Errors
-    /// Those of `take`, and where the scratch file cannot be read or written.
+    /// Where `take` fails, or the scratch file cannot be read or written.
     pub fn visit(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;

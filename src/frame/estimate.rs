@@ -149,8 +149,8 @@ fn full_bins(bins: impl Iterator<Item = (MortonKey, usize)>, drawing: &Drawing) 
 
 /// Whether a bin is full of fluid, and those beside it are.
 fn is_deep(bin: IVec3, full: &HashSet<IVec3>) -> bool {
-    let beside = [IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|axis| [bin - axis, bin + axis]);
-    full.contains(&bin) && beside.into_iter().all(|bin| full.contains(&bin))
+    let mut beside = [IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|axis| [bin - axis, bin + axis]);
+    full.contains(&bin) && beside.all(|bin| full.contains(&bin))
 }
 
 impl Estimate {
