@@ -102,14 +102,13 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
                 block_bytes: 4 * 41_u64.pow(3),
                 carried_halo: 3,
                 keeps_details: false,
-                vertices_alone: 60,
-                full_bin: None,
+                spacing_cells: None,
                 wide_levels: 0,
                 normals: false,
                 components: Vec::new(),
             };
-            let estimate =
-                Estimate::of(plan.keys().iter().copied().zip(plan.counts()), Some(rule.shape()), &drawing, 0);
+            let counted = plan.keys().iter().copied().zip(plan.counts());
+            let estimate = Estimate::of(counted, Some(rule.shape()), &drawing, 0, |_| true);
             let bins = plan.fill(&particles[..], &[]).unwrap();
             let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
             let (mut taken, mut sparse) = (0, 0);

@@ -130,17 +130,14 @@ impl Sampling {
         let attributes = particles.attributes();
         let components = carried.iter().map(|&index| attributes[index].components).collect();
         let drawing = field.drawing(surfacing, *spacing, grid, components);
-        let in_memory = particles.resident_bytes() + resources.host_bytes();
         let shape = field.indicator().map(|asked| asked.kind.shape(*side));
-        let estimate = Estimate::of(bins.clone(), shape, &drawing, in_memory);
-        if stretch == Stretch::ALL {
-            return estimate;
-        }
-        // Of the others none but those next to the blocks that are meshed have a surface there.
-        let near =
-            |bin: IVec3| (CellBox { lo: bin - 1, hi: bin + 2 }).cubes(1).any(|bin| stretch.holds_bin(bin));
-        let meshed = bins.filter(|(bin, _)| near(bin.coord()));
-        Estimate { surface: Estimate::of(meshed, None, &drawing, in_memory).surface, ..estimate }
+        // Blocks that are meshed have a surface from the bins next to them as well.
+        let near = |bin: IVec3| {
+            let around = CellBox { lo: bin - 1, hi: bin + 2 };
+            stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
+        };
+        Estimate::of(bins, shape, &drawing, particles.resident_bytes(), near)
+            .and_backend(resources.host_bytes())
     }
 
     /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many bins that hold particles, are listed
@@ -148,7 +145,7 @@ impl Sampling {
     #[must_use]
     pub fn merging_share(&self, surfacing: &Surfacing, components: &[usize], blocks: u64, bins: u64) -> u64 {
         let drawing = self.field.drawing(surfacing, self.spacing, &self.grid, components.to_vec());
-        let estimate = Estimate::of(std::iter::empty(), None, &drawing, self.resources.host_bytes());
+        let estimate = Estimate::without_particles(&drawing).and_backend(self.resources.host_bytes());
         let index = blocks * Spool::BLOCK_BYTES + bins * Occupied::BIN_BYTES;
         Estimate { index, ..estimate }.surface_share(self.resources.budget)
     }

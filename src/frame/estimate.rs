@@ -5,16 +5,17 @@
 
 use bytesize::ByteSize;
 use glam::IVec3;
-use hashbrown::HashSet;
 use thiserror::Error;
 
 use crate::brick::{Bins, HALVED, PageInfo, PageSamples, PageShape, SpilledBins};
 use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::surface::attribute;
-use crate::surface::dual_mc::{DEEP_VERTICES, bin_vertices, block_vertices};
+use crate::surface::dual_mc::block_vertices;
 use crate::surface::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
+
+use super::expected;
 
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
 const PROGRAM: u64 = 6 << 20;
@@ -28,8 +29,10 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 /// Bytes, by what they are for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Estimate {
-    /// The program, its threads, its backend, and an input that had to be unpacked or decoded.
+    /// The program, its threads and its backend.
     pub program: u64,
+    /// An input that had to be unpacked or decoded, until its field is sampled.
+    pub input: u64,
     /// Tables of bins.
     pub index: u64,
     /// Places of particles, kept from the first reading until particles are sorted.
@@ -40,14 +43,14 @@ pub struct Estimate {
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
-    /// The surface before it is written, at the most.
+    /// The surface before it is written, as it is expected.
     pub surface: u64,
     /// Whether particles are needed until the surface is done, for their attributes.
     pub carried: bool,
 }
 
 /// Memory that drawing a surface takes, as its stages say.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
     /// Bytes of a block while its field is made.
     pub block_bytes: u64,
@@ -55,10 +58,8 @@ pub struct Drawing {
     pub carried_halo: i32,
     /// Whether every drop and every sheet can have a surface.
     pub keeps_details: bool,
-    /// Vertices around a particle alone.
-    pub vertices_alone: u64,
-    /// Particles of a bin that is full of fluid, at the least, where the spacing is known.
-    pub full_bin: Option<u64>,
+    /// Cells of the particles' spacing, if that is known.
+    pub spacing_cells: Option<f64>,
     /// How many times the DIF is kept once more in cells twice as wide.
     pub wide_levels: u32,
     /// Whether vertices get normals.
@@ -110,6 +111,19 @@ impl Drawing {
         vertex_bytes(self.normals, &self.components)
     }
 
+    /// Bytes that are expected of the surface in those bins, with what each holds, that are `meshed`.
+    fn surface_bytes(
+        &self,
+        bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
+        meshed: impl Fn(IVec3) -> bool,
+    ) -> u64 {
+        // Without a spacing the bin that holds most is taken to be full.
+        let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
+        let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
+        let alone = expected::vertices_alone(self.spacing_cells.unwrap_or(1.0));
+        (self.vertex_bytes() + TILE_SHARE) * expected::vertices(bins, full, alone, meshed)
+    }
+
     /// Bytes that each thread takes.
     fn thread_bytes(&self) -> u64 {
         let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
@@ -141,29 +155,18 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
     bytes + open.into_iter().map(|(_, sum)| page(sum)).sum::<u64>()
 }
 
-/// The bins that are full of fluid.
-fn full_bins(bins: impl Iterator<Item = (MortonKey, usize)>, drawing: &Drawing) -> HashSet<IVec3> {
-    let Some(full) = drawing.full_bin else { return HashSet::new() };
-    bins.filter(|&(_, count)| count as u64 >= full).map(|(key, _)| key.coord()).collect()
-}
-
-/// Whether a bin is full of fluid, and those beside it are.
-fn is_deep(bin: IVec3, full: &HashSet<IVec3>) -> bool {
-    let mut beside = [IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|axis| [bin - axis, bin + axis]);
-    full.contains(&bin) && beside.all(|bin| full.contains(&bin))
-}
-
 impl Estimate {
-    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input and a
-    /// backend of which `in_memory` bytes are taken all the time.
+    /// For particles counted by bin, in Morton order, whose DIF is kept in pages of a shape, if there is one, and an input that takes so
+    /// many bytes. Only the bins that are `meshed` get a surface.
     #[must_use]
     pub fn of(
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         shape: Option<PageShape>,
         drawing: &Drawing,
-        in_memory: u64,
+        input: u64,
+        meshed: impl Fn(IVec3) -> bool,
     ) -> Self {
-        let mut estimate = Self::of_program(drawing, in_memory);
+        let mut estimate = Self { input, ..Self::without_particles(drawing) };
         let nonzero = |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
         let page = |count: usize, shape: PageShape| {
             let bricks = count.min(shape.side.bricks_a_bin());
@@ -173,50 +176,53 @@ impl Estimate {
             let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
             estimate.field += wide_bytes(by_bin, drawing.wide_levels);
         }
-        let full = full_bins(bins.clone(), drawing);
-        for (key, count) in bins {
+        for (_, count) in bins.clone() {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
             estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
-            let vertices = match is_deep(key.coord(), &full) {
-                true => DEEP_VERTICES,
-                false => bin_vertices(count as u64, drawing.vertices_alone),
-            };
-            estimate.add_bin(vertices, shape.map_or(0, |shape| page(count, shape)), drawing);
+            estimate.add_bin(shape.map_or(0, |shape| page(count, shape)));
         }
+        estimate.surface = drawing.surface_bytes(bins, meshed);
         estimate
     }
 
-    /// For pages of which the DIF is in a file, and `in_memory` bytes that are taken all the time.
+    /// For pages of which the DIF is in a file.
     #[must_use]
-    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing, in_memory: u64) -> Self {
-        let mut estimate = Self::of_program(drawing, in_memory);
-        let nonzero = |page: &PageInfo| (page.key, page.full_count as usize * shape.cells_a_particle());
-        estimate.field += wide_bytes(pages.iter().map(nonzero), drawing.wide_levels);
-        for page in pages {
-            let vertices = bin_vertices(page.full_count.into(), drawing.vertices_alone);
-            estimate.add_bin(vertices, page.most_bytes(shape) as u64, drawing);
-        }
+    pub fn of_surface(pages: &[PageInfo], shape: PageShape, drawing: &Drawing) -> Self {
+        let mut estimate = Self::without_particles(drawing);
+        let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
+        let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
+        estimate.field += wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels);
+        pages.iter().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
+        estimate.surface = drawing.surface_bytes(pages.iter().map(full_cells), |_| true);
         estimate
     }
 
-    fn of_program(drawing: &Drawing, in_memory: u64) -> Self {
+    /// An estimate before there are any particles.
+    #[must_use]
+    pub fn without_particles(drawing: &Drawing) -> Self {
         let threads = drawing.thread_bytes() * rayon::current_num_threads() as u64;
         let carried = !drawing.components.is_empty();
-        Self { program: PROGRAM + threads + in_memory, carried, ..Self::default() }
+        Self { program: PROGRAM + threads, carried, ..Self::default() }
     }
 
-    /// Adds a bin of so many vertices, and so many bytes of the DIF.
-    fn add_bin(&mut self, vertices: u64, field: u64, drawing: &Drawing) {
+    /// Adds what the backend takes all the time.
+    #[must_use]
+    pub fn and_backend(self, bytes: u64) -> Self {
+        Self { program: self.program + bytes, ..self }
+    }
+
+    /// Adds a bin of so many bytes of the DIF.
+    fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
-        self.surface += (drawing.vertex_bytes() + TILE_SHARE) * vertices;
     }
 
     /// The peak with everything in memory.
     #[must_use]
     pub fn in_core(&self) -> u64 {
-        let meshing = self.field + self.particles.max(self.surface + self.beside_the_surface());
-        self.program + self.index + meshing.max(self.places + self.particles)
+        let sampling = self.input + self.particles + self.places.max(self.field);
+        let meshing = self.field + self.surface + self.beside_the_surface();
+        self.program + self.index + sampling.max(meshing)
     }
 
     /// Particles that carry attributes are needed until the surface is done.
@@ -249,7 +255,7 @@ impl Estimate {
         if self.in_core() <= budget.0 {
             return Plan::InCore;
         }
-        let left = budget.0.saturating_sub(self.program + self.index).max(budget.0 / 8);
+        let left = budget.0.saturating_sub(self.program + self.input + self.index).max(budget.0 / 8);
         // A DIF that is in memory whole leaves less for the surface, which is used once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
         // Beside the surface, and before that beside coded particles, there are stacks, and what the allocator keeps.
@@ -276,7 +282,7 @@ impl Estimate {
         match plan {
             Plan::InCore => self.in_core(),
             Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
-                let sampling = particles + coded.min(self.particles).max(field);
+                let sampling = self.input + particles + coded.min(self.particles).max(field);
                 self.program + self.index + sampling.max(field + surface.min(self.surface))
             }
         }

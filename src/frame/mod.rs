@@ -9,6 +9,7 @@ mod binned;
 mod counted;
 mod error;
 pub mod estimate;
+mod expected;
 mod kernels;
 mod lost;
 mod request;
@@ -154,7 +155,8 @@ impl Frame {
         let SampledDif { facts, indicator, dif, .. } = &sampled;
         let field = FieldRequest::from(indicator.kind());
         let drawing = field.drawing(surfacing, facts.spacing, &facts.grid, Vec::new());
-        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing, resources.host_bytes());
+        let estimate = Estimate::of_surface(dif.infos(), dif.shape(), &drawing);
+        let estimate = estimate.and_backend(resources.host_bytes());
         let surface_share = estimate.surface_share(resources.budget);
         let stages = resources.backend.start(resources.budget);
         Self {

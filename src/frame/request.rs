@@ -12,8 +12,8 @@ use crate::field::recipe::{Detail, Filters, PaperFilters, Recipe};
 use crate::frame::estimate::Drawing;
 use crate::grid::stretch::Sight;
 use crate::grid::units::{Isovalue, Sigma, Smooth};
-use crate::grid::{BIN, BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
-use crate::surface::dual_mc::{Normals, dual_cells, vertices_alone};
+use crate::grid::{BLOCK, CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::surface::dual_mc::{Normals, dual_cells};
 
 use super::kernels::{attribute_smoothing, kernel_spacing};
 use super::{FrameError, Resources};
@@ -115,14 +115,13 @@ impl FieldRequest {
         grid: &Grid,
         components: Vec<usize>,
     ) -> Drawing {
-        let spacing_cells = spacing.map_or(1.0, |spacing| spacing / grid.cell_size());
+        let spacing_cells = spacing.map(|spacing| spacing / grid.cell_size());
         let plain = Drawing {
             // Dual cells reach one cell up, and normals one cell each way.
             block_bytes: Method::CELL_BYTES * ((BLOCK + 3) as u64).pow(3),
             carried_halo: attribute_smoothing(spacing.unwrap_or(0.0) / grid.cell_size()).halo(),
             keeps_details: false,
-            vertices_alone: vertices_alone(spacing_cells),
-            full_bin: spacing.map(|_| (FULL_BIN * (f64::from(BIN) / spacing_cells).powi(3)) as u64),
+            spacing_cells,
             wide_levels: 0,
             normals: surfacing.normals == Normals::Gradient,
             components,
@@ -134,7 +133,7 @@ impl FieldRequest {
             carried_halo: surfacing.attribute_smoothing(asked.kind, spacing, grid).halo(),
             keeps_details: filters.keeps_details(),
             wide_levels: match asked.kind {
-                IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells).level,
+                IndicatorKind::Cloud => WideCells::of_spacing(spacing_cells.unwrap_or(1.0)).level,
                 IndicatorKind::Counting | IndicatorKind::Symmetry => 0,
             },
             ..plain
@@ -147,9 +146,6 @@ impl FieldRequest {
         self.indicator().map_or_else(BrickSide::default, |asked| asked.kind.brick_side())
     }
 }
-
-/// A bin that holds this share of what its volume does at the particles' spacing is full of fluid.
-const FULL_BIN: f64 = 0.6;
 
 /// How wide a Gaussian smooths the attributes of clouds, in spacings.
 const ATTRIBUTES_SMOOTHED: f64 = 0.8;

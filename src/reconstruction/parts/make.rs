@@ -115,6 +115,7 @@ impl Parts {
                 return Ok(Meshed::nothing(plan, reading.count()));
             }
             let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
+            drop(file);
             control.begins(Stage::Meshing);
             let known = plan.calibration.as_ref();
             let calibrated = engine.calibrate(&checked.surfacing, known, timings)?.within(mark.stretch);

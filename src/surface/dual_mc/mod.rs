@@ -25,23 +25,6 @@ pub fn block_vertices(keeps_details: bool) -> u64 {
     if keeps_details { 20_000 } else { 6_000 }
 }
 
-/// Vertices around a particle alone, so many cells from others at the least: a ball of 0.55 spacings has 7 to the squared spacing.
-#[must_use]
-pub fn vertices_alone(spacing_cells: f64) -> u64 {
-    (8.0 * spacing_cells * spacing_cells).max(60.0) as u64
-}
-
-/// Vertices around so many particles of a bin, at the most for all but wild surfaces: each with so many `alone`, or as on a wrinkled
-/// surface through the bin. A plane through it has 16^2 times one to two; measured on frames of SPH and FLIP, in cells of 1 to 1/4
-/// spacings, bins that are not deep in the fluid have 230 to 500 on average.
-#[must_use]
-pub fn bin_vertices(particles: u64, alone: u64) -> u64 {
-    particles.saturating_mul(alone).min(600)
-}
-
-/// Vertices of a bin deep in the fluid, whose surface is that of a few bubbles, at the most for all but wild ones.
-pub const DEEP_VERTICES: u64 = 60;
-
 /// Whether vertices get normals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]

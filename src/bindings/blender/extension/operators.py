@@ -86,6 +86,14 @@ def add_object(context: bpy.types.Context, source: bpy.types.Object) -> bpy.type
     return added
 
 
+def _done(operator: bpy.types.Operator, added: bpy.types.Object) -> Done:
+    """Ends an operator that has added a surface, which may not be there yet: it says why."""
+    error = live.status_of(added.data).error
+    if error:
+        operator.report({"WARNING"}, error)
+    return {"FINISHED"}
+
+
 class AddFiles(bpy.types.Operator, ImportHelper):
     """Add the live surface of a sequence of particle files, or of packed frames"""
 
@@ -99,10 +107,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     )
 
     def execute(self, context: bpy.types.Context) -> Done:
-        status = live.status_of(add_files(context, self.filepath).data)
-        if status.error:
-            self.report({"WARNING"}, status.error)
-        return {"FINISHED"}
+        return _done(self, add_files(context, self.filepath))
 
 
 class AddObject(bpy.types.Operator):
@@ -117,10 +122,7 @@ class AddObject(bpy.types.Operator):
         return context.object is not None and context.mode == "OBJECT"
 
     def execute(self, context: bpy.types.Context) -> Done:
-        status = live.status_of(add_object(context, context.object).data)
-        if status.error:
-            self.report({"WARNING"}, status.error)
-        return {"FINISHED"}
+        return _done(self, add_object(context, context.object))
 
 
 class Reread(bpy.types.Operator):

@@ -177,15 +177,21 @@ def packed_frames_take_filters_and_no_particles() -> None:
     assert len(made) == count and not live.status_of(shown.data).error
 
 
+def object_of(points: np.ndarray, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Adds an object with those vertices and nothing else."""
+    mesh = bpy.data.meshes.new("points")
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", points.reshape(-1))
+    added = bpy.data.objects.new("points", mesh)
+    scene.collection.objects.link(added)
+    return added
+
+
 def vertices_of_an_object_are_particles() -> None:
     scene = emptied()
     live._state.reset()
     points = block(1000)
-    mesh = bpy.data.meshes.new("points")
-    mesh.vertices.add(len(points))
-    mesh.vertices.foreach_set("co", points.reshape(-1))
-    source = bpy.data.objects.new("points", mesh)
-    scene.collection.objects.link(source)
+    source = object_of(points, scene)
     bpy.context.view_layer.objects.active = source
     bpy.ops.meniscus.add_object()
     shown = bpy.context.object
@@ -217,11 +223,7 @@ def a_point_cloud_of_geometry_nodes_is_particles() -> None:
     scene = emptied()
     live._state.reset()
     points = block(1000)
-    mesh = bpy.data.meshes.new("points")
-    mesh.vertices.add(len(points))
-    mesh.vertices.foreach_set("co", points.reshape(-1))
-    source = bpy.data.objects.new("points", mesh)
-    scene.collection.objects.link(source)
+    source = object_of(points, scene)
     tree = bpy.data.node_groups.new("to points", "GeometryNodeTree")
     for where in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=where, socket_type="NodeSocketGeometry")

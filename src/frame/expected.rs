@@ -1,0 +1,107 @@
+//! How many vertices a surface will have, expected by how full of fluid the bins are.
+//!
+//! Dual marching cubes has a vertex on each edge of the grid that crosses the surface: as many as there are changes between outside and
+//! inside along all lines of the grid. Bins show of a line how its fluid begins and ends, whatever lies between, so a bin's face has as many
+//! as it has cells, times the change from one bin to the other. A layer that is thinner than a bin begins and ends within it; of the share
+//! that it fills the root is taken, which makes more of it. Drops far smaller than a bin are counted by particles.
+//!
+//! Constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells of 1 to 1/4 spacings. Of frames of 10^5
+//! particles and more, 7 to 10 % of what is expected is the most that it was wrong by.
+
+use glam::IVec3;
+use hashbrown::HashMap;
+
+use crate::grid::{BIN, MortonKey};
+
+/// Vertices at a face between a full bin and an empty one: a wrinkled surface has more than a plane.
+const FACE: f64 = 1.05 * (BIN * BIN) as f64;
+
+/// Cubed spacings around a particle that are empty where it has a surface of its own.
+const ALONE: i32 = 8;
+
+/// The share of a bin that is full, for bins that hold particles.
+type Shares = HashMap<IVec3, f32>;
+
+/// Vertices around a particle alone, whose spacing is so many cells wide: a ball of 0.55 spacings has 6 to 7 to the squared spacing.
+pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
+    8.0 * spacing_cells * spacing_cells + 6.0
+}
+
+/// Vertices of the surface in those `bins` that are `meshed`, by the particles that each holds and those that a `full` one does. A particle
+/// by itself has so many `alone`.
+pub(super) fn vertices(
+    bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
+    full: f64,
+    alone: f64,
+    meshed: impl Fn(IVec3) -> bool,
+) -> u64 {
+    let share = |count: usize| (count as f64 / full).min(1.0) as f32;
+    let shares: Shares = bins.clone().map(|(key, count)| (key.coord(), share(count))).collect();
+    let of_bin = |(key, count): (MortonKey, usize)| {
+        let bin = key.coord();
+        if !meshed(bin) {
+            return 0.0;
+        }
+        let own = shares[&bin];
+        let (mut change, mut fullest) = (0.0, own);
+        for axis in [IVec3::X, IVec3::Y, IVec3::Z] {
+            for beside in [bin - axis, bin + axis].map(|bin| shares.get(&bin).copied()) {
+                // A face between two bins is half of each.
+                let half = if beside.is_some() { 0.5 } else { 1.0 };
+                let beside = beside.unwrap_or(0.0);
+                change += half * f64::from((own.sqrt() - beside.sqrt()).abs());
+                fullest = fullest.max(beside);
+            }
+        }
+        FACE * change + count as f64 * alone * f64::from(1.0 - fullest).powi(ALONE)
+    };
+    bins.map(of_bin).sum::<f64>() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Vertices of bins that hold so many particles where 4096 are a full one, in cells of one spacing.
+    fn vertices_of(bins: &[(IVec3, usize)]) -> u64 {
+        let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
+        vertices(bins, 4096.0, vertices_alone(1.0), |_| true)
+    }
+
+    #[test]
+    fn a_full_cube_has_the_vertices_of_its_faces_and_none_within() {
+        let cube: Vec<_> = (crate::grid::CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) })
+            .cubes(1)
+            .map(|bin| (bin, 4096))
+            .collect();
+        assert_eq!(vertices_of(&cube), (6.0 * 9.0 * FACE) as u64);
+    }
+
+    #[test]
+    fn a_surface_in_the_middle_of_a_bin_has_as_many_vertices_as_one_at_its_face() {
+        let column = |counts: [usize; 3]| -> Vec<_> {
+            (0..).map(|z| IVec3::new(0, 0, z)).zip(counts).filter(|&(_, count)| count > 0).collect()
+        };
+        let ends = |counts| vertices_of(&column(counts)) as f64;
+        // Four walls of full bins, and of a bin of which a quarter is full.
+        assert!((ends([4096, 4096, 0]) - 10.0 * FACE).abs() < 2.0);
+        assert!((ends([4096, 4096, 1024]) - 12.0 * FACE).abs() < 2.0);
+    }
+
+    #[test]
+    fn particles_far_from_others_have_surfaces_of_their_own_and_those_beside_a_full_bin_do_not() {
+        let lone = vertices_of(&[(IVec3::ZERO, 4)]);
+        let alone = 4.0 * vertices_alone(1.0);
+        assert!(lone as f64 > 0.9 * alone, "{lone} of {alone}");
+        let full = (IVec3::X, 4096);
+        let beside = vertices_of(&[(IVec3::ZERO, 4), full]) as f64 - vertices_of(&[full]) as f64;
+        assert!(beside < 5.0 * (4.0_f64 / 4096.0).sqrt() * FACE, "{beside}");
+    }
+
+    #[test]
+    fn bins_that_are_not_meshed_have_none_and_still_lie_beside_the_others() {
+        let bins = [IVec3::ZERO, IVec3::X].map(|bin| (MortonKey::of(bin), 4096));
+        let first = vertices(bins.into_iter(), 4096.0, 14.0, |bin| bin == IVec3::ZERO);
+        assert_eq!(first, (5.0 * FACE) as u64);
+    }
+}
