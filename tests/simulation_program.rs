@@ -196,6 +196,18 @@ fn a_run_that_no_frame_can_be_measured_in_ends_and_leaves_nothing() {
 }
 
 #[test]
+fn a_file_where_the_folder_of_the_meshes_would_be_is_named_before_any_work_and_left() {
+    let folder = falling(1..=2);
+    fs::write(folder.path().join("taken"), "mine").unwrap();
+    for out in ["taken/", "taken/m_{}.ply", "taken/further/m_{}.ply"] {
+        let errors = run(folder.path(), &["in", "-o", out], 4);
+        assert!(errors.contains("taken: is a file, and no folder"), "{out}: {errors}");
+        assert!(!errors.contains("measured"), "{out}: {errors}");
+    }
+    assert_eq!(fs::read(folder.path().join("taken")).unwrap(), b"mine");
+}
+
+#[test]
 fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
     let folder = falling(8..=11);
     fs::write(folder.path().join("in/notes.md"), "no frame").unwrap();

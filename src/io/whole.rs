@@ -252,6 +252,15 @@ fn is_direct(path: &Path, found: Option<&fs::Metadata>) -> bool {
     found.is_some_and(|found| !found.is_dir() && (!found.is_file() || is_open()))
 }
 
+/// Makes a folder, and those that it is to be in, unless they are there.
+///
+/// # Errors
+/// The system's refusal, of which the kind and the words are kept.
+pub fn make_folder(folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder)
+        .map_err(|fault| io::Error::new(fault.kind(), format!("the folder cannot be made: {fault}")))
+}
+
 /// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty());

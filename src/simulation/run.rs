@@ -1,7 +1,6 @@
 //! Frames of a simulation to meshes: side by side, whatever single frames bring, and resumable.
 
 use std::collections::HashSet;
-use std::fs::create_dir_all;
 use std::path::Path;
 use std::sync::OnceLock;
 use std::thread::sleep;
@@ -10,7 +9,7 @@ use std::time::Instant;
 use crate::error::{Cause, Error, SimulationError};
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
-use crate::io::whole::sweep;
+use crate::io::whole::{make_folder, sweep};
 use crate::io::{WriteError, WriteFault};
 use crate::reconstruction::{Checked, usual_up};
 use crate::system::control::Control;
@@ -222,7 +221,7 @@ fn first_frames(setup: &Setup<'_>) -> Result<Vec<FrameFile>, Error> {
 /// Makes the folder of the outputs ready, and removes what killed processes have left there.
 fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
     let folder = setup.naming.folder();
-    create_dir_all(folder).map_err(|fault| WriteError::new(folder, fault))?;
+    make_folder(folder).map_err(|fault| WriteError::new(folder, fault))?;
     sweep(folder);
     sweep(store.folder());
     Ok(())

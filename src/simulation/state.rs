@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::io::whole::replace_small;
+use crate::io::whole::{make_folder, replace_small};
 use crate::reconstruction::differing;
 
 use super::frozen::Frozen;
@@ -86,6 +86,11 @@ impl Store {
         let bytes = match fs::read(&path) {
             Ok(bytes) => bytes,
             Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(fault) if fault.kind() == io::ErrorKind::NotADirectory => {
+                let file = path.ancestors().find(|place| place.is_file()).unwrap_or(&path);
+                let fault = io::Error::new(fault.kind(), "is a file, and no folder");
+                return Err(SimulationError::Io { path: file.to_owned(), fault });
+            }
             Err(fault) => return Err(SimulationError::Io { path, fault }),
         };
         let state: State = serde_json::from_slice(&bytes)
@@ -102,7 +107,7 @@ impl Store {
     /// [`SimulationError::Io`].
     pub fn save(&self, state: &State) -> Result<(), SimulationError> {
         let folder = self.folder();
-        fs::create_dir_all(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
+        make_folder(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
         let path = self.state_path();
         replace_small(&path, &json(state)).map_err(|fault| SimulationError::Io { path, fault })
     }

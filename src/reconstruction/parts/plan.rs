@@ -16,7 +16,7 @@ use crate::grid::units::MeanCount;
 use crate::grid::{Grid, MortonKey};
 use crate::io::ReadError;
 use crate::io::stamp::Stamp;
-use crate::io::whole::replace_small;
+use crate::io::whole::{make_folder, replace_small};
 use crate::particles::AttributeInfo;
 use crate::reconstruction::asked::{Settings, differing};
 use crate::reconstruction::checked::Checked;
@@ -111,7 +111,7 @@ impl Plan {
 
     /// Keeps it in a folder in place of any other.
     pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
-        fs::create_dir_all(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
+        make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
         let kept = Kept { fingerprint: self.fingerprint(), plan: self.clone() };
         replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
