@@ -1,13 +1,11 @@
 //! Binning: a counting sort of the particles by the bin of 16^3 cells that holds them.
 //!
 //! Positions are read twice: once to count, once to put each particle, packed into 51 bits, into its bin's place in
-//! memory, or into its run of bins in a scratch file. Where there is room, the first reading keeps what the second would
+//! memory, or into its run of bins (`runs`). Where there is room, the first reading keeps what the second would
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
-use std::io;
 use std::ops::Range;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use hashbrown::HashMap;
@@ -21,20 +19,12 @@ use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, CUBE, Latest, NOWHERE, Placed};
-use super::bins::{Bins, RECORD_BITS, tuple_bytes};
+use super::bins::{Bins, RECORD_BITS};
 use super::place::{BinCode, CHUNK, Placer, bin_coord};
 use super::slots::{Record, Slots};
-use super::spill::SpilledBins;
 
-/// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
-const RUN_BINS: usize = 1 << RUN_BITS;
-const RUN_BITS: u32 = u64::BITS - RECORD_BITS;
-
-/// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in its run.
-const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
-
-/// Bins of a range whose particles' places are kept, at the most: as of a run, and the last stands for none.
-const KEPT_BINS: usize = RUN_BINS - 1;
+/// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits number, and the last stands for none.
+const KEPT_BINS: usize = (1 << (u64::BITS - RECORD_BITS)) - 1;
 
 /// The memory limits of counting: how many bins may be listed, and how many particles' places may be kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -137,22 +127,22 @@ pub struct Census {
 
 /// The first of two readings: how many particles each bin will hold.
 pub struct BinPlan<'a> {
-    placer: Placer<'a>,
+    pub(super) placer: Placer<'a>,
     census: Census,
-    keys: Vec<MortonKey>,
+    pub(super) keys: Vec<MortonKey>,
     /// Where each bin's particles will begin, and where the last one's will end.
-    first: Vec<usize>,
-    ranges: Vec<RangePlan>,
+    pub(super) first: Vec<usize>,
+    pub(super) ranges: Vec<RangePlan>,
 }
 
 /// A range of particles, and the bins that it touches.
-struct RangePlan {
-    range: Range<usize>,
-    table: BinTable,
+pub(super) struct RangePlan {
+    pub(super) range: Range<usize>,
+    pub(super) table: BinTable,
     /// The rank among all bins of each bin in the table; [`NOWHERE`] for those without particles.
-    ranks: Vec<u32>,
+    pub(super) ranks: Vec<u32>,
     /// Each particle's bin, by its rank in the table, and record, packed into a word; empty where they were not kept.
-    places: Vec<Record>,
+    pub(super) places: Vec<Record>,
 }
 
 /// In one word, where its bin is none or one of the first [`KEPT_BINS`].
@@ -348,97 +338,6 @@ impl<'a> BinPlan<'a> {
             Err(Unread::Changed)
         }
     }
-
-    /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
-    /// that is too large for that is a run of its own.
-    #[must_use]
-    pub fn runs(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        carried: &[usize],
-        bytes: u64,
-    ) -> Vec<Range<usize>> {
-        let tuple = tuple_bytes(&components(particles, carried)) as u64;
-        let particles = usize::try_from(bytes / tuple).unwrap_or(usize::MAX);
-        let particles = particles.max(self.census.binned / MOST_RUNS);
-        let mut runs: Vec<Range<usize>> = Vec::new();
-        for bin in 0..self.keys.len() {
-            match runs.last_mut() {
-                Some(run)
-                    if run.len() < RUN_BINS && self.first[bin + 1] - self.first[run.start] <= particles =>
-                {
-                    run.end = bin + 1;
-                }
-                _ => runs.push(bin..bin + 1),
-            }
-        }
-        runs
-    }
-
-    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and the
-    /// attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in all, and runs `memory_bytes`, the rest of
-    /// them being in the file.
-    ///
-    /// # Errors
-    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for particles that are not where they
-    /// were when they were counted.
-    pub fn spill(
-        self,
-        particles: &(impl Particles + ?Sized),
-        carried: &[usize],
-        runs: Vec<Range<usize>>,
-        folder: &Path,
-        buffer_bytes: usize,
-        memory_bytes: u64,
-    ) -> io::Result<Result<SpilledBins, Unread>> {
-        let Self { placer, keys, first, mut ranges, .. } = self;
-        ranges.iter_mut().for_each(|range| range.places = Vec::new());
-        let mut at_of_bin = vec![0; keys.len()];
-        for (run, number) in runs.iter().zip(0_u32..) {
-            at_of_bin[run.clone()].iter_mut().zip(number << RUN_BITS..).for_each(|(to, at)| *to = at);
-        }
-        let components = components(particles, carried);
-        let spilled = SpilledBins::new(keys, first, components, runs, folder, memory_bytes)?;
-        let threads = rayon::current_num_threads().min(ranges.len()).max(1);
-        let as_counted = ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
-            let mut buffers = spilled.buffers(threads, buffer_bytes);
-            let mut latest = Latest::of(particles.len());
-            let counts = table.counts().iter().zip(ranks);
-            let expected = |(&left, bin)| Expected { at: *at_of_bin.get(bin as usize).unwrap_or(&0), left };
-            let mut expected: Vec<Expected> = counts.map(expected).collect();
-            let mut unexpected = false;
-            placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
-                let attributes =
-                    Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
-                for (i, address) in addresses.iter().enumerate() {
-                    let (rank, record) = table.place(*address, &mut latest);
-                    if rank == NOWHERE {
-                        continue;
-                    }
-                    let Some(bin) = expected.get_mut(rank as usize).filter(|bin| bin.left > 0) else {
-                        unexpected = true;
-                        continue;
-                    };
-                    bin.left -= 1;
-                    let (run, in_run) = ((bin.at >> RUN_BITS) as usize, bin.at as usize % RUN_BINS);
-                    buffers.push(run, in_run, record, attributes.tuple(i))?;
-                }
-                Ok::<_, io::Error>(())
-            })?;
-            buffers.flush()?;
-            Ok(!unexpected && expected.iter().all(|bin| bin.left == 0))
-        });
-        let as_counted = as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
-        Ok(if as_counted { Ok(spilled) } else { Err(Unread::Changed) })
-    }
-}
-
-/// A bin of a range's table as the second reading finds it.
-struct Expected {
-    /// The number of its run, and, in the lower [`RUN_BITS`] bits, its own in the run.
-    at: u32,
-    /// Particles that are still to come.
-    left: u32,
 }
 
 /// Adds one to the number of the bin with a rank, and returns what it was; `None` if it is [`NOWHERE`], or was in no table before.
@@ -450,13 +349,13 @@ fn advance(numbers: &mut [usize], rank: u32) -> Option<usize> {
 }
 
 /// The carried attributes of some particles that follow one another.
-struct Tuples<'a> {
+pub(super) struct Tuples<'a> {
     values: Vec<Vec<f32>>,
     components: &'a [usize],
 }
 
 impl<'a> Tuples<'a> {
-    fn read(
+    pub(super) fn read(
         particles: &(impl Particles + ?Sized),
         carried: &[usize],
         components: &'a [usize],
@@ -472,13 +371,13 @@ impl<'a> Tuples<'a> {
     }
 
     /// All components of all attributes of particle number `i` of them.
-    fn tuple(&self, i: usize) -> impl Iterator<Item = f32> + '_ {
+    pub(super) fn tuple(&self, i: usize) -> impl Iterator<Item = f32> + '_ {
         let all = self.values.iter().zip(self.components);
         all.flat_map(move |(values, n)| values[i * n..(i + 1) * n].iter().copied())
     }
 }
 
-fn components(particles: &(impl Particles + ?Sized), carried: &[usize]) -> Vec<usize> {
+pub(super) fn components(particles: &(impl Particles + ?Sized), carried: &[usize]) -> Vec<usize> {
     carried.iter().map(|&index| particles.attributes()[index].components).collect()
 }
 

@@ -14,6 +14,7 @@ mod field;
 mod images;
 mod page;
 mod place;
+mod runs;
 mod samples;
 mod shape;
 mod slots;

@@ -1,0 +1,114 @@
+//! The second reading beyond memory: counted particles go into runs of bins, which are sorted one by one.
+
+use std::io;
+use std::ops::Range;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use crate::particles::{Particles, Unread};
+
+use super::bin::{BinPlan, RangePlan, Tuples, components};
+use super::bin_table::{Latest, NOWHERE};
+use super::bins::{RECORD_BITS, tuple_bytes};
+use super::spill::SpilledBins;
+
+/// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
+const RUN_BINS: usize = 1 << RUN_BITS;
+const RUN_BITS: u32 = u64::BITS - RECORD_BITS;
+
+/// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in its run.
+const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
+
+impl BinPlan<'_> {
+    /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
+    /// that is too large for that is a run of its own.
+    #[must_use]
+    pub fn runs(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        carried: &[usize],
+        bytes: u64,
+    ) -> Vec<Range<usize>> {
+        let tuple = tuple_bytes(&components(particles, carried)) as u64;
+        let particles = usize::try_from(bytes / tuple).unwrap_or(usize::MAX);
+        let particles = particles.max(self.census().binned / MOST_RUNS);
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for bin in 0..self.keys.len() {
+            match runs.last_mut() {
+                Some(run)
+                    if run.len() < RUN_BINS && self.first[bin + 1] - self.first[run.start] <= particles =>
+                {
+                    run.end = bin + 1;
+                }
+                _ => runs.push(bin..bin + 1),
+            }
+        }
+        runs
+    }
+
+    /// The second reading, into a scratch file in `folder`: puts each of the same `particles`, and the
+    /// attributes whose numbers are in `carried`, into its run. Buffers take `buffer_bytes` in all, and runs `memory_bytes`, the rest of
+    /// them being in the file.
+    ///
+    /// # Errors
+    /// Where the scratch file cannot be created or written; and within, [`Unread::Changed`] for particles that are not where they
+    /// were when they were counted.
+    pub fn spill(
+        self,
+        particles: &(impl Particles + ?Sized),
+        carried: &[usize],
+        runs: Vec<Range<usize>>,
+        folder: &Path,
+        buffer_bytes: usize,
+        memory_bytes: u64,
+    ) -> io::Result<Result<SpilledBins, Unread>> {
+        let Self { placer, keys, first, mut ranges, .. } = self;
+        ranges.iter_mut().for_each(|range| range.places = Vec::new());
+        let mut at_of_bin = vec![0; keys.len()];
+        for (run, number) in runs.iter().zip(0_u32..) {
+            at_of_bin[run.clone()].iter_mut().zip(number << RUN_BITS..).for_each(|(to, at)| *to = at);
+        }
+        let components = components(particles, carried);
+        let spilled = SpilledBins::new(keys, first, components, runs, folder, memory_bytes)?;
+        let threads = rayon::current_num_threads().min(ranges.len()).max(1);
+        let as_counted = ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
+            let mut buffers = spilled.buffers(threads, buffer_bytes);
+            let mut latest = Latest::of(particles.len());
+            let counts = table.counts().iter().zip(ranks);
+            let expected = |(&left, bin)| Expected { at: *at_of_bin.get(bin as usize).unwrap_or(&0), left };
+            let mut expected: Vec<Expected> = counts.map(expected).collect();
+            let mut unexpected = false;
+            placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
+                let attributes =
+                    Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
+                for (i, address) in addresses.iter().enumerate() {
+                    let (rank, record) = table.place(*address, &mut latest);
+                    if rank == NOWHERE {
+                        continue;
+                    }
+                    let Some(bin) = expected.get_mut(rank as usize).filter(|bin| bin.left > 0) else {
+                        unexpected = true;
+                        continue;
+                    };
+                    bin.left -= 1;
+                    let (run, in_run) = ((bin.at >> RUN_BITS) as usize, bin.at as usize % RUN_BINS);
+                    buffers.push(run, in_run, record, attributes.tuple(i))?;
+                }
+                Ok::<_, io::Error>(())
+            })?;
+            buffers.flush()?;
+            Ok(!unexpected && expected.iter().all(|bin| bin.left == 0))
+        });
+        let as_counted = as_counted.try_reduce(|| true, |one, other| Ok::<_, io::Error>(one & other))?;
+        Ok(if as_counted { Ok(spilled) } else { Err(Unread::Changed) })
+    }
+}
+
+/// A bin of a range's table as the second reading finds it.
+struct Expected {
+    /// The number of its run, and, in the lower [`RUN_BITS`] bits, its own in the run.
+    at: u32,
+    /// Particles that are still to come.
+    left: u32,
+}
