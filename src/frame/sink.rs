@@ -16,7 +16,11 @@ const BATCH_SAMPLES: usize = 1 << 22;
 
 /// Where the DIF goes as it is made.
 pub(super) enum FieldSink {
-    Memory(Pages),
+    Memory {
+        pages: Pages,
+        /// Bytes of all samples.
+        bytes: u64,
+    },
     /// All of it, made at once.
     Whole(DifField),
     File {
@@ -38,7 +42,7 @@ impl FieldSink {
                 let folder = folder.to_owned();
                 Ok(Self::File { file, writer, full_cells: 0, cache_bytes: shares.field, folder })
             }
-            _ => Ok(Self::Memory(Vec::new())),
+            _ => Ok(Self::Memory { pages: Vec::new(), bytes: 0 }),
         }
     }
 
@@ -51,7 +55,7 @@ impl FieldSink {
     ) -> io::Result<()> {
         match self {
             Self::File { .. } => self.take(stages, bins, rule),
-            Self::Memory(_) | Self::Whole(_) => {
+            Self::Memory { .. } | Self::Whole(_) => {
                 *self = Self::Whole(stages.field(bins, rule)?);
                 Ok(())
             }
@@ -62,13 +66,16 @@ impl FieldSink {
     pub(super) fn take(&mut self, stages: &dyn Stages, bins: &Bins, rule: &PageRule) -> io::Result<()> {
         let end = bins.keys().len();
         let batch = match self {
-            Self::Memory(_) | Self::Whole(_) => end.max(1),
+            Self::Memory { .. } | Self::Whole(_) => end.max(1),
             Self::File { .. } => BATCH_SAMPLES / rule.shape().bin_samples(),
         };
         for first in (0..end).step_by(batch) {
             let pages = stages.indicate(bins, first..(first + batch).min(end), rule)?;
             match self {
-                Self::Memory(kept) => kept.extend(pages),
+                Self::Memory { pages: kept, bytes } => {
+                    *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();
+                    kept.extend(pages);
+                }
                 Self::Whole(_) => unreachable!("no bins come after all"),
                 Self::File { writer, full_cells, .. } => {
                     *full_cells += full_count(&pages);
@@ -82,7 +89,7 @@ impl FieldSink {
     /// Bytes of what was taken so far and is in memory.
     pub(super) fn bytes_in_memory(&self) -> u64 {
         match self {
-            Self::Memory(pages) => pages.iter().map(|(_, samples)| samples.bytes() as u64).sum(),
+            Self::Memory { bytes, .. } => *bytes,
             Self::Whole(field) => field.sample_bytes(),
             Self::File { .. } => 0,
         }
@@ -91,7 +98,7 @@ impl FieldSink {
     /// Cells that are full.
     pub(super) fn full_cells(&self) -> u64 {
         match self {
-            Self::Memory(pages) => full_count(pages),
+            Self::Memory { pages, .. } => full_count(pages),
             Self::Whole(field) => field.full_cells(),
             Self::File { full_cells, .. } => *full_cells,
         }
@@ -106,7 +113,9 @@ impl FieldSink {
     ) -> io::Result<SampledDif> {
         match self {
             Self::Whole(field) => Ok(SampledDif::new(facts, indicator, field)),
-            Self::Memory(pages) => Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages))),
+            Self::Memory { pages, .. } => {
+                Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages)))
+            }
             Self::File { file, writer, cache_bytes, folder, .. } => {
                 writer.finish(&facts, indicator)?;
                 let sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;
