@@ -26,14 +26,15 @@ struct Held {
 
 impl Held {
     fn of(raster: &Raster, triangles: impl Iterator<Item = [Corner; 3]>) -> Self {
-        let mut held = Self { rows: i32::MAX..i32::MIN, members: [0; TASK / WORD] };
+        let (mut first, mut end) = (i32::MAX, i32::MIN);
+        let mut members = [0; TASK / WORD];
         // Without branches: whether a small triangle holds a sample is as good as random.
         for (n, triangle) in triangles.enumerate() {
             let (rows, holds) = raster.rows(triangle);
-            held.members[n / WORD] |= u64::from(holds) << (n % WORD);
-            held.rows = held.rows.start.min(rows.start)..held.rows.end.max(rows.end);
+            members[n / WORD] |= u64::from(holds) << (n % WORD);
+            (first, end) = (first.min(rows.start), end.max(rows.end));
         }
-        held
+        Self { rows: first..end, members }
     }
 
     fn meets(&self, rows: &Range<i32>) -> bool {

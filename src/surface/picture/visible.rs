@@ -49,7 +49,7 @@ pub(super) struct Edges {
 
 impl Visible {
     /// Bytes of a triangle that is seen, while normals are added up too, and of a corner.
-    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<([u32; 3], Vec3)>()) as u64;
+    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
     /// Gathers what is seen of a mesh on a raster, on which it was drawn.
@@ -182,12 +182,15 @@ impl Visible {
     }
 }
 
+/// The normal of a triangle by its area, and the ranks of the corners that it is added to.
+type Addition = ([u32; 3], Vec3);
+
 /// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the order of the triangles.
 fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
     let scale = 1.0 / unit;
     // For each task the triangles that add to each share, by the ranks of their corners; most add to one share only.
-    let additions: Vec<[Vec<([u32; 3], Vec3)>; SHARES]> = batch
+    let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)
         .map(|triangles| {
