@@ -106,7 +106,7 @@ pub mod mesh {
 pub mod picture {
     pub use crate::simulation::{PictureDone, PictureFile, Pictures};
     pub use crate::surface::picture::{
-        Animation, Colour, ColourMap, Image, Picture, PictureError, Reference, Scope, View,
+        Animation, Colour, ColourMap, Effort, Image, Picture, PictureError, Reference, Scope, View,
     };
 }
 

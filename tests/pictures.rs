@@ -19,7 +19,7 @@ use common::shapes::{cuboid, sphere, torus};
 use meniscus::files::Replace;
 use meniscus::mesh::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
-use meniscus::picture::{Colour, Image, Picture, PictureError, Pictures, Reference, Scope, View};
+use meniscus::picture::{Colour, Effort, Image, Picture, PictureError, Pictures, Reference, Scope, View};
 use meniscus::{Cancel, Cause, Error, UpAxis};
 use rayon::ThreadPoolBuilder;
 use tempfile::TempDir;
@@ -238,6 +238,19 @@ fn a_closed_surface_has_no_cracks_and_the_way_through_it_is_that_through_the_bod
     };
     let differ = middle(&fine).iter().zip(middle(&coarse)).filter(|(a, b)| a.abs_diff(*b) > 6).count();
     assert_eq!(differ, 0, "of {}", middle(&fine).len());
+}
+
+#[test]
+fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
+    let mesh = torus(120, 60);
+    let picture = small().ground(true);
+    let [full, draft] =
+        [Effort::Full, Effort::Draft].map(|effort| picture.clone().effort(effort).draw(&mesh).unwrap());
+    assert_ne!(full, draft);
+    let differences: Vec<u8> = full.rgb().iter().zip(draft.rgb()).map(|(a, b)| a.abs_diff(*b)).collect();
+    // Edges alone differ: whatever is drawn elsewhere, or from elsewhere, differs on most of the body.
+    let far = differences.iter().filter(|&&difference| difference > 24).count();
+    assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
 }
 
 #[test]

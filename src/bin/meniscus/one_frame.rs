@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use meniscus::files::{Output, Replace, file_and_step, is_same_file};
-use meniscus::picture::{Picture, PictureFile};
+use meniscus::picture::{Effort, Picture, PictureFile};
 use meniscus::{Error, Reconstruction, Surface};
 
 use crate::interrupt;
@@ -69,7 +69,7 @@ fn preview_path(options: &Options) -> Option<PathBuf> {
 /// Draws the picture beside a mesh.
 fn draw_preview(options: &Options, surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
     let [width, height] = PREVIEW;
-    let image = surface.picture(&Picture::new().size(width, height).ground(true))?;
+    let image = surface.picture(&Picture::new().size(width, height).ground(true).effort(Effort::Draft))?;
     file.write(&image)?;
     if let Some(path) = preview_path(options) {
         notes.say(format!("{}: {width} x {height} pixels", path.display()));

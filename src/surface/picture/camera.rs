@@ -141,6 +141,12 @@ impl Camera {
     }
 }
 
+/// The middle and the radius of the ball around a box.
+pub(super) fn ball(bounds: Bounds) -> (DVec3, f64) {
+    let [lo, hi] = bounds.map(DVec3::from);
+    ((lo + hi) / 2.0, ((hi - lo).length() / 2.0).max(f64::MIN_POSITIVE.sqrt()))
+}
+
 /// The axes of a picture that is taken from a direction.
 fn looking(back: DVec3, world: DMat3) -> DMat3 {
     let right = world.y_axis.cross(back).normalize_or(world.x_axis);

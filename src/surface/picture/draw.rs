@@ -1,30 +1,25 @@
 //! A mesh to an image: its box, what is seen of it, and light on every pixel.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 
 use crate::surface::mesh::source::MeshSource;
+use crate::system::memory::empty_in_huge_pages;
 
-use super::camera::Camera;
+use super::camera::{Camera, ball};
 use super::colour::{Palette, Values};
 use super::error::PictureError;
+use super::fill::fill;
 use super::image::Image;
 use super::legend::legend;
 use super::light::byte;
 use super::memory::{Budget, Memory};
 use super::ranked::Entered;
-use super::raster::{Corner, Raster};
+use super::raster::Raster;
 use super::request::{Picture, Scope};
-use super::scene::{FINER, SUN_SAMPLES, Scene, Sun, ball};
-use super::shape::{Batch, LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
+use super::scene::{Samples, Scene};
+use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
+use super::sun::{Sun, Sunlight};
 use super::visible::Visible;
-
-/// Triangles of which is known together in which rows they are.
-const TASK: usize = 1 << 9;
-/// Strips of rows for each thread, and rows of the smallest.
-const STRIPS: usize = 6;
-const LEAST_ROWS: usize = 16;
 
 impl Picture {
     /// Draws a mesh.
@@ -54,8 +49,10 @@ impl Picture {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();
         let [vertices, triangles] = [mesh.vertex_count(), mesh.triangle_count()];
-        let picture = Raster::bytes(FINER * width, FINER * height)
-            + Raster::bytes(SUN_SAMPLES, SUN_SAMPLES)
+        let Samples { of_pixel, of_sun } = Samples::new(self.effort, height);
+        let picture = Raster::bytes(of_pixel * width, of_pixel * height)
+            + Raster::bytes(of_sun, of_sun)
+            + Sunlight::bytes(of_sun)
             + 3 * (width * height) as u64
             + Entered::bytes(vertices)
             + Entered::bytes(triangles);
@@ -85,15 +82,17 @@ fn draw(
     let (middle, radius) = ball(bounds);
     let camera = Camera::new(picture.view, bounds, world, width as f64 / height as f64);
     let farthest = camera.eye.distance(middle) + radius;
-    let raster = Raster::new(FINER * width, FINER * height, &camera, farthest);
-    let sun = Sun::new(bounds, world, height);
-    let mut corners = Vec::new();
+    let Samples { of_pixel, of_sun } = Samples::new(picture.effort, height);
+    let raster = Raster::new(of_pixel * width, of_pixel * height, &camera, farthest);
+    let sun = Sun::new(bounds, world, of_sun);
+    let mut corners = empty_in_huge_pages(shape.most_corners());
     shape.batches(|batch| {
         fill(&raster, &camera, batch, &mut corners);
         fill(&sun.raster, &sun.camera, batch, &mut corners);
         Ok(())
     })?;
     drop(corners);
+    let sun = sun.light();
     let visible = Visible::of(&raster, shape, &camera, values, budget)?;
     let range = scope.range.unwrap_or([0.0, 1.0]);
     let legended = picture.colour.legend();
@@ -110,33 +109,4 @@ fn draw(
         legend(&mut image, name, map, range);
     }
     Ok(image)
-}
-
-/// Draws triangles on a raster: each thread in rows of its own, all of the triangles that may be there. `corners` is kept from one call to
-/// the next for its memory.
-fn fill(raster: &Raster, camera: &Camera, batch: &Batch<'_>, corners: &mut Vec<Corner>) {
-    let seen = |n: usize| camera.seen(batch.places[n].into());
-    (0..batch.places.len()).into_par_iter().map(|n| raster.corner(seen(n))).collect_into_vec(corners);
-    let corners = &corners[..];
-    // Neighbours in the mesh are neighbours on the picture, mostly.
-    let reached = |triangles: &[[u32; 3]]| {
-        let rows = triangles.iter().flatten().map(|&corner| corners[batch.index(corner)].rows());
-        rows.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0)
-    };
-    let reaches: Vec<Range<i32>> = batch.triangles.par_chunks(TASK).map(reached).collect();
-    let height = raster.height as i32;
-    let strip = raster.height.div_ceil(STRIPS * rayon::current_num_threads()).max(LEAST_ROWS);
-    (0..height).into_par_iter().step_by(strip).for_each(|top| {
-        let rows = top..height.min(top + strip as i32);
-        let tasks = batch.triangles.chunks(TASK).zip(&reaches).enumerate();
-        for (task, (triangles, _)) in
-            tasks.filter(|(_, (_, reach))| reach.start < rows.end && rows.start < reach.end)
-        {
-            for (n, triangle) in triangles.iter().enumerate() {
-                let at = triangle.map(|corner| batch.index(corner));
-                let number = batch.first + (task * TASK + n) as u32;
-                raster.draw(&rows, number, at.map(|n| corners[n]), || at.map(seen));
-            }
-        }
-    });
 }

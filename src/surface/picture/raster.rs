@@ -8,7 +8,7 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
 
-use bytemuck::allocation::zeroed_vec;
+use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::{Camera, FARTHEST};
 
@@ -27,14 +27,6 @@ pub(super) struct Corner {
     at: [i32; 2],
     /// One over the distance, in units of the eye's; 0 for what is behind the eye, or too far to the side.
     near: f32,
-}
-
-impl Corner {
-    /// The rows between which it is; all where it has no place.
-    pub(super) fn rows(self) -> Range<i32> {
-        let row = self.at[1] >> STEP_BITS;
-        if self.near > 0.0 { row..row + 2 } else { i32::MIN..i32::MAX }
-    }
 }
 
 /// The nearest triangle at a sample, and the way through the fluid behind it.
@@ -70,8 +62,8 @@ impl Raster {
         Self {
             width,
             height,
-            nearest: zeroed_vec(samples),
-            through: zeroed_vec(samples),
+            nearest: zeroed_in_huge_pages(samples),
+            through: zeroed_in_huge_pages(samples),
             unit,
             before: camera.nearest(),
             way_steps,
@@ -94,6 +86,7 @@ impl Raster {
     }
 
     /// A place as it is [seen](Camera::seen), on this picture.
+    #[inline]
     pub(super) fn corner(&self, [x, y, distance]: [f64; 3]) -> Corner {
         let near = 1.0 / distance;
         let steps = f64::from(STEPS);
@@ -109,6 +102,19 @@ impl Raster {
         // Rounded: what is positive is cut off at the point.
         let round = |steps: f64| (steps + far + 0.5) as i32 - FAR;
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
+    }
+
+    /// The rows of the box around a triangle, and whether there is a sample in it; all where a corner has no place.
+    #[inline]
+    pub(super) fn rows(&self, corners: [Corner; 3]) -> (Range<i32>, bool) {
+        let [width, height] = [self.width, self.height].map(|samples| samples as i32);
+        let [a, b, c] = corners.map(|corner| corner.near);
+        if a.min(b).min(c) <= 0.0 {
+            return (0..height, true);
+        }
+        let [left, right] = samples(corners, 0, &(0..width));
+        let [top, bottom] = samples(corners, 1, &(0..height));
+        (top..bottom + 1, (left <= right) & (top <= bottom))
     }
 
     /// Draws what is in some rows of a triangle; `seen` tells how its corners are seen, where it has to be cut off.
@@ -172,17 +178,11 @@ impl Raster {
     }
 
     fn fill(&self, rows: &Range<i32>, number: u32, [a, b, c]: [Corner; 3]) {
-        let range = |axis: usize, samples: &Range<i32>| {
-            let of = [a, b, c].map(|corner| corner.at[axis]);
-            let (lo, hi) = (of[0].min(of[1]).min(of[2]), of[0].max(of[1]).max(of[2]));
-            // Samples are at whole multiples.
-            [((lo + STEPS - 1) >> STEP_BITS).max(samples.start), (hi >> STEP_BITS).min(samples.end - 1)]
-        };
-        let [top, bottom] = range(1, rows);
+        let [top, bottom] = samples([a, b, c], 1, rows);
         if top > bottom {
             return;
         }
-        let [left, right] = range(0, &(0..self.width as i32));
+        let [left, right] = samples([a, b, c], 0, &(0..self.width as i32));
         if left > right {
             return;
         }
@@ -243,4 +243,13 @@ impl Raster {
         let way = (leaves / near * self.way_steps) as i64 as i32;
         through.store(through.load(Ordering::Relaxed).wrapping_add(way), Ordering::Relaxed);
     }
+}
+
+/// The first and the last of the samples along an axis, of those given, that are between the outermost corners.
+#[inline]
+fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
+    let [a, b, c] = corners.map(|corner| corner.at[axis]);
+    let (lo, hi) = (a.min(b).min(c), a.max(b).max(c));
+    // Samples are at whole multiples.
+    [((lo + STEPS - 1) >> STEP_BITS).max(of.start), (hi >> STEP_BITS).min(of.end - 1)]
 }

@@ -33,6 +33,17 @@ impl Scope {
     }
 }
 
+/// How much work a picture is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Effort {
+    /// Four samples a pixel.
+    #[default]
+    Full,
+    /// One sample a pixel, and a shadow half as sharp: for a glance, in little more than half of the time.
+    Draft,
+}
+
 /// A request for pictures of meshes: how large, from where, in which colours.
 ///
 /// ```
@@ -56,6 +67,7 @@ pub struct Picture {
     pub(super) colour: Colour,
     pub(super) scope: Option<Scope>,
     pub(super) memory: Option<u64>,
+    pub(super) effort: Effort,
 }
 
 impl Picture {
@@ -111,6 +123,13 @@ impl Picture {
     #[must_use]
     pub fn scope(mut self, scope: Scope) -> Self {
         self.scope = Some(scope);
+        self
+    }
+
+    /// Sets how much work it is worth.
+    #[must_use]
+    pub fn effort(mut self, effort: Effort) -> Self {
+        self.effort = effort;
         self
     }
 

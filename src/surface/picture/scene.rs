@@ -4,23 +4,19 @@ use glam::{DMat3, DVec3, Vec2, Vec3};
 
 use crate::surface::mesh::bounds::Bounds;
 
-use super::camera::Camera;
+use super::camera::{Camera, ball};
 use super::colour::{Colour, Palette};
-use super::light::{SUN, Seen, backdrop, ground, linear, solid, water, wire};
+use super::light::{Seen, backdrop, ground, linear, solid, water, wire};
 use super::raster::{Raster, Sample};
-use super::request::Picture;
-use super::visible::Visible;
+use super::request::{Effort, Picture};
+use super::sun::Sunlight;
+use super::visible::{Edges, Visible};
 
-/// Samples along the edge of a pixel.
-pub(super) const FINER: usize = 2;
+/// Samples along the edge of a pixel, at the most.
+const FINEST: usize = 2;
 /// Samples along an edge of the sun's view: of large pictures, and of those of no more rows than that.
-pub(super) const SUN_SAMPLES: usize = 1024;
+const SUN_SAMPLES: usize = 1024;
 const SMALL: usize = 400;
-/// Distance of the sun's eye in radii: far enough for its rays to be parallel nearly.
-const SUN_FAR: f64 = 40.0;
-/// How fast sunlight dies in water, over the radius of the scene, and how thin a layer casts no shadow on itself.
-const SUN_TAKEN: f32 = 5.0;
-const SKIN: f32 = 0.012;
 /// Where the floor ends in the backdrop, in radii from the middle.
 const FLOOR: [f32; 2] = [2.0, 7.0];
 /// Samples of a pixel are lit as one where their distances differ by less.
@@ -28,61 +24,22 @@ const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
 
-/// The sun's view of the fluid, which tells how far its light gets.
-pub(super) struct Sun {
-    pub(super) camera: Camera,
-    pub(super) raster: Raster,
-    /// Radii of the scene in a unit of the raster.
-    radii: f32,
+/// How many samples a picture takes along edges: of a pixel, and of the sun's view.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Samples {
+    pub(super) of_pixel: usize,
+    pub(super) of_sun: usize,
 }
 
-impl Sun {
-    /// The view of a box, for a picture of so many rows; nothing is drawn yet.
-    pub(super) fn new([lo, hi]: Bounds, world: DMat3, rows: usize) -> Self {
-        let (middle, radius) = ball([lo, hi]);
-        let back = world * SUN.normalize().as_dvec3();
-        let camera = Camera::far(middle, radius, SUN_FAR, back, world);
-        let samples = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
-        let raster = Raster::new(samples, samples, &camera, (SUN_FAR + 1.0) * radius);
-        Self { camera, raster, radii: SUN_FAR as f32 }
-    }
-
-    /// The share of the sun's light that gets to a place in the fluid, or on the ground where `below`.
-    fn reaches(&self, place: DVec3, below: bool) -> f32 {
-        let [x, y, distance] = self.camera.seen(place);
-        let samples = self.raster.width;
-        let side = samples as f64;
-        let at = [x / distance + 0.5, 0.5 - y / distance].map(|share| share * side);
-        if !at.iter().all(|at| (1.0..side - 1.0).contains(at)) {
-            return 1.0;
+impl Samples {
+    /// The numbers for a picture of so many rows.
+    pub(super) fn new(effort: Effort, rows: usize) -> Self {
+        let of_sun = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
+        match effort {
+            Effort::Full => Self { of_pixel: FINEST, of_sun },
+            Effort::Draft => Self { of_pixel: 1, of_sun: of_sun / 2 },
         }
-        let distance = (distance / self.camera.distance()) as f32;
-        // Mean of what gets to nine samples around.
-        let [column, row] = at.map(|at| at as usize);
-        let mut sum = 0.0;
-        for y in row - 1..=row + 1 {
-            for x in column - 1..=column + 1 {
-                sum += match self.raster.sample(y * samples + x) {
-                    None => 1.0,
-                    Some(sample) if below => {
-                        let water = sample.through.max(0.0) * self.radii;
-                        (-SUN_TAKEN * water).exp() * if water > 0.0 { 0.85 } else { 1.0 }
-                    }
-                    Some(sample) => {
-                        let water = (distance - 1.0 / sample.near) * self.radii - SKIN;
-                        if water > 0.0 { (-SUN_TAKEN * water).exp() } else { 1.0 }
-                    }
-                };
-            }
-        }
-        sum / 9.0
     }
-}
-
-/// The middle and the radius of the ball around a box.
-pub(super) fn ball(bounds: Bounds) -> (DVec3, f64) {
-    let [lo, hi] = bounds.map(DVec3::from);
-    ((lo + hi) / 2.0, ((hi - lo).length() / 2.0).max(f64::MIN_POSITIVE.sqrt()))
 }
 
 /// All that decides the light of a pixel.
@@ -90,8 +47,10 @@ pub(super) struct Scene<'a> {
     picture: &'a Picture,
     camera: &'a Camera,
     raster: &'a Raster,
+    /// Samples along the edge of a pixel.
+    finer: usize,
     visible: &'a Visible,
-    sun: &'a Sun,
+    sun: &'a Sunlight,
     world: DMat3,
     middle: DVec3,
     /// Radii of the scene in a unit of the raster.
@@ -108,7 +67,7 @@ impl<'a> Scene<'a> {
         [lo, hi]: Bounds,
         (camera, raster): (&'a Camera, &'a Raster),
         visible: &'a Visible,
-        sun: &'a Sun,
+        sun: &'a Sunlight,
         palette: Option<Palette>,
     ) -> Self {
         let world = picture.world();
@@ -116,37 +75,41 @@ impl<'a> Scene<'a> {
         let [lo, hi] = [lo, hi].map(|corner| world.y_axis.dot(corner.into()));
         let floor = picture.ground.then(|| lo.min(hi));
         let radii = (camera.distance() / radius) as f32;
-        Self { picture, camera, raster, visible, sun, world, middle, radii, floor, palette }
+        let finer = raster.height / picture.pixels()[1];
+        Self { picture, camera, raster, finer, visible, sun, world, middle, radii, floor, palette }
     }
 
     /// The light of a pixel: the mean of its samples'.
     pub(super) fn pixel(&self, x: usize, y: usize) -> Vec3 {
         let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
         let at = |x: f32, y: f32| Vec2::new((x - width / 2.0) / height, 0.5 - y / height);
+        let finer = self.finer;
         let of_sample = |i: usize| {
-            let [x, y] = [FINER * x + i % FINER, FINER * y + i / FINER];
+            let [x, y] = [finer * x + i % finer, finer * y + i / finer];
             (self.raster.sample(y * self.raster.width + x), at(x as f32 + 0.5, y as f32 + 0.5))
         };
-        let samples: [_; FINER * FINER] = std::array::from_fn(of_sample);
-        let near = samples.map(|(sample, _)| sample.map_or(0.0, |sample| sample.near));
-        let one = near.iter().all(|near_too| (near_too - near[0]).abs() <= ONE_DISTANCE * near[0]);
-        let middle = at((FINER * x) as f32 + 1.0, (FINER * y) as f32 + 1.0);
-        if near == [0.0; FINER * FINER] {
+        let mut all = [(None, Vec2::ZERO); FINEST * FINEST];
+        let samples = &mut all[..finer * finer];
+        samples.iter_mut().enumerate().for_each(|(i, sample)| *sample = of_sample(i));
+        let near = |&(sample, _): &(Option<Sample>, Vec2)| sample.map_or(0.0, |sample| sample.near);
+        let first = near(&samples[0]);
+        let one = samples.iter().all(|sample| (near(sample) - first).abs() <= ONE_DISTANCE * first);
+        let half = 0.5 * finer as f32;
+        let middle = at((finer * x) as f32 + half, (finer * y) as f32 + half);
+        if samples.iter().all(|(sample, _)| sample.is_none()) {
             return self.behind(self.camera.eye, self.direction(middle));
         }
-        let mut all = [Surface::default(); FINER * FINER];
-        let share = 1.0 / all.len() as f32;
-        for (surface, (sample, towards)) in all.iter_mut().zip(samples) {
-            if let Some(sample) = sample {
-                *surface = self.surface(sample, towards);
-            }
-        }
+        let share = 1.0 / samples.len() as f32;
+        let surfaces = samples.iter().map(|&(sample, towards)| {
+            (sample.map_or(Surface::default(), |sample| self.surface(sample, towards)), sample, towards)
+        });
         if one {
-            return self.light(&all.iter().fold(Surface::default(), |sum, of| sum.plus(of, share)), middle);
+            let sum = surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
+            return self.light(&sum, middle);
         }
-        let lights = all.iter().zip(samples).map(|(surface, (sample, towards))| match sample {
+        let lights = surfaces.map(|(surface, sample, towards)| match sample {
             // Samples are averaged as they will be shown, so that a glint does not eat the edge beside it.
-            Some(_) => self.light(surface, towards).min(Vec3::ONE),
+            Some(_) => self.light(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });
         lights.sum::<Vec3>() * share
@@ -164,11 +127,12 @@ impl<'a> Scene<'a> {
     /// The surface that is seen at a sample.
     fn surface(&self, sample: Sample, towards: Vec2) -> Surface {
         let spot = self.visible.spot(sample.triangle, towards);
-        let rows = (self.raster.height / FINER) as f32;
+        let rows = (self.raster.height / self.finer) as f32;
         let inked = self.picture.wireframe.then(|| {
-            let [edge, radius] = [spot.edge, spot.radius].map(|heights| heights * rows);
+            let Edges { nearest, radius } = self.visible.edges(sample.triangle, towards);
+            let [nearest, radius] = [nearest, radius].map(|heights| heights * rows);
             // Of triangles that are smaller than their wires, the wires fade.
-            (0.5 * WIRE + 0.5 - edge).clamp(0.0, 1.0) * (radius / WIRE).min(1.0)
+            (0.5 * WIRE + 0.5 - nearest).clamp(0.0, 1.0) * (radius / WIRE).min(1.0)
         });
         Surface {
             near: sample.near,
@@ -188,7 +152,7 @@ impl<'a> Scene<'a> {
         let normal = (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         let through = (surface.through * shown.length() * self.radii).max(0.0);
-        let seen = Seen { towards: direction, normal, through, lit: self.sun.reaches(place, false) };
+        let seen = Seen { towards: direction, normal, through, lit: self.sun.within(place) };
         let light = match (&self.picture.colour, &self.palette) {
             (Colour::Solid(colour), _) => solid(linear(*colour), seen),
             (_, Some(palette)) => solid(palette.of(surface.value), seen),
@@ -199,21 +163,20 @@ impl<'a> Scene<'a> {
 
     /// The light from behind all fluid: of the floor and the backdrop.
     fn behind(&self, from: DVec3, direction: Vec3) -> Vec3 {
-        let backdrop = backdrop(direction);
-        let Some(floor) = self.floor else { return backdrop };
+        let Some(floor) = self.floor else { return backdrop(direction) };
         let above = self.world.y_axis.dot(from) - floor;
         if direction.y >= -1e-4 || above < 0.0 {
-            return backdrop;
+            return backdrop(direction);
         }
         let place = from + self.world * direction.as_dvec3() * (above / f64::from(-direction.y));
         let away = ((place - self.middle).length() / self.camera.distance()) as f32 * self.radii;
         let [near, far] = FLOOR;
         let share = ((away - near) / (far - near)).clamp(0.0, 1.0);
         if share >= 1.0 {
-            return backdrop;
+            return backdrop(direction);
         }
-        let floor = ground(self.sun.reaches(place, true));
-        floor.lerp(backdrop, share * share * (3.0 - 2.0 * share))
+        let floor = ground(self.sun.below(place));
+        if share > 0.0 { floor.lerp(backdrop(direction), share * share * (3.0 - 2.0 * share)) } else { floor }
     }
 }
 

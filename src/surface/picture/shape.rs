@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::surface::mesh::bounds::{Bounds, joined};
 use crate::surface::mesh::source::MeshSource;
+use crate::system::memory::empty_in_huge_pages;
 
 use super::camera::FARTHEST;
 use super::colour::Values;
@@ -59,6 +60,7 @@ pub(super) struct Batch<'a> {
 
 impl Batch<'_> {
     /// Where the place of a vertex is, if it is here.
+    #[inline]
     pub(super) fn find(&self, vertex: u32) -> Option<usize> {
         match &self.held {
             None => Some(vertex as usize),
@@ -67,6 +69,7 @@ impl Batch<'_> {
     }
 
     /// The place of a corner.
+    #[inline]
     pub(super) fn index(&self, corner: u32) -> usize {
         self.find(corner).expect("a batch has its triangles' corners")
     }
@@ -89,12 +92,12 @@ impl<'a> Shape<'a> {
         let borrowed = mesh.whole_positions().filter(|_| keep);
         let mut kept = Kept {
             places: borrowed.map_or_else(
-                || Cow::Owned(Vec::with_capacity(if keep { vertices as usize } else { 0 })),
+                || Cow::Owned(empty_in_huge_pages(if keep { vertices as usize } else { 0 })),
                 Cow::Borrowed,
             ),
             normals: Vec::new(),
             values: Vec::new(),
-            triangles: Vec::with_capacity(if keep { triangles as usize } else { 0 }),
+            triangles: empty_in_huge_pages(if keep { triangles as usize } else { 0 }),
         };
         let (mut scope, mut firsts) = (Scope::default(), vec![0]);
         let group = PIECES * rayon::current_num_threads();
@@ -135,6 +138,11 @@ impl<'a> Shape<'a> {
     /// How many vertices there are.
     pub(super) fn vertices(&self) -> u32 {
         self.firsts[self.firsts.len() - 1]
+    }
+
+    /// How many vertices a batch has, where that is known.
+    pub(super) fn most_corners(&self) -> usize {
+        self.kept.as_ref().map_or(0, |kept| kept.places.len())
     }
 
     /// The normals of all vertices, where they have any and are in memory.

@@ -17,6 +17,8 @@ use super::shape::{Batch, Shape};
 const TASK: usize = 1 << 13;
 /// Shares of the corners, of each of which one thread adds up the normals.
 const SHARES: usize = 16;
+/// The rank of a corner that is not seen.
+const UNSEEN: u32 = u32::MAX;
 
 /// The triangles that are seen, and their corners.
 pub(super) struct Visible {
@@ -24,7 +26,7 @@ pub(super) struct Visible {
     corners: Vec<[u32; 3]>,
     /// To the right and up from the middle in heights times the distance, and the distance, in units of the eye's.
     seen: Vec<[f32; 3]>,
-    /// Not of unit length.
+    /// Unit vectors, or zeros.
     normals: Vec<Vec3>,
     /// None where no values are shown.
     values: Vec<f32>,
@@ -35,15 +37,19 @@ pub(super) struct Spot {
     /// Not of unit length.
     pub(super) normal: Vec3,
     pub(super) value: f32,
-    /// From the nearest edge of its triangle, in heights of the picture.
-    pub(super) edge: f32,
-    /// The radius of the circle within its triangle, in heights of the picture.
+}
+
+/// The edges of a triangle around a place on it.
+pub(super) struct Edges {
+    /// From the nearest edge, in heights of the picture.
+    pub(super) nearest: f32,
+    /// The radius of the circle within the triangle, in heights of the picture.
     pub(super) radius: f32,
 }
 
 impl Visible {
     /// Bytes of a triangle that is seen, while normals are added up too, and of a corner.
-    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<(u32, Vec3)>()) as u64;
+    pub(super) const TRIANGLE_BYTES: u64 = (size_of::<[u32; 3]>() + 3 * size_of::<Addition>()) as u64;
     pub(super) const VERTEX_BYTES: u64 = (2 * size_of::<[f32; 4]>() + size_of::<f32>()) as u64;
 
     /// Gathers what is seen of a mesh on a raster, on which it was drawn.
@@ -99,6 +105,7 @@ impl Visible {
             Ok(())
         })?;
         visible.carried(shape, &vertices, values)?;
+        visible.normals.par_iter_mut().for_each(|normal| *normal = normal.normalize_or_zero());
         Ok(visible)
     }
 
@@ -139,61 +146,80 @@ impl Visible {
 
     /// The place on a triangle that is seen in a direction: to the right and up in heights from the middle.
     pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> Spot {
-        let corners = self.corners[rank(&self.triangles, triangle) as usize].map(|corner| corner as usize);
-        let seen = corners.map(|corner| self.seen[corner]);
-        // How far the corners are from the line of sight, at their distances.
-        let [a, b, c] = seen.map(|[x, y, distance]| Vec2::new(x, y) - distance * towards);
+        let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let sum: f32 = shares.iter().sum();
         let shares = shares.map(|share| (share / sum).max(0.0));
         let sum: f32 = shares.iter().sum();
         let shares =
             if sum.is_finite() && sum > 0.0 { shares.map(|share| share / sum) } else { [1.0 / 3.0; 3] };
-        let weighted = |n: usize| self.normals[corners[n]].normalize_or_zero() * shares[n];
+        let weighted = |n: usize| self.normals[corners[n]] * shares[n];
         let value = match &self.values[..] {
             [] => 0.0,
             values => (0..3).map(|n| values[corners[n]] * shares[n]).sum(),
         };
-        Spot { normal: weighted(0) + weighted(1) + weighted(2), value, ..edges(seen, [a, b, c]) }
+        Spot { normal: weighted(0) + weighted(1) + weighted(2), value }
+    }
+
+    /// The edges of a triangle around the place on it that is seen in a direction.
+    pub(super) fn edges(&self, triangle: u32, towards: Vec2) -> Edges {
+        let (_, distances, from_line) = self.around(triangle, towards);
+        let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / distances[n]);
+        let sides =
+            [[0, 1], [1, 2], [2, 0]].map(|[n, m]| (at[n].perp_dot(at[m]).abs(), at[n].distance(at[m])));
+        let nearest = sides.map(|(area, length)| area / length).into_iter().fold(f32::INFINITY, f32::min);
+        let area = (at[1] - at[0]).perp_dot(at[2] - at[0]).abs();
+        let radius = area / sides.iter().map(|(_, length)| length).sum::<f32>();
+        Edges { nearest, radius }
+    }
+
+    /// The corners of a triangle, their distances, and how far they are from a line of sight at those.
+    fn around(&self, triangle: u32, towards: Vec2) -> ([usize; 3], [f32; 3], [Vec2; 3]) {
+        let corners = self.corners[rank(&self.triangles, triangle) as usize].map(|corner| corner as usize);
+        let seen = corners.map(|corner| self.seen[corner]);
+        let from_line = seen.map(|[x, y, distance]| Vec2::new(x, y) - distance * towards);
+        (corners, seen.map(|[_, _, distance]| distance), from_line)
     }
 }
 
-/// How far the edges of a triangle are seen from the line of sight.
-fn edges(seen: [[f32; 3]; 3], from_line: [Vec2; 3]) -> Spot {
-    let at: [Vec2; 3] = std::array::from_fn(|n| from_line[n] / seen[n][2]);
-    let sides = [[0, 1], [1, 2], [2, 0]].map(|[n, m]| (at[n].perp_dot(at[m]).abs(), at[n].distance(at[m])));
-    let edge = sides.map(|(area, length)| area / length).into_iter().fold(f32::INFINITY, f32::min);
-    let area = (at[1] - at[0]).perp_dot(at[2] - at[0]).abs();
-    let radius = area / sides.iter().map(|(_, length)| length).sum::<f32>();
-    Spot { normal: Vec3::ZERO, value: 0.0, edge, radius }
-}
+/// The normal of a triangle by its area, and the ranks of the corners that it is added to.
+type Addition = ([u32; 3], Vec3);
 
 /// Adds the normals of triangles, by their areas, to those of their corners that are seen: in the order of the triangles.
 fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [Vec3]) {
     let share = normals.len().div_ceil(SHARES).max(1);
-    // For each task its additions to each share.
-    let additions: Vec<[Vec<(u32, Vec3)>; SHARES]> = batch
+    let scale = 1.0 / unit;
+    // For each task the triangles that add to each share, by the ranks of their corners; most add to one share only.
+    let additions: Vec<[Vec<Addition>; SHARES]> = batch
         .triangles
         .par_chunks(TASK)
         .map(|triangles| {
-            let mut additions: [Vec<(u32, Vec3)>; SHARES] = Default::default();
-            for corners in triangles {
-                let ranks = corners.map(|corner| vertices.rank(corner));
-                if ranks == [None; 3] {
+            let mut additions: [Vec<_>; SHARES] = Default::default();
+            for &[a, b, c] in triangles {
+                let ranks = [a, b, c].map(|corner| vertices.rank(corner).unwrap_or(UNSEEN));
+                if ranks == [UNSEEN; 3] {
                     continue;
                 }
-                let [a, b, c] = corners.map(|corner| DVec3::from(batch.places[batch.index(corner)]) / unit);
-                let normal = (b - a).cross(c - a).as_vec3();
-                for rank in ranks.into_iter().flatten() {
-                    additions[rank as usize / share].push((rank, normal));
+                let [a, b, c] = [a, b, c].map(|corner| DVec3::from(batch.places[batch.index(corner)]));
+                let normal = ((b - a) * scale).cross((c - a) * scale).as_vec3();
+                let shares = ranks.map(|rank| rank as usize / share);
+                for (n, of) in shares.into_iter().enumerate() {
+                    if ranks[n] != UNSEEN && !shares[..n].contains(&of) {
+                        additions[of].push((ranks, normal));
+                    }
                 }
             }
             additions
         })
         .collect();
     normals.par_chunks_mut(share).enumerate().for_each(|(n, normals)| {
-        for (rank, normal) in additions.iter().flat_map(|of_task| &of_task[n]) {
-            normals[*rank as usize - n * share] += normal;
+        let first = (n * share) as u32;
+        for (ranks, normal) in additions.iter().flat_map(|of_task| &of_task[n]) {
+            for rank in ranks {
+                if let Some(sum) = normals.get_mut(rank.wrapping_sub(first) as usize) {
+                    *sum += normal;
+                }
+            }
         }
     });
 }

@@ -1,0 +1,97 @@
+//! The sun's light on and under the fluid, by a view of it from the sun (a shadow map, Williams 1978).
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use crate::surface::mesh::bounds::Bounds;
+
+use super::camera::{Camera, ball};
+use super::light::SUN;
+use super::raster::Raster;
+
+/// Distance of the sun's eye in radii: far enough for its rays to be parallel nearly.
+const SUN_FAR: f64 = 40.0;
+/// How fast sunlight dies in water, over the radius of the scene, and how thin a layer casts no shadow on itself.
+const SUN_TAKEN: f32 = 5.0;
+const SKIN: f32 = 0.012;
+
+/// The sun's view of the fluid, which tells how far its light gets.
+pub(super) struct Sun {
+    pub(super) camera: Camera,
+    pub(super) raster: Raster,
+    /// Radii of the scene in a unit of the raster.
+    radii: f32,
+}
+
+impl Sun {
+    /// The view of a box, in so many samples along an edge; nothing is drawn yet.
+    pub(super) fn new([lo, hi]: Bounds, world: DMat3, samples: usize) -> Self {
+        let (middle, radius) = ball([lo, hi]);
+        let back = world * SUN.normalize().as_dvec3();
+        let camera = Camera::far(middle, radius, SUN_FAR, back, world);
+        let raster = Raster::new(samples, samples, &camera, (SUN_FAR + 1.0) * radius);
+        Self { camera, raster, radii: SUN_FAR as f32 }
+    }
+
+    /// Tells how far light gets, now that the fluid is drawn.
+    pub(super) fn light(self) -> Sunlight {
+        let Self { camera, raster, radii } = self;
+        let of_sample = |n: usize| match raster.sample(n) {
+            None => (f32::INFINITY, 1.0),
+            Some(sample) => {
+                let water = sample.through.max(0.0) * radii;
+                (1.0 / sample.near, (-SUN_TAKEN * water).exp() * if water > 0.0 { 0.85 } else { 1.0 })
+            }
+        };
+        let samples = raster.width;
+        let (distances, below) =
+            (0..samples * samples).into_par_iter().with_min_len(samples).map(of_sample).unzip();
+        Sunlight { camera, samples, radii, distances, below }
+    }
+}
+
+/// The sun's light on and under the fluid.
+pub(super) struct Sunlight {
+    camera: Camera,
+    /// Samples along an edge of its view.
+    samples: usize,
+    radii: f32,
+    /// For each sample the distance of the surface, in units of the camera's; infinite where there is none.
+    distances: Vec<f32>,
+    /// For each sample the share of the light that gets through all of the fluid.
+    below: Vec<f32>,
+}
+
+impl Sunlight {
+    /// Bytes of one of so many samples along an edge.
+    pub(super) fn bytes(samples: usize) -> u64 {
+        (samples * samples * 2 * size_of::<f32>()) as u64
+    }
+
+    /// The share of the sun's light that gets to a place in the fluid.
+    pub(super) fn within(&self, place: DVec3) -> f32 {
+        self.mean(place, &self.distances, |surface, distance| {
+            let water = (distance - surface) * self.radii - SKIN;
+            if water > 0.0 { (-SUN_TAKEN * water).exp() } else { 1.0 }
+        })
+    }
+
+    /// The share of the sun's light that gets to a place on the ground.
+    pub(super) fn below(&self, place: DVec3) -> f32 {
+        self.mean(place, &self.below, |share, _| share)
+    }
+
+    /// The mean of what nine samples around a place say of its distance.
+    fn mean(&self, place: DVec3, of: &[f32], share: impl Fn(f32, f32) -> f32) -> f32 {
+        let [x, y, distance] = self.camera.seen(place);
+        let side = self.samples as f64;
+        let at = [x / distance + 0.5, 0.5 - y / distance].map(|share| share * side);
+        if !at.iter().all(|at| (1.0..side - 1.0).contains(at)) {
+            return 1.0;
+        }
+        let distance = (distance / self.camera.distance()) as f32;
+        let [column, row] = at.map(|at| at as usize);
+        let rows = (row - 1..=row + 1).map(|row| &of[row * self.samples + column - 1..][..3]);
+        rows.flatten().fold(0.0, |sum, &of| sum + share(of, distance)) / 9.0
+    }
+}
