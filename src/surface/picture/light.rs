@@ -26,8 +26,9 @@ const REFRACTION: f32 = 1.0 / 1.33;
 const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
 const CLOUDED: f32 = 6.0;
-/// How much of light that falls on water comes back as from milk: without any, no shape would be seen in it.
-const MILK: f32 = 0.34;
+/// How much of light that falls on water comes back as from milk, where it is a film and where it is deep: without any, no shape would be
+/// seen in it, and drops and thin sheets not at all.
+const MILK: [f32; 2] = [0.34, 0.42];
 const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
 /// A place on a surface, and the line on which it is seen.
@@ -94,7 +95,8 @@ pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     let cloud = 1.0 - (-CLOUDED * through).exp();
     let light = fallen(normal, lit);
     let inside = behind(bent) * left + GIVEN * cloud * (0.35 + 0.65 * light);
-    let milk = MILK * (0.4 + 0.6 * cloud);
+    let [film, deep] = MILK;
+    let milk = film + (deep - film) * cloud;
     let body = inside.lerp(MILK_COLOUR * light, milk);
     let half = (SUN.normalize() - towards).normalize();
     let glint = normal.dot(half).max(0.0).powi(240);
