@@ -365,9 +365,9 @@ static void make_calls(const char *folder, uint64_t wanted) {
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
     if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;
     // Handles go in any order: a mesh stays when what it was made of does not.
-    if (rarely(60)) meniscus_mesh_free(mesh), mesh = NULL, calls++;
-    if (rarely(60)) meniscus_frame_free(frame), frame = NULL, calls++;
-    if (rarely(60)) meniscus_simulation_free(simulation), simulation = NULL, calls++;
+    if (rarely(200)) meniscus_mesh_free(mesh), mesh = NULL, calls++;
+    if (rarely(200)) meniscus_frame_free(frame), frame = NULL, calls++;
+    if (rarely(200)) meniscus_simulation_free(simulation), simulation = NULL, calls++;
     if (rarely(30)) meniscus_cancel_free(cancel), cancel = meniscus_cancel_new(), calls += 2;
   }
   meniscus_mesh_free(mesh), meniscus_frame_free(frame), meniscus_simulation_free(simulation), meniscus_cancel_free(cancel);
