@@ -335,12 +335,23 @@ impl Inputs {
             }
             Self::Glob(pattern) => {
                 let fail = |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
-                let paths = glob::glob(pattern).map_err(fail)?.filter_map(Result::ok);
+                glob::Pattern::new(pattern).map_err(fail)?;
+                let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
                 numbered(whole_frames(paths.filter(|path| path.is_file()).collect()))?
             }
             Self::Files(files) => numbered(whole_frames(files.clone()))?,
         })
     }
+}
+
+/// A glob that looks for names that begin with a dot without coming to `.` and `..`, which such a name would match, too: frames beside the
+/// folder are not asked for, and several such names one below the other would not come to an end.
+fn below(pattern: &str) -> String {
+    let name = |name: &str| match name.strip_prefix('.') {
+        Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
+        _ => name.to_owned(),
+    };
+    pattern.split_inclusive(std::path::is_separator).map(name).collect()
 }
 
 /// Lists the frames that a request for a simulation names, in the order of their numbers: by a name with `{}`, a folder, a glob, a file
@@ -553,6 +564,25 @@ mod tests {
         assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
         assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
         assert_eq!(numbers(Selection { start: 2, end: u64::MAX, step: 2 }), [2, 4, 6]);
+    }
+
+    #[test]
+    fn a_glob_of_names_that_begin_with_a_dot_does_not_leave_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let names =
+            ["f_1.xyz", ".a/f_2.xyz", ".a/.b/f_3.xyz", "a/f_4.xyz"].map(|name| folder.path().join(name));
+        for name in &names {
+            std::fs::create_dir_all(name.parent().unwrap()).unwrap();
+            std::fs::write(name, "").unwrap();
+        }
+        let found = |glob: &str| {
+            let inputs = Inputs::Glob(folder.path().join(glob).to_str().unwrap().to_owned());
+            inputs.found().unwrap().into_iter().map(|frame| frame.path).collect::<Vec<_>>()
+        };
+        assert_eq!(found(".*/f_*.xyz"), [names[1].clone()]);
+        assert_eq!(found(".a/.?*/f_*.xyz"), [names[2].clone()]);
+        assert_eq!(found("./.a/../f_*.xyz"), [folder.path().join(".a/../f_1.xyz")]);
+        assert!(found(&".*/".repeat(40)).is_empty());
     }
 
     #[test]

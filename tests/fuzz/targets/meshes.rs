@@ -7,57 +7,23 @@ use meniscus::mesh::{Mesh, VertexAttribute, check, measure};
 use super::Target;
 use super::particles::VTU;
 
+/// A reader of meshes, by the name of its format.
+macro_rules! reader {
+    ($name:literal, $format:ident, $runs:literal, $seeds:expr, $words:expr) => {{
+        let run = |data: &[u8]| read(MeshFormat::$format, data);
+        Target { name: $name, runs: $runs, run, seeds: $seeds, words: $words }
+    }};
+}
+
 pub fn targets() -> Vec<Target> {
     vec![
-        Target {
-            name: "mesh-ply",
-            runs: 5000,
-            run: |data| read(MeshFormat::Ply, data),
-            seeds: plys,
-            words: PLY,
-        },
-        Target {
-            name: "mesh-obj",
-            runs: 5000,
-            run: |data| read(MeshFormat::Obj, data),
-            seeds: || written(MeshFormat::Obj),
-            words: OBJ,
-        },
-        Target {
-            name: "mesh-vtk",
-            runs: 5000,
-            run: |data| read(MeshFormat::Vtk, data),
-            seeds: vtks,
-            words: VTK,
-        },
-        Target {
-            name: "mesh-vtp",
-            runs: 3000,
-            run: |data| read(MeshFormat::Vtp, data),
-            seeds: || written(MeshFormat::Vtp),
-            words: VTU,
-        },
-        Target {
-            name: "mesh-stl",
-            runs: 5000,
-            run: |data| read(MeshFormat::Stl, data),
-            seeds: stls,
-            words: &["solid", "facet normal", "outer loop", "vertex", "endfacet"],
-        },
-        Target {
-            name: "mesh-vtkhdf",
-            runs: 1000,
-            run: |data| read(MeshFormat::VtkHdf, data),
-            seeds: || written(MeshFormat::VtkHdf),
-            words: &["VTKHDF", "Polygons", "Connectivity"],
-        },
-        Target {
-            name: "mesh-names",
-            runs: 3000,
-            run: written_and_read,
-            seeds: names,
-            words: &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "%20", "\n"],
-        },
+        reader!("mesh-ply", Ply, 5000, plys, PLY),
+        reader!("mesh-obj", Obj, 5000, || written(MeshFormat::Obj), OBJ),
+        reader!("mesh-vtk", Vtk, 5000, vtks, VTK),
+        reader!("mesh-vtp", Vtp, 3000, || written(MeshFormat::Vtp), VTU),
+        reader!("mesh-stl", Stl, 5000, stls, STL),
+        reader!("mesh-vtkhdf", VtkHdf, 1000, || written(MeshFormat::VtkHdf), VTKHDF),
+        Target { name: "mesh-names", runs: 10000, run: written_and_read, seeds: names, words: NAMES },
     ]
 }
 
@@ -102,6 +68,9 @@ pub const VTK: &[&str] = &[
     " vtkIdType\n",
     "18446744073709551615",
 ];
+const STL: &[&str] = &["solid", "facet normal", "outer loop", "vertex", "endfacet"];
+const VTKHDF: &[&str] = &["VTKHDF", "Polygons", "Connectivity"];
+const NAMES: &[&str] = &["nx", "x", "red", "NORMALS", "end_header", "\"", "&", "%20", "\n"];
 const OBJ: &[&str] = &["v ", "f ", "vn ", "vt ", "//", "-1", "4294967296", "\\\n", "o a\n", "l 1 2\n"];
 
 /// Reads a mesh, which is what it has to be whatever is in the file, and comes back when it is written.
@@ -131,24 +100,23 @@ fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
     format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, of our own: {fault}"))
 }
 
-/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is.
+/// Formats that name attributes.
+const NAMING: [MeshFormat; 4] = [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf];
+
+/// Attributes of any names, as particles may have them, leave the rest of the mesh as it is, in the format that the first byte says.
 fn written_and_read(data: &[u8]) {
-    let Ok(text) = str::from_utf8(data) else { return };
+    let Some((&format, names)) = data.split_first() else { return };
+    let format = NAMING[usize::from(format) % NAMING.len()];
+    let Ok(names) = str::from_utf8(names) else { return };
+    let attribute = |(name, components): (&str, usize)| {
+        let values = vec![0.5; 4 * components];
+        VertexAttribute { name: name.to_owned(), components, values }
+    };
     let mut mesh = mesh();
-    mesh.attributes = text
-        .split('\t')
-        .take(5)
-        .enumerate()
-        .map(|(number, name)| {
-            let components = [1, 3, 2, 4, 9][number];
-            VertexAttribute { name: name.to_owned(), components, values: vec![0.5; 4 * components] }
-        })
-        .collect();
-    for format in [MeshFormat::Ply, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::VtkHdf] {
-        let again = round(format, &mesh);
-        assert_eq!((&again.positions, &again.triangles), (&mesh.positions, &mesh.triangles), "{format}");
-        assert_eq!(again.normals, mesh.normals, "{format}");
-    }
+    mesh.attributes = names.split('\t').zip([1, 3, 2, 4, 9]).map(attribute).collect();
+    let again = round(format, &mesh);
+    assert_eq!((&again.positions, &again.triangles), (&mesh.positions, &mesh.triangles), "{format}");
+    assert_eq!(again.normals, mesh.normals, "{format}");
 }
 
 fn mesh() -> Mesh {
@@ -207,5 +175,7 @@ pub fn vtks() -> Vec<Vec<u8>> {
 }
 
 fn names() -> Vec<Vec<u8>> {
-    vec![b"velocity\tdensity".to_vec(), "mass density\t\u{e9}\t\tx".into()]
+    let of = |format: u8, names: &str| [&[format], names.as_bytes()].concat();
+    let both = |format| ["velocity\tdensity", "mass density\t\u{e9}\t\tx"].map(|names| of(format, names));
+    (0..NAMING.len() as u8).flat_map(both).collect()
 }

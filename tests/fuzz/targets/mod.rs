@@ -4,7 +4,7 @@
 //! formats compress or sum up a target compresses and sums up itself, so that mutations get past that.
 
 mod arguments;
-mod folder;
+pub mod folder;
 mod meshes;
 mod names;
 mod packed;

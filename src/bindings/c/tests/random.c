@@ -1,13 +1,42 @@
-// Calls of random arguments, right and wrong, in random order: none crashes, and none fails without a code and a message.
-// `random FOLDER CALLS SEED` prints how many calls returned which code.
+// Calls of random arguments, right and wrong, in random order: none crashes, none fails without a code and a message, and meshes are
+// closed. `random FOLDER CALLS SEED` prints how many calls returned which code. With FUZZED it is a function instead, whose bytes say
+// what is called and with what: target `c` of `tools/fuzz`.
 #include "water.h"
 
 #include <time.h>
 
+#ifdef FUZZED
+static const unsigned char *said, *said_end;
+
+static bool more_to_pick(void) {
+  return said < said_end;
+}
+
+/// A number below another, as the next bytes say; after the last of them the highest, which is nothing rare.
+static uint32_t pick(uint32_t among) {
+  uint32_t number = 0;
+  for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
+    if (!more_to_pick()) return among - 1;
+    number = number << 8 | *said++;
+  }
+  return among > 0 ? number % among : 0;
+}
+#else
 static uint64_t state;
 
+static bool more_to_pick(void) {
+  return true;
+}
+
+/// A number below another.
 static uint32_t pick(uint32_t among) {
   return (uint32_t)(next(&state) * among);
+}
+#endif
+
+/// A number from 0 to 1.
+static double share(void) {
+  return pick(256) / 256.0;
 }
 
 /// One time in so many.
@@ -18,7 +47,7 @@ static bool rarely(uint32_t times) {
 /// A number as callers have them, and as they do not.
 static double number(double usual) {
   const double odd[] = {0, -1, 1, NAN, INFINITY, -INFINITY, 1e-300, 1e300, -0.0, 5e-324, 1e15, 0.5, 1e-9, 3, 65536};
-  return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + next(&state));
+  return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + share());
 }
 
 /// An enumeration's number, or none.
@@ -32,7 +61,14 @@ static size_t size_of(size_t right) {
   return rarely(20) ? odd[pick(7)] : rarely(12) ? 8 * (1 + pick((uint32_t)right / 8)) : right;
 }
 
+#ifdef FUZZED
+// Little water, so that there is time for many calls.
+enum { MOST = 30 };
+static const double EXTENT = 0.12;
+#else
 enum { MOST = 200 };
+static const double EXTENT = 0.4;
+#endif
 
 // As small as what is said to be there, so that valgrind sees whoever looks beyond.
 static unsigned char *memory;
@@ -43,7 +79,7 @@ static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "
 
 static const double *box(int which) {
   for (int i = 0; i < 6; i++) {
-    six[which][i] = rarely(12) ? number(1) : rarely(6) ? (i < 3 ? -INFINITY : INFINITY) : (i < 3 ? -0.2 : 0.7) + 0.1 * next(&state);
+    six[which][i] = rarely(12) ? number(1) : rarely(6) ? (i < 3 ? -INFINITY : INFINITY) : (i < 3 ? -0.2 : 0.7) + 0.1 * share();
   }
   return rarely(4) ? six[which] : NULL;
 }
@@ -66,7 +102,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   int32_t type = (int32_t)pick(2);
   size_t width = type == 0 ? 4 : 8, gap = rarely(3) ? pick(9) : 0, step = 3 * width + gap;
   size_t count = rarely(15) ? 0 : rarely(4) ? 1 + pick(6) : 1 + pick(MOST);
-  double spread = rarely(8) ? 0 : 0.4;
+  double spread = rarely(8) ? 0 : EXTENT;
   unsigned char *at = allocate(count * step);
   particles->size = size_of(sizeof *particles);
   particles->count = count;
@@ -83,11 +119,13 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   if (particles->size != sizeof *particles) {
     particles->positions = at, particles->stride = particles->component_stride = 0;
   }
+  uint64_t seed = pick(1 << 16);
+  size_t odd = rarely(10) && count > 0 ? pick((uint32_t)(3 * count)) : SIZE_MAX;
   for (size_t i = 0; i < 3 * count; i++) {
     unsigned char *first = (unsigned char *)particles->positions;
     ptrdiff_t stride = particles->stride ? particles->stride : (ptrdiff_t)(3 * width);
     ptrdiff_t component_stride = particles->component_stride ? particles->component_stride : (ptrdiff_t)width;
-    double coordinate = rarely(3000) ? number(1) : spread * next(&state);
+    double coordinate = i == odd ? number(1) : spread * next(&seed);
     put(first + (ptrdiff_t)(i / 3) * stride + (ptrdiff_t)(i % 3) * component_stride, type, coordinate);
   }
   if (particles->size == sizeof *particles && rarely(6)) {
@@ -232,29 +270,56 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   free(out);
 }
 
-static void convert(const char *folder) {
-  const char *inputs[] = {rarely(2) ? folder : "there/is/none_{}.bgeo", rarely(3) ? NULL : folder};
-  char output[512];
-  snprintf(output, sizeof output, "%s/random_{}.ply", folder);
-  uint64_t ends[] = {pick(9), pick(9)};
-  MeniscusConversion conversion = {.size = size_of(sizeof conversion), .inputs = rarely(20) ? NULL : inputs};
-  conversion.input_count = pick(3), conversion.output = rarely(10) ? NULL : rarely(3) ? "one.ply" : output;
-  conversion.start = pick(9), conversion.end = rarely(2) ? NULL : ends, conversion.frames = rarely(2) ? NULL : ends;
-  conversion.step = pick(3), conversion.fps = rarely(3) ? number(25) : 0, conversion.watch = rarely(9) ? -number(1) : 0;
-  conversion.overwrite = rarely(2), conversion.resume = rarely(2);
-  // Nobody waits for what never comes.
-  if (conversion.watch > 0) conversion.watch = 1e-9;
-  MeniscusOptions options;
-  MeniscusSummary summary = {.size = sizeof summary};
-  note(meniscus_convert(rarely(20) ? NULL : &conversion, some_options(&options, folder), rarely(3) ? NULL : &summary));
+/// Some frames of a few particles, for conversions; their name with {} for the number.
+static const char *frames_in(const char *folder) {
+  static char name[512];
+  char path[512];
+  for (int frame = 0; frame < 3; frame++) {
+    snprintf(path, sizeof path, "%s/frame_%d.csv", folder, frame);
+    FILE *file = fopen(path, "w");
+    CHECK(file && fputs("x,y,z\n", file) >= 0);
+    for (int i = 0; i < 27; i++) CHECK(fprintf(file, "%g,%g,%g\n", i % 3 * SPACING, i / 3 % 3 * SPACING, i / 9 * SPACING) > 0);
+    CHECK(fclose(file) == 0);
+  }
+  snprintf(name, sizeof name, "%s/frame_{}.csv", folder);
+  return name;
 }
 
-static int test(int count, char **arguments) {
-  CHECK(count == 4);
-  const char *folder = arguments[1];
-  const uint64_t wanted = strtoull(arguments[2], NULL, 10);
-  state = strtoull(arguments[3], NULL, 10);
-  time_t begun = time(NULL);
+static int32_t end_at_some_event(void *user, const MeniscusEvent *event) {
+  CHECK(strlen(event->text) > 5);
+  return user && --*(int *)user == 0;
+}
+
+static void convert(const char *folder, const char *frames) {
+  const char *inputs[] = {rarely(3) ? folder : rarely(3) ? "there/is/none_{}.bgeo" : frames, rarely(3) ? NULL : folder};
+  char output[512], one[512];
+  snprintf(output, sizeof output, "%s/random_{}.ply", folder);
+  snprintf(one, sizeof one, "%s/one.ply", folder);
+  uint64_t ends[] = {pick(9), pick(9)};
+  MeniscusConversion conversion = {.size = size_of(sizeof conversion), .inputs = rarely(20) ? NULL : inputs};
+  conversion.input_count = rarely(4) ? pick(3) : 1, conversion.output = rarely(10) ? NULL : rarely(3) ? one : output;
+  conversion.start = rarely(3) ? pick(9) : 0, conversion.end = rarely(3) ? ends : NULL, conversion.frames = rarely(3) ? ends : NULL;
+  conversion.step = pick(3), conversion.fps = rarely(3) ? number(25) : 0, conversion.watch = rarely(9) ? -number(1) : 0;
+  conversion.overwrite = rarely(2), conversion.resume = rarely(2);
+  if (rarely(2)) conversion.event = end_at_some_event, conversion.user = &left, left = (int)pick(30);
+  // Nobody waits for what never comes.
+  if (conversion.watch > 0) conversion.watch = 1e-9;
+  MeniscusOptions options, *some = some_options(&options, folder);
+  MeniscusSummary summary = {.size = sizeof summary};
+  note(meniscus_convert(rarely(20) ? NULL : &conversion, some, rarely(3) ? NULL : &summary));
+}
+
+/// Keeps a mesh that was made instead of another: it is closed, whatever it was made of.
+static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
+  MeniscusCheck check = {.size = sizeof check};
+  OK(meniscus_mesh_check(made, &check));
+  CHECK(check.is_closed_oriented_manifold);
+  meniscus_mesh_free(*mesh), *mesh = made;
+  calls += 2;
+}
+
+/// Makes so many calls, or as many as there is something to pick by.
+static void make_calls(const char *folder, uint64_t wanted) {
   MeniscusMesh *mesh = NULL;
   MeniscusFrame *frame = NULL;
   MeniscusSimulation *simulation = NULL;
@@ -262,11 +327,12 @@ static int test(int count, char **arguments) {
   MeniscusOptions options;
   char path[512];
   snprintf(path, sizeof path, "%s/random.mnf", folder);
+  const char *frames = frames_in(folder);
   cancel = meniscus_cancel_new();
-  while (calls < wanted) {
+  for (calls = 0; calls < wanted && more_to_pick();) {
     MeniscusMesh *made = NULL;
     MeniscusFrame *sampled = NULL;
-    MeniscusSimulation *begun_simulation = NULL;
+    MeniscusSimulation *begun = NULL;
     uint32_t what = pick(100);
     if (what < 14) {
       const MeniscusParticles *some = some_particles(&particles);
@@ -286,22 +352,41 @@ static int test(int count, char **arguments) {
       MeniscusOptions *some = some_options(&options, folder);
       // Held longer than these options are.
       if (some) some->progress = NULL;
-      note(meniscus_simulation_new(some, &begun_simulation));
+      note(meniscus_simulation_new(some, &begun));
     } else if (what < 48) {
       note(meniscus_simulation_frame(simulation, some_particles(&particles), &made));
       (void)meniscus_simulation_is_settled(simulation);
     } else if (what < 51) {
-      convert(folder);
+      convert(folder, frames);
     } else {
       ask(rarely(50) ? NULL : mesh, folder);
     }
-    if (made) meniscus_mesh_free(mesh), mesh = made, calls++;
+    if (made) keep(&mesh, made);
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
-    if (begun_simulation) meniscus_simulation_free(simulation), simulation = begun_simulation, calls++;
+    if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;
+    // Handles go in any order: a mesh stays when what it was made of does not.
+    if (rarely(200)) meniscus_mesh_free(mesh), mesh = NULL, calls++;
+    if (rarely(200)) meniscus_frame_free(frame), frame = NULL, calls++;
+    if (rarely(200)) meniscus_simulation_free(simulation), simulation = NULL, calls++;
     if (rarely(30)) meniscus_cancel_free(cancel), cancel = meniscus_cancel_new(), calls += 2;
   }
   meniscus_mesh_free(mesh), meniscus_frame_free(frame), meniscus_simulation_free(simulation), meniscus_cancel_free(cancel);
-  free(memory);
+  free(memory), memory = NULL;
+}
+
+#ifdef FUZZED
+/// Makes the calls that bytes say, in a folder that is empty.
+void meniscus_calls_of_bytes(const char *folder, const unsigned char *bytes, size_t size) {
+  said = bytes, said_end = bytes + size;
+  make_calls(folder, 40);
+}
+#else
+static int test(int count, char **arguments) {
+  CHECK(count == 4);
+  const uint64_t wanted = strtoull(arguments[2], NULL, 10);
+  state = strtoull(arguments[3], NULL, 10);
+  time_t begun = time(NULL);
+  make_calls(arguments[1], wanted);
   printf("%llu random calls in %lld s:", (unsigned long long)calls, (long long)(time(NULL) - begun));
   for (int i = 0; i < 256; i++) {
     if (codes[i]) printf(" %llu returned %d,", (unsigned long long)codes[i], i);
@@ -311,3 +396,4 @@ static int test(int count, char **arguments) {
   CHECK(wanted < 2000 || (codes[0] > calls / 5 && codes[MENISCUS_STATUS_REQUEST] > calls / 20 && codes[MENISCUS_STATUS_INPUT] && codes[MENISCUS_STATUS_CANCELLED]));
   return 0;
 }
+#endif

@@ -76,6 +76,7 @@ static inline void wait_for_threads(void) {
   }
 }
 
+#ifndef FUZZED
 /// The test itself.
 static int test(int count, char **arguments);
 
@@ -99,5 +100,6 @@ int main(int count, char **arguments) {
   }
   return given.code;
 }
+#endif
 
 #endif

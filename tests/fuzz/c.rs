@@ -1,0 +1,30 @@
+//! The C interface: calls in any order, of arguments right and wrong, by `src/bindings/c/tests/random.c`.
+
+use std::ffi::{CString, c_char};
+use std::os::unix::ffi::OsStrExt;
+
+// For its functions, which the calls are made of.
+use meniscus_c as _;
+
+use crate::targets::{Target, folder};
+
+unsafe extern "C" {
+    fn meniscus_calls_of_bytes(folder: *const c_char, bytes: *const u8, size: usize);
+}
+
+pub fn target() -> Target {
+    let seeds = || {
+        let noise = |seed: u32| {
+            (0..800_u32).map(|i| (i.wrapping_add(seed).wrapping_mul(2_654_435_761) >> 13) as u8).collect()
+        };
+        vec![noise(1), noise(77), noise(1234)]
+    };
+    Target { name: "c", runs: 0, run, seeds, words: &[] }
+}
+
+fn run(data: &[u8]) {
+    let folder = folder::empty("c");
+    let name = CString::new(folder.as_os_str().as_bytes()).unwrap();
+    // SAFETY: a text, and bytes that are there, while the call lasts.
+    unsafe { meniscus_calls_of_bytes(name.as_ptr(), data.as_ptr(), data.len()) };
+}

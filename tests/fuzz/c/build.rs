@@ -1,0 +1,11 @@
+//! Builds the calls of the C interface that its own test makes at random, to be made by what bytes say.
+
+fn main() {
+    let c = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../src/bindings/c");
+    for folder in ["include", "tests"] {
+        println!("cargo::rerun-if-changed={}", c.join(folder).display());
+    }
+    let mut build = cc::Build::new();
+    build.file(c.join("tests/random.c")).include(c.join("include")).define("FUZZED", None);
+    build.std("gnu11").warnings(false).compile("calls");
+}
