@@ -5,8 +5,8 @@
 //! as it has cells, times the change from one bin to the other. A layer that is thinner than a bin begins and ends within it; of the share
 //! that it fills the root is taken, which makes more of it. Drops far smaller than a bin are counted by particles.
 //!
-//! Constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells of 1 to 1/4 spacings. Of frames of 10^5
-//! particles and more, 7 to 10 % of what is expected is the most that it was wrong by.
+//! Constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells of 1 to 1/4 spacings. Of those with 10^5
+//! particles and more none has 8 % more vertices than are expected, and none 15 % less; thin layers of a few thousand can have more.
 
 use glam::IVec3;
 use hashbrown::HashMap;
