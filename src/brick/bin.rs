@@ -19,12 +19,12 @@ use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, CUBE, Latest, NOWHERE, Placed};
-use super::bins::{Bins, RECORD_BITS};
+use super::bins::{Bins, FREE_BITS, RECORD_BITS};
 use super::place::{BinCode, CHUNK, Placer, bin_coord};
 use super::slots::{Record, Slots};
 
 /// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits number, and the last stands for none.
-const KEPT_BINS: usize = (1 << (u64::BITS - RECORD_BITS)) - 1;
+const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting: how many bins may be listed, and how many particles' places may be kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -15,6 +15,9 @@ pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
 /// Bits of a packed particle; the rest of its 64 are free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
 
+/// Bits of a word that a packed particle leaves free.
+pub(super) const FREE_BITS: u32 = u64::BITS - RECORD_BITS;
+
 /// Bins that are sorted before any is put back.
 const SORTED_AT_ONCE: usize = 256;
 

@@ -10,12 +10,12 @@ use crate::particles::{Particles, Unread};
 
 use super::bin::{BinPlan, RangePlan, Tuples, components};
 use super::bin_table::{Latest, NOWHERE};
-use super::bins::{RECORD_BITS, tuple_bytes};
+use super::bins::{FREE_BITS, tuple_bytes};
 use super::spill::SpilledBins;
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << RUN_BITS;
-const RUN_BITS: u32 = u64::BITS - RECORD_BITS;
+const RUN_BITS: u32 = FREE_BITS;
 
 /// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in its run.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
