@@ -7,11 +7,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use glob::MatchOptions;
+
 use crate::io::frame_files::{files_of, snapshot_piece};
 use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError};
 
+use super::numbers::{Family, Pattern, split_number};
 use super::pieces::{Whole, may_be_piece, whole_frames};
 
 /// How long it may be from a piece of a frame to the file that names it.
@@ -56,79 +59,6 @@ pub enum Inputs {
     Glob(String),
     /// Files that are named one by one.
     Files(Vec<PathBuf>),
-}
-
-/// The common part of the names of a simulation's files. A name with `.gz` appended is no other.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub struct Family {
-    /// Before the number.
-    pub prefix: String,
-    /// After the number.
-    pub suffix: String,
-}
-
-/// A file name with a place for a number.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Pattern {
-    /// The folder of the files.
-    pub folder: PathBuf,
-    /// Before the number.
-    pub prefix: String,
-    /// After the number.
-    pub suffix: String,
-    /// The least number of digits, where `{:04}` says so; padded with zeros.
-    pub width: Option<usize>,
-}
-
-impl Pattern {
-    /// Reads `{}` or `{:04}` in the name of `path`; `None` where there is none.
-    ///
-    /// # Errors
-    /// [`SimulationError::Names`] for more than one, one in a folder's name, or braces that say something else.
-    pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
-        let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
-        let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
-        let folder = path.parent().unwrap_or(Path::new(""));
-        if folder.to_string_lossy().contains("{}") {
-            return wrong("{} stands for the number in a file's name, not in a folder's");
-        }
-        let Some((prefix, rest)) = name.split_once('{') else { return Ok(None) };
-        let Some((inside, suffix)) = rest.split_once('}') else { return Ok(None) };
-        if suffix.contains('{') {
-            return wrong("one {} is enough");
-        }
-        let width = match inside {
-            "" => None,
-            _ => match inside.strip_prefix(":0").and_then(|width| width.parse().ok()) {
-                Some(width @ 1..=20) => Some(width),
-                _ => return wrong("a frame's number is written {} or, padded to four digits, {:04}"),
-            },
-        };
-        let (prefix, suffix) = (prefix.to_owned(), suffix.to_owned());
-        Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width }))
-    }
-
-    /// The digits of a name that fits.
-    fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
-        let digits = name.strip_prefix(&*self.prefix)?.strip_suffix(&*self.suffix)?;
-        let padded = |width: usize| digits.len() == width || digits.len() > width && !digits.starts_with('0');
-        let fits = all_digits(digits) && self.width.is_none_or(padded);
-        fits.then_some(digits)
-    }
-
-    /// The name for a number, spelled `digits` where no width is given.
-    #[must_use]
-    pub fn path(&self, number: u64, digits: &str) -> PathBuf {
-        let Self { folder, prefix, suffix, width } = self;
-        folder.join(match width {
-            Some(width) => format!("{prefix}{number:0width$}{suffix}"),
-            None => format!("{prefix}{digits}{suffix}"),
-        })
-    }
-}
-
-fn all_digits(text: &str) -> bool {
-    !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit())
 }
 
 impl Inputs {
@@ -272,7 +202,10 @@ impl Inputs {
             Self::Pattern(pattern) => is_in(&pattern.folder) && pattern.digits(&named(path)).is_some(),
             Self::Folder(folder) => is_in(folder) && is_known(path),
             Self::Glob(pattern) => {
-                glob::Pattern::new(pattern).is_ok_and(|pattern| pattern.matches_path(path))
+                // What stands for several letters stands for no folder, as where files are looked for.
+                let in_one_folder = MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
+                glob::Pattern::new(pattern)
+                    .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
             }
             Self::Part { of, family } => {
                 of.takes(path)
@@ -398,12 +331,6 @@ impl FrameFile {
     }
 }
 
-impl std::fmt::Display for Family {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}{{}}{}", self.prefix, self.suffix)
-    }
-}
-
 /// Whether a file has not changed for so long.
 fn rests(path: &Path, patience: Duration) -> bool {
     let modified = path.metadata().and_then(|metadata| metadata.modified());
@@ -448,19 +375,6 @@ fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), Simulati
             b.number,
         ))),
     }
-}
-
-/// Cuts a name around the last digits before its extension.
-pub(super) fn split_number(name: &str) -> Option<(&str, &str, &str)> {
-    let plain = name.strip_suffix(".gz").unwrap_or(name);
-    let stem = match plain.rsplit_once('.') {
-        Some((stem, extension)) if !all_digits(extension) => stem,
-        _ => plain,
-    };
-    let is_digit = |c: char| c.is_ascii_digit();
-    let end = stem.rfind(is_digit)? + 1;
-    let start = stem[..end].trim_end_matches(is_digit).len();
-    Some((&name[..start], &name[start..end], &name[end..]))
 }
 
 /// Each has a number in its name, or none has and they are counted.
@@ -541,22 +455,6 @@ mod tests {
     }
 
     #[test]
-    fn the_number_is_the_last_digits_before_the_extensions() {
-        for (name, parts) in [
-            ("ParticleData_Fluid_12.bgeo", ("ParticleData_Fluid_", "12", ".bgeo")),
-            ("fluid.0042.bgeo.gz", ("fluid.", "0042", ".bgeo.gz")),
-            ("Part_0005.bi4", ("Part_", "0005", ".bi4")),
-            ("run3_é7.csv", ("run3_é", "7", ".csv")),
-            ("12.npy", ("", "12", ".npy")),
-            ("v2.final_3.ply", ("v2.final_", "3", ".ply")),
-            ("fluid.0042", ("fluid.", "0042", "")),
-        ] {
-            assert_eq!(split_number(name), Some(parts));
-        }
-        assert_eq!(split_number("fluid.bgeo"), None);
-    }
-
-    #[test]
     fn a_selection_takes_both_ends_and_steps_from_the_first() {
         let numbers = |selection: Selection| {
             selection.of(frames(&[1, 2, 3, 4, 5, 6, 7])).iter().map(|f| f.number).collect::<Vec<_>>()
@@ -564,6 +462,16 @@ mod tests {
         assert_eq!(numbers(Selection { start: 3, end: 6, step: 1 }), [3, 4, 5, 6]);
         assert_eq!(numbers(Selection { step: 3, ..Selection::default() }), [1, 4, 7]);
         assert_eq!(numbers(Selection { start: 2, end: u64::MAX, step: 2 }), [2, 4, 6]);
+    }
+
+    #[test]
+    fn a_glob_takes_no_files_of_folders_below_its_own() {
+        let inputs = Inputs::Glob("sim/*_?.[xp]*".to_owned());
+        assert!(inputs.takes(Path::new("sim/f_1.xyz")) && inputs.takes(Path::new("sim/mesh_1.ply")));
+        for below in ["sim/mesh/f_1.ply", "sim/a_b/c_1.ply", "sim/a_1.p/c", "sim/a_/.ply"] {
+            assert!(!inputs.takes(Path::new(below)), "{below}");
+        }
+        assert!(Inputs::Glob("sim/**/*.xyz".to_owned()).takes(Path::new("sim/a/b/f_1.xyz")));
     }
 
     #[test]
@@ -583,21 +491,5 @@ mod tests {
         assert_eq!(found(".a/.?*/f_*.xyz"), [names[2].clone()]);
         assert_eq!(found("./.a/../f_*.xyz"), [folder.path().join(".a/../f_1.xyz")]);
         assert!(found(&".*/".repeat(40)).is_empty());
-    }
-
-    #[test]
-    fn a_pattern_matches_what_it_writes() {
-        let padded = Pattern::parse(Path::new("a/x_{:04}.ply")).unwrap().unwrap();
-        assert_eq!(padded.path(42, "42"), Path::new("a/x_0042.ply"));
-        assert_eq!(padded.digits("x_0042.ply"), Some("0042"));
-        assert_eq!(padded.digits("x_12345.ply"), Some("12345"));
-        assert_eq!((padded.digits("x_42.ply"), padded.digits("x_01234567.ply")), (None, None));
-        let plain = Pattern::parse(Path::new("x{}")).unwrap().unwrap();
-        assert_eq!(plain.path(42, "0042"), Path::new("x0042"));
-        assert_eq!((plain.digits("x"), plain.digits("x4a"), plain.digits("x007")), (None, None, Some("007")));
-        for wrong in ["x_{}_{}.ply", "x_{:4}.ply", "x_{n}.ply", "a_{}/x_{}.ply"] {
-            Pattern::parse(Path::new(wrong)).unwrap_err();
-        }
-        assert_eq!(Pattern::parse(Path::new("x.ply")).unwrap(), None);
     }
 }

@@ -20,6 +20,7 @@ pub mod inputs;
 mod lanes;
 mod live;
 pub mod naming;
+pub mod numbers;
 mod one_frame;
 #[cfg(feature = "pictures")]
 mod pictures;

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use crate::io::input::file_and_step;
 use crate::io::output::MeshFormat;
 
-use super::inputs::{FrameFile, Pattern};
+use super::inputs::FrameFile;
+use super::numbers::Pattern;
 use crate::error::SimulationError;
 
 /// How outputs are called.

@@ -4,8 +4,9 @@ use std::fs::{self, File};
 use std::path::Path;
 
 use meniscus::Simulation;
-use meniscus::internals::simulation::inputs::{Inputs, Pattern};
+use meniscus::internals::simulation::inputs::Inputs;
 use meniscus::internals::simulation::naming::Naming;
+use meniscus::internals::simulation::numbers::Pattern;
 
 use super::{Target, folder};
 
