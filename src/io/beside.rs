@@ -2,15 +2,18 @@
 //!
 //! Until then it is called like the file's temporary, and goes with that where the work is abandoned.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use crc32fast::Hasher;
 
 use crate::system::cancel::{BELONGINGS, belonging};
 
 use super::counted::counted;
+use super::whole::Replace;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]
@@ -47,7 +50,7 @@ impl Folder {
         let (folder, stem) = named(place)?;
         let entries = match fs::read_dir(&folder) {
             Ok(entries) => entries,
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(()),
             Err(fault) => return Err(fault),
         };
         let mut empty = true;
@@ -56,11 +59,11 @@ impl Folder {
             let is_ours = name.to_str().is_some_and(|name| is_piece(name, &stem, extension));
             if !is_ours {
                 let what = format!("the folder {} beside it holds other files", folder.display());
-                return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+                return Err(io::Error::new(ErrorKind::InvalidInput, what));
             }
             empty = false;
         }
-        if empty || replaceable { Ok(()) } else { Err(io::ErrorKind::AlreadyExists.into()) }
+        if empty || replaceable { Ok(()) } else { Err(ErrorKind::AlreadyExists.into()) }
     }
 
     /// Name of file number `number`, relative to the folder's own.
@@ -95,18 +98,58 @@ impl Folder {
         all.finalize()
     }
 
-    /// Gives the folder its name. A file at `named`, which names what was in a folder before, goes first.
+    /// Gives the folder its name. One that has it goes if it may be replaced, after the file at `named`, which names what is in that. Whoever
+    /// does so at the same time waits for the end of [`turn`], or where there are no locks goes on, and the last one's folder stays.
     ///
     /// # Errors
-    /// Those of the system.
-    pub fn keep(self, named: &Path) -> io::Result<()> {
-        if self.place.exists() {
-            match fs::remove_file(named) {
-                Err(fault) if fault.kind() != io::ErrorKind::NotFound => return Err(fault),
-                _ => fs::rename(&self.place, &self.replaced)?,
-            }
+    /// Those of the system, and [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be replaced.
+    pub fn keep(self, named: &Path, replace: Replace) -> io::Result<()> {
+        if replace == Replace::Refuse && named.symlink_metadata().is_ok() {
+            return Err(ErrorKind::AlreadyExists.into());
         }
-        fs::rename(&self.temporary, &self.place)
+        let mut left = TRIES;
+        while let Err(fault) = fs::rename(&self.temporary, &self.place) {
+            let taken = matches!(fault.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists)
+                || self.place.is_dir();
+            left -= 1;
+            if !taken || left == 0 {
+                return Err(fault);
+            }
+            if replace == Replace::Refuse {
+                return Err(ErrorKind::AlreadyExists.into());
+            }
+            unless_gone(fs::remove_file(named))?;
+            unless_gone(fs::remove_dir_all(&self.replaced))?;
+            unless_gone(fs::rename(&self.place, &self.replaced))?;
+        }
+        Ok(())
+    }
+}
+
+/// How often a folder may find its name taken once more by another.
+const TRIES: u32 = 100;
+
+/// What is not there need not be removed.
+fn unless_gone(done: io::Result<()>) -> io::Result<()> {
+    done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
+}
+
+/// How long a turn is waited for, and how often it is asked for.
+const PATIENCE: Duration = Duration::from_secs(2);
+const PAUSE: Duration = Duration::from_millis(2);
+
+/// A lock on the folder in which the file at `place` and the folder beside it get their names, so that both are of one job. Nothing where
+/// the system has no such lock, or somebody else holds on to it.
+pub fn turn(place: &Path) -> Option<File> {
+    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = File::open(folder).ok()?;
+    let begun = Instant::now();
+    loop {
+        match folder.try_lock() {
+            Ok(()) => return Some(folder),
+            Err(TryLockError::WouldBlock) if begun.elapsed() < PATIENCE => thread::sleep(PAUSE),
+            Err(_) => return None,
+        }
     }
 }
 
@@ -121,8 +164,7 @@ impl Drop for Folder {
 /// The folder beside a file, and its name.
 fn named(place: &Path) -> io::Result<(PathBuf, String)> {
     let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text =
-        || io::Error::new(io::ErrorKind::InvalidInput, "its name is no text that other files can hold");
+    let no_text = || io::Error::new(ErrorKind::InvalidInput, "its name is no text that other files can hold");
     let stem = stem.ok_or_else(no_text)?;
     Ok((place.with_file_name(&stem), stem))
 }
@@ -131,4 +173,62 @@ fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
     let number = name.strip_prefix(stem).and_then(|rest| rest.strip_prefix('_'));
     let number = number.and_then(|rest| rest.strip_suffix(extension)).and_then(|rest| rest.strip_suffix('.'));
     number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder of one file beside `m.list`, as the job `job` makes it.
+    fn filled(within: &Path, job: &str) -> Folder {
+        let mut folder = Folder::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();
+        folder.write(0, |out| out.write_all(job.as_bytes())).unwrap();
+        folder
+    }
+
+    #[test]
+    fn folders_that_several_jobs_put_in_one_place_at_once_are_the_last_ones_and_fail_for_nobody() {
+        let within = tempfile::tempdir().unwrap();
+        let (list, piece) = (within.path().join("m.list"), within.path().join("m/m_0.piece"));
+        let job = |name: &str| {
+            for _ in 0..300 {
+                filled(within.path(), name).keep(&list, Replace::Allow).unwrap();
+            }
+        };
+        thread::scope(|scope| {
+            ["a", "b", "c"].map(|name| scope.spawn(move || job(name))).map(|job| job.join().unwrap())
+        });
+        assert!(["a", "b", "c"].contains(&&*fs::read_to_string(piece).unwrap()));
+        assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");
+    }
+
+    #[test]
+    fn names_that_are_taken_before_the_folder_gets_its_own_are_refused_and_what_has_them_stays() {
+        for taken in ["m/m_0.piece", "m.list"] {
+            let within = tempfile::tempdir().unwrap();
+            let folder = filled(within.path(), "a");
+            let theirs = within.path().join(taken);
+            fs::create_dir_all(theirs.parent().unwrap()).unwrap();
+            fs::write(&theirs, "theirs").unwrap();
+            let refused = folder.keep(&within.path().join("m.list"), Replace::Refuse).unwrap_err();
+            assert_eq!(refused.kind(), ErrorKind::AlreadyExists);
+            assert_eq!(fs::read_to_string(&theirs).unwrap(), "theirs");
+            assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");
+        }
+    }
+
+    #[test]
+    fn a_turn_is_one_jobs_at_a_time_and_comes_when_that_has_ended() {
+        let within = tempfile::tempdir().unwrap();
+        let list = within.path().join("m.list");
+        let first = turn(&list).unwrap();
+        let second = thread::spawn({
+            let list = list.clone();
+            move || turn(&list).is_some()
+        });
+        thread::sleep(10 * PAUSE);
+        assert!(!second.is_finished());
+        drop(first);
+        assert!(second.join().unwrap());
+    }
 }

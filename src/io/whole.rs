@@ -10,7 +10,7 @@ use tempfile::NamedTempFile;
 
 use crate::system::cancel::{BELONGINGS, remove_belongings};
 
-use super::beside::Folder;
+use super::beside::{Folder, turn};
 use super::counted::counted;
 use super::{WriteError, WriteFault};
 
@@ -181,12 +181,13 @@ impl FilledFile {
         let kept = match target {
             Target::Direct => Ok(()),
             Target::Temporary { file, place, replace } => {
-                let before = |folder: Folder| folder.keep(&place);
-                file.as_file().sync_all().and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| {
-                    match replace {
-                        Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
-                        Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
-                    }
+                let synced = file.as_file().sync_all();
+                // The folder and the file that names what is in it are to be of one job.
+                let _turn = folder.as_ref().and_then(|_| turn(&place));
+                let before = |folder: Folder| folder.keep(&place, replace);
+                synced.and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
+                    Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
+                    Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
                 })
             }
         };
