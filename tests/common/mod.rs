@@ -1,6 +1,7 @@
 //! What the tests share: random scenes, settings, and the oracle.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+pub mod attributed;
 pub mod dense;
 pub mod device;
 pub mod distances;
