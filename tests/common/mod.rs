@@ -5,7 +5,9 @@ pub mod attributed;
 pub mod dense;
 pub mod device;
 pub mod distances;
+pub mod files;
 pub mod periodic;
+pub mod program;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 pub mod watertight;
