@@ -4,7 +4,7 @@ use meniscus::internals::particles::{AttributeInfo, Particles};
 
 /// Positions, and the values of any attributes.
 pub struct Attributed {
-    pub positions: Vec<[f64; 3]>,
+    positions: Vec<[f64; 3]>,
     pub attributes: Vec<AttributeInfo>,
     /// Of each attribute, one particle's behind the other's.
     values: Vec<Vec<f32>>,

@@ -1,4 +1,4 @@
-//! What the tests share: random scenes, settings, and the oracle.
+//! What the tests share: random scenes, particles, files, the program, settings, and the oracle.
 #![allow(dead_code, reason = "each test file uses its part")]
 
 pub mod attributed;
