@@ -5,6 +5,7 @@ mod common;
 
 use std::f64::consts::PI;
 
+use common::attributed::Attributed;
 use common::dense::{Dense, mesh as dense_mesh};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, splashes, tank};
@@ -13,7 +14,7 @@ use meniscus::internals::baselines::Method;
 use meniscus::internals::frame::{Frame, FrameError, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::grid::{CellBox, Grid};
-use meniscus::internals::particles::{AttributeInfo, Particles};
+use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::system::timings::Timings;
@@ -209,31 +210,10 @@ fn anisotropic_kernels_leave_a_flat_pool_flatter_than_isotropic_ones() {
     assert!(yu_turk < 0.8 * mueller, "{yu_turk} against {mueller}");
 }
 
-/// Particles that all have the same velocity.
-struct Moving(Vec<[f64; 3]>, [AttributeInfo; 1]);
-
-impl Particles for Moving {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        self.0[..].positions(first, out);
-    }
-
-    fn attributes(&self) -> &[AttributeInfo] {
-        &self.1
-    }
-
-    fn attribute(&self, _: usize, _: usize, out: &mut [f32]) {
-        out.as_chunks_mut().0.fill([1.0, -2.0, 0.5]);
-    }
-}
-
 #[test]
 fn attributes_reach_the_vertices_and_normals_point_out() {
-    let velocity = AttributeInfo { name: "v".into(), components: 3 };
-    let ball = Moving(fill(6.0, 1.0, 0.2, 2, |p| p.length() < 5.0), [velocity]);
+    let ball = fill(6.0, 1.0, 0.2, 2, |p| p.length() < 5.0);
+    let ball = Attributed::new(ball).with("v", |_, _| [1.0, -2.0, 0.5]);
     for method in METHODS {
         let mesh = surface(&ball, &Sampling { carried: vec![0], ..spaced(1.0) }, method);
         assert_eq!(mesh.attributes[0].name, "velocity");

@@ -6,8 +6,11 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
+use common::attributed::Attributed;
+use common::files::{names, raw};
+use common::program::{command, in_shell};
 use common::scene::{Random, splash};
 use common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
 use meniscus::error::{Cause, Error};
@@ -18,45 +21,22 @@ use meniscus::internals::frame::{
     Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
 };
 use meniscus::internals::grid::units::MemoryBudget;
-use meniscus::internals::particles::{AttributeInfo, Particles};
 use meniscus::internals::system::timings::Timings;
 use tempfile::TempDir;
 
 /// Particles that move and have a temperature.
-struct Moving {
-    positions: Vec<[f64; 3]>,
-    attributes: Vec<AttributeInfo>,
-}
-
-impl Moving {
-    fn new(positions: Vec<[f64; 3]>) -> Self {
-        let info = |name: &str, components| AttributeInfo { name: name.into(), components };
-        Self { positions, attributes: vec![info("v", 3), info("temperature", 1)] }
-    }
-}
-
-impl Particles for Moving {
-    fn len(&self) -> usize {
-        self.positions.len()
-    }
-    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        self.positions[..].positions(first, out);
-    }
-    fn attributes(&self) -> &[AttributeInfo] {
-        &self.attributes
-    }
-    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
-        let n = self.attributes[index].components;
-        for (i, out) in out.chunks_exact_mut(n).enumerate() {
-            let [x, y, z] = self.positions[first + i].map(|c| c as f32);
-            out.copy_from_slice(&[-z, 0.1 * y, x][..n]);
-        }
-    }
+fn moving(positions: Vec<[f64; 3]>) -> Attributed {
+    Attributed::new(positions)
+        .with("v", |_, position| {
+            let [x, y, z] = position.map(|c| c as f32);
+            [-z, 0.1 * y, x]
+        })
+        .with("temperature", |_, [_, _, z]| [-z as f32])
 }
 
 #[test]
 fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
-    let particles = Moving::new(splashes(31));
+    let particles = moving(splashes(31));
     let scratch = TempDir::new().unwrap();
     for indicator in INDICATORS {
         for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
@@ -130,12 +110,6 @@ fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
     }
 }
 
-fn meniscus(folder: &Path, limits: &str, arguments: &str) -> Output {
-    let script = format!("{limits} exec \"$0\" {arguments}");
-    let mut command = Command::new("bash");
-    command.current_dir(folder).args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")]).output().unwrap()
-}
-
 /// The peak that a run wrote to `stats`, in bytes.
 fn peak(folder: &Path) -> u64 {
     let stats = fs::read_to_string(folder.join("stats")).unwrap();
@@ -143,19 +117,11 @@ fn peak(folder: &Path) -> u64 {
     stats["peak_resident_bytes"].as_u64().unwrap()
 }
 
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> =
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
-}
-
 /// A folder with 600 000 particles at spacing 1 in `splash.xyz`, and their surface in `whole.ply`.
 fn folder_with_splash() -> TempDir {
     let folder = TempDir::new().unwrap();
-    let bytes: Vec<u8> = splash(600_000, 3).iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-    fs::write(folder.path().join("splash.xyz"), bytes).unwrap();
-    let run = meniscus(folder.path(), "", "reconstruct splash.xyz -o whole.ply --cell-size 1");
+    fs::write(folder.path().join("splash.xyz"), raw(&splash(600_000, 3))).unwrap();
+    let run = in_shell(folder.path(), "", "reconstruct splash.xyz -o whole.ply --cell-size 1");
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     folder
 }
@@ -164,7 +130,7 @@ fn folder_with_splash() -> TempDir {
 fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
     let folder = folder_with_splash();
     let arguments = "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
-    let run = meniscus(folder.path(), "", arguments);
+    let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("small.ply"));
@@ -176,8 +142,8 @@ fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
     let folder = folder_with_splash();
     // A limit on file size stands in for a full disk. What fails: spilled particles, or the mesh.
     for kib in [64, 3600] {
-        let limits = format!("trap '' XFSZ; ulimit -f {kib};");
-        let run = meniscus(
+        let limits = format!("trap '' XFSZ; ulimit -f {kib}");
+        let run = in_shell(
             folder.path(),
             &limits,
             "reconstruct splash.xyz -o out.obj --cell-size 1 --memory 16MiB",
@@ -186,7 +152,7 @@ fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
         assert_eq!(run.status.code(), Some(4), "{kib} KiB: {errors}");
         assert_eq!(names(folder.path()), ["splash.xyz", "whole.ply"], "{kib} KiB");
     }
-    let run = meniscus(
+    let run = in_shell(
         folder.path(),
         "",
         "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch no",
@@ -202,14 +168,14 @@ fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
     fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
     let reconstruct = |arguments: &str| {
         let fixed = "reconstruct spray.xyz --spacing 1 --cell-size 1 --threads 2 --backend cpu";
-        let run = meniscus(folder.path(), "", &format!("{fixed} --overwrite {arguments}"));
+        let run = in_shell(folder.path(), "", &format!("{fixed} --overwrite {arguments}"));
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         String::from_utf8(run.stdout).unwrap()
     };
     // What the program takes for itself, its code above all, is no part of the budget.
     fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
     let drop = "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
-    assert!(meniscus(folder.path(), "", drop).status.success());
+    assert!(in_shell(folder.path(), "", drop).status.success());
     let own = peak(folder.path());
     fs::remove_file(folder.path().join("stats")).unwrap();
     for normals in ["", "--normals"] {
@@ -242,8 +208,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
     let arguments =
         "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch scratch --overwrite";
     for _ in 0..12 {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-            .current_dir(folder.path())
+        let mut child = command(folder.path(), &[])
             .args(arguments.split(' '))
             .stderr(std::process::Stdio::null())
             .spawn()
@@ -253,7 +218,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
         child.wait().unwrap();
         assert_eq!(names(&scratch), [""; 0], "scratch files are left");
     }
-    let run = meniscus(folder.path(), "", arguments);
+    let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success());
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("out.ply"));
@@ -263,7 +228,7 @@ fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes(
 fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
     let folder = folder_with_splash();
     let run = |arguments: &str| {
-        let run = meniscus(folder.path(), "", arguments);
+        let run = in_shell(folder.path(), "", arguments);
         assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
         run
     };
@@ -290,7 +255,7 @@ fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
     assert_eq!(info[0]["kind"], "frame");
     assert_eq!(info[0]["indicator"], "counting");
-    let refused = meniscus(folder.path(), "", "reconstruct packed.mnf -o c.ply --cell-size 1");
+    let refused = in_shell(folder.path(), "", "reconstruct packed.mnf -o c.ply --cell-size 1");
     assert_eq!(refused.status.code(), Some(2));
 }
 
@@ -300,17 +265,17 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
     let packed = Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
     assert!(packed.unwrap().success());
     let arguments = "reconstruct splash.xyz.gz -o small.ply --cell-size 1 --memory 16MiB";
-    let run = meniscus(folder.path(), "", arguments);
+    let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let bytes = |name| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("whole.ply") == bytes("small.ply"));
     assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
     // Without room to unpack it: exit 4; cut short: exit 3.
-    let full = meniscus(folder.path(), "trap '' XFSZ; ulimit -f 1024;", &arguments.replace("small", "full"));
+    let full = in_shell(folder.path(), "trap '' XFSZ; ulimit -f 1024", &arguments.replace("small", "full"));
     assert_eq!(full.status.code(), Some(4), "{}", String::from_utf8_lossy(&full.stderr));
     let cut = bytes("splash.xyz.gz");
     fs::write(folder.path().join("cut.xyz.gz"), &cut[..cut.len() - 1000]).unwrap();
-    let cut = meniscus(folder.path(), "", "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB");
+    let cut = in_shell(folder.path(), "", "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB");
     assert_eq!(cut.status.code(), Some(3), "{}", String::from_utf8_lossy(&cut.stderr));
     assert_eq!(names(folder.path()), ["cut.xyz.gz", "small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
 }
@@ -319,7 +284,7 @@ fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
 fn a_frame_that_fits_its_budget_touches_no_scratch() {
     let folder = folder_with_splash();
     let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
-    let run = meniscus(folder.path(), "", arguments);
+    let run = in_shell(folder.path(), "", arguments);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }
 
@@ -339,7 +304,7 @@ fn folder_with_texts() -> TempDir {
     ] {
         fs::write(folder.path().join(name), format!("{head}\n{}", lines.concat())).unwrap();
     }
-    let run = meniscus(folder.path(), "", "reconstruct splash.csv -o whole.ply --cell-size 1");
+    let run = in_shell(folder.path(), "", "reconstruct splash.csv -o whole.ply --cell-size 1");
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     folder
 }
@@ -353,14 +318,14 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
             "reconstruct {name} -o small.ply --cell-size 1 --memory 16MiB --threads 2 --backend cpu \
              --stats stats --overwrite"
         );
-        let run = meniscus(folder.path(), "", &arguments);
+        let run = in_shell(folder.path(), "", &arguments);
         assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
         assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
         // The program itself, mapped from its file, counts too, and is larger without optimisation.
         let peak = peak(folder.path());
         assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
         let full =
-            meniscus(folder.path(), "trap '' XFSZ; ulimit -f 4096;", &arguments.replace("small", "full"));
+            in_shell(folder.path(), "trap '' XFSZ; ulimit -f 4096", &arguments.replace("small", "full"));
         let errors = String::from_utf8_lossy(&full.stderr);
         assert_eq!(full.status.code(), Some(4), "{name}: {errors}");
         assert!(errors.contains("scratch"), "{name}: {errors}");
@@ -371,7 +336,7 @@ fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
 
 #[test]
 fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
-    let mut particles = Moving::new(splashes(31));
+    let mut particles = moving(splashes(31));
     // Attributes of pebibytes; nobody gets to read them.
     particles.attributes[0].components = 1 << 36;
     let scratch = TempDir::new().unwrap();

@@ -6,11 +6,12 @@ mod common;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use common::fill;
+use common::files::raw;
+use common::{fill, program};
 use meniscus::error::{Cause, Error, FrameError, Unread};
 use meniscus::{MemoryBudget, Particles, Reconstruction};
 use tempfile::TempDir;
@@ -22,8 +23,7 @@ fn ball() -> Vec<[f64; 3]> {
 
 fn written(folder: &TempDir) -> PathBuf {
     let path = folder.path().join("ball.xyz");
-    let bytes: Vec<u8> = ball().iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect();
-    fs::write(&path, bytes).unwrap();
+    fs::write(&path, raw(&ball())).unwrap();
     path
 }
 
@@ -122,8 +122,8 @@ fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() 
     let mut changed = 0;
     for path in decoded_formats(folder.path()) {
         let whole = fs::read(&path).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        let command = command.arg("info").arg(&path).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut command = program::command(folder.path(), &["info"]);
+        let command = command.arg(&path).stdout(Stdio::null()).stderr(Stdio::piped());
         let begun = Instant::now();
         assert!(command.output().unwrap().status.success(), "{}", path.display());
         let time = begun.elapsed();

@@ -4,9 +4,11 @@
 mod common;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
+use common::files::{data, names, raw};
+use common::program::{command, in_shell};
 use common::scene::Random;
 use common::{device, fill, splashes};
 use meniscus::internals::io::output::read_mesh;
@@ -15,16 +17,7 @@ use meniscus::internals::surface::mesh::measure::measure;
 use tempfile::TempDir;
 
 fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).args(arguments).output().unwrap()
-}
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+    command(folder, arguments).output().unwrap()
 }
 
 /// A folder with a ball of particles at spacing 0.5 in `ball.xyz`.
@@ -33,13 +26,6 @@ fn folder_with_ball() -> TempDir {
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
     fs::write(folder.path().join("ball.xyz"), raw(&ball)).unwrap();
     folder
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> =
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 /// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder as it was.
@@ -263,21 +249,11 @@ fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
     assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
 }
 
-/// Runs a command under limits that a shell sets.
-fn limited(folder: &Path, limits: &str, command: &str) -> Output {
-    let script = format!("{limits}; exec \"$0\" {command}");
-    Command::new("bash")
-        .current_dir(folder)
-        .args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")])
-        .output()
-        .unwrap()
-}
-
 #[test]
 fn a_full_disk_is_exit_4_and_leaves_nothing() {
     let folder = folder_with_ball();
     // A limit on file size stands in for a full disk; the signal it sends is ignored by the shell.
-    let run = limited(folder.path(), "trap '' XFSZ; ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
+    let run = in_shell(folder.path(), "trap '' XFSZ; ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
     let errors = String::from_utf8_lossy(&run.stderr);
     assert_eq!(run.status.code(), Some(4), "{errors}");
     assert!(errors.contains("out.ply"), "{errors}");
@@ -288,7 +264,7 @@ fn a_full_disk_is_exit_4_and_leaves_nothing() {
 #[cfg(target_os = "linux")]
 fn no_more_memory_is_planned_for_than_ulimit_leaves() {
     let folder = folder_with_ball();
-    let run = limited(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
+    let run = in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
     let plan = String::from_utf8_lossy(&run.stdout);
     let budget: Option<f64> = plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
     assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
@@ -493,12 +469,8 @@ fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_o
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
     let folder = folder_with_ball();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-        .current_dir(folder.path())
-        .args(["info", "ball.xyz"])
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut child =
+        command(folder.path(), &["info", "ball.xyz"]).stdout(std::process::Stdio::piped()).spawn().unwrap();
     drop(child.stdout.take());
     assert!(child.wait().unwrap().success());
 }
@@ -520,9 +492,7 @@ fn an_interrupt_is_exit_130_and_leaves_nothing() {
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     // Nobody writes to the pipe, so the run waits for its particles.
-    let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-        .current_dir(folder.path())
-        .args(["reconstruct", "pipe.xyz", "-o", "out.ply"])
+    let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", "out.ply"])
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
@@ -591,9 +561,8 @@ fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
 
 /// Runs the program on a Vulkan device, with its pipelines cached in the folder.
 fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.env("XDG_CACHE_HOME", folder.join("cache")).envs(environment.iter().copied());
-    command.current_dir(folder).args(arguments).output().unwrap()
+    let mut command = command(folder, arguments);
+    command.env("XDG_CACHE_HOME", folder.join("cache")).envs(environment.iter().copied()).output().unwrap()
 }
 
 /// No driver at all, as far as the Vulkan loader knows.

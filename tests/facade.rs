@@ -6,8 +6,9 @@ mod common;
 use std::error::Error as _;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
+use common::files::{bytes_of, data, raw};
+use common::program::command;
 use common::{fill, splashes};
 use meniscus::error::{Cause, Conflict, Error, Setting};
 use meniscus::internals::baselines::Method;
@@ -24,17 +25,6 @@ use tempfile::TempDir;
 /// A ball of particles at spacing 0.5.
 fn ball() -> Vec<[f64; 3]> {
     fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0)
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
-}
-
-fn bytes(surface: &Surface) -> Vec<u8> {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("mesh.ply");
-    surface.write(&path).unwrap();
-    fs::read(path).unwrap()
 }
 
 #[test]
@@ -65,8 +55,8 @@ fn the_library_and_the_program_write_the_same_bytes() {
     for (number, (options, reconstruction)) in asked.into_iter().enumerate() {
         let [program, library] =
             ["program", "library"].map(|by| folder.path().join(format!("{by}_{number}.ply")));
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        command.arg("reconstruct").arg(&input).arg("-o").arg(&program).args(["--quiet", "--backend", "cpu"]);
+        let mut command = command(folder.path(), &["reconstruct"]);
+        command.arg(&input).arg("-o").arg(&program).args(["--quiet", "--backend", "cpu"]);
         assert!(command.args(options).status().unwrap().success(), "{options:?}");
         let surface = reconstruction.run_file(&input).unwrap();
         surface.write(&library).unwrap();
@@ -82,12 +72,12 @@ fn packed_frames_are_drawn_as_their_particles() {
     let folder = TempDir::new().unwrap();
     let [input, packed] = ["ball.xyz", "ball.mnf"].map(|name| folder.path().join(name));
     fs::write(&input, raw(&ball())).unwrap();
-    let mut pack = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    pack.arg("pack").arg(&input).arg("-o").arg(&packed).args(["--quiet", "--backend", "cpu"]);
+    let mut pack = command(folder.path(), &["pack"]);
+    pack.arg(&input).arg("-o").arg(&packed).args(["--quiet", "--backend", "cpu"]);
     assert!(pack.status().unwrap().success());
     let request = Reconstruction::new().smooth(1.9);
     let [whole, packed] = [&input, &packed].map(|path| request.run_file(path).unwrap());
-    assert!(bytes(&whole) == bytes(&packed));
+    assert!(bytes_of(&whole) == bytes_of(&packed));
     assert!(whole.report().cells.is_some() && packed.report().cells.is_none());
 }
 
@@ -101,10 +91,10 @@ fn positions_are_read_where_they_are_however_wide_and_far_apart() {
     let strided = StridedPositions::new(&structures, 2, 6).unwrap();
     assert_eq!(strided.len(), particles.len());
     let request = Reconstruction::new().spacing(0.5);
-    let expected = bytes(&request.run(&particles[..]).unwrap());
-    assert!(bytes(&request.run(&wide[..]).unwrap()) == expected);
-    assert!(bytes(&request.run(&particles).unwrap()) == expected);
-    assert!(bytes(&request.run(&strided).unwrap()) == expected);
+    let expected = bytes_of(&request.run(&particles[..]).unwrap());
+    assert!(bytes_of(&request.run(&wide[..]).unwrap()) == expected);
+    assert!(bytes_of(&request.run(&particles).unwrap()) == expected);
+    assert!(bytes_of(&request.run(&strided).unwrap()) == expected);
     assert!(StridedPositions::new(&structures, 0, 2).is_none());
     assert_eq!(StridedPositions::new(&structures[..5], 2, 6).unwrap().len(), 1);
     assert_eq!(StridedPositions::new(&structures[..4], 2, 6).unwrap().len(), 0);
@@ -126,7 +116,7 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
     assert!(report.timings.seconds().iter().any(|(stage, _)| *stage == "mesh"));
     let again = Reconstruction::new().calibrated(report.measured.unwrap().calibration);
     let again = again.skip_invalid().smallest_drop(3).run(&particles[..]).unwrap();
-    assert!(again.report().measured.is_none() && bytes(&again) == bytes(&surface));
+    assert!(again.report().measured.is_none() && bytes_of(&again) == bytes_of(&surface));
 }
 
 #[test]
@@ -190,12 +180,12 @@ fn what_is_there_already_is_only_replaced_where_that_is_asked_for() {
 #[test]
 fn calls_side_by_side_do_not_disturb_each_other() {
     let particles = splashes(5);
-    let alone = bytes(&Reconstruction::new().spacing(1.0).threads(1).run(&particles[..]).unwrap());
+    let alone = bytes_of(&Reconstruction::new().spacing(1.0).threads(1).run(&particles[..]).unwrap());
     let all: Vec<Vec<u8>> = std::thread::scope(|scope| {
         let run = |threads: usize| {
             let particles = &particles;
             scope.spawn(move || {
-                bytes(&Reconstruction::new().spacing(1.0).threads(threads).run(&particles[..]).unwrap())
+                bytes_of(&Reconstruction::new().spacing(1.0).threads(threads).run(&particles[..]).unwrap())
             })
         };
         let calls: Vec<_> = [1, 2, 3, 1].map(run).into_iter().collect();
@@ -209,11 +199,11 @@ fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
     let water = ball();
     let asked = Reconstruction::new;
     let frame = asked().spacing(0.5).cell(0.6).sample(&water).unwrap();
-    let drawn = bytes(&frame.surface().unwrap());
+    let drawn = bytes_of(&frame.surface().unwrap());
     for same in [asked(), asked().spacing(0.5).cell(0.6), asked().indicator(IndicatorKind::Cloud)] {
-        assert!(bytes(&frame.surface_by(&same).unwrap()) == drawn, "{same:?}");
+        assert!(bytes_of(&frame.surface_by(&same).unwrap()) == drawn, "{same:?}");
     }
-    assert!(bytes(&frame.surface_by(&asked().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
+    assert!(bytes_of(&frame.surface_by(&asked().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
     for (other, what) in [
         (asked().cell(0.25), Setting::Cell),
         (asked().cell_size(0.3), Setting::CellSize),
@@ -297,13 +287,13 @@ fn surfaces_that_are_kept_hold_no_threads() {
         threads() < 8 * 16
     });
     assert!(few, "{} threads", threads());
-    let [first, last] = [&surfaces[0], &surfaces[7]].map(bytes);
+    let [first, last] = [&surfaces[0], &surfaces[7]].map(bytes_of);
     assert!(first == last);
 }
 
 #[test]
 fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_the_scene() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let folder = data("dambreak_small");
     let file = meniscus::files::open_particles(folder.join("ParticleData_Fluid_20.bgeo"), None).unwrap();
     assert_eq!(file.spacing, Some(0.05));
     assert!(

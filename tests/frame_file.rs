@@ -422,7 +422,7 @@ fn a_full_disk_is_an_error_wherever_it_fills() {
 
 #[test]
 fn pages_of_real_frames_compress() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let data = common::files::data("");
     for (name, spacing) in [
         ("dambreak_small/ParticleData_Fluid_1.bgeo", 0.05),
         ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),

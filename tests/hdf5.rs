@@ -2,10 +2,18 @@
 #![cfg(feature = "hdf5")]
 #![allow(clippy::unwrap_used)]
 
+mod common {
+    pub mod files;
+    pub mod particle_files;
+    pub mod program;
+}
+
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+use common::files;
+use common::particle_files::{attribute, positions};
+use common::program::command;
 use meniscus::internals::io::bytes::{Bytes, Unpacking};
 use meniscus::internals::io::input::{open_particles, steps};
 use meniscus::internals::io::wanted::Wanted;
@@ -13,25 +21,11 @@ use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 use meniscus::internals::particles::Particles;
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/h5").join(name)
+    files::data("h5").join(name)
 }
 
 fn open(name: &str) -> Result<ParticleFile, ReadError> {
     open_particles(&data(name), Unpacking::in_memory())
-}
-
-fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
-    let mut positions = vec![[0.0; 3]; file.particles.len()];
-    file.particles.positions(0, &mut positions);
-    positions
-}
-
-fn named(file: &ParticleFile, name: &str) -> Vec<f32> {
-    let attributes = file.particles.attributes();
-    let index = attributes.iter().position(|a| a.name == name).unwrap();
-    let mut values = vec![0.0; file.particles.len() * attributes[index].components];
-    file.particles.attribute(index, 0, &mut values);
-    values
 }
 
 #[test]
@@ -45,8 +39,8 @@ fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
         assert!((0..3).all(|axis| (b[axis] - a[axis] - 2.0).abs() < 1e-12));
     }
     let v: Vec<f32> = positions(&zero).into_iter().flatten().map(|x| x as f32).collect();
-    assert_eq!(named(&two, "v"), v);
-    assert_eq!(named(&two, "id")[59], 59.0);
+    assert_eq!(attribute(&two, "v"), v);
+    assert_eq!(attribute(&two, "id")[59], 59.0);
 
     for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no Step#1")] {
         let error = open(name).unwrap_err();
@@ -63,7 +57,7 @@ fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
     let exact = positions(&open("steps.h5part#0").unwrap());
     assert!(exact.iter().zip(positions(&packed)).all(|(a, b)| a.map(|x| f64::from(x as f32)) == b));
     let doubled: Vec<f32> = exact.into_iter().flatten().map(|x| (2.0 * x) as f32).collect();
-    assert_eq!(named(&packed, "velocity"), doubled);
+    assert_eq!(attribute(&packed, "velocity"), doubled);
     // Through scratch as in memory.
     let folder = tempfile::tempdir().unwrap();
     let unpacking = Unpacking { in_memory: 0, scratch: folder.path() };
@@ -111,8 +105,7 @@ fn a_file_of_steps_is_a_sequence() {
     let folder = tempfile::tempdir().unwrap();
     fs::copy(data("steps.h5part"), folder.path().join("sim.h5part")).unwrap();
     let run = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        let output = command.current_dir(folder.path()).arg("reconstruct").args(arguments).output().unwrap();
+        let output = command(folder.path(), &["reconstruct"]).args(arguments).output().unwrap();
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
     let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25"]);

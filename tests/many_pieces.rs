@@ -8,9 +8,10 @@ use std::fs::{self, File, OpenOptions};
 use std::io::Write as _;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
-use common::fill;
+use common::files::raw;
+use common::{fill, program};
 use meniscus::error::{Cause, Error, FrameError, Unread};
 use meniscus::{MemoryBudget, Reconstruction};
 use tempfile::TempDir;
@@ -21,10 +22,6 @@ const MAY_BE_OPEN: usize = 256;
 
 fn ball() -> Vec<[f32; 3]> {
     fill(20.0, 2.0, 0.2, 3, |p| p.length() < 10.0).iter().map(|p| p.map(|x| x as f32)).collect()
-}
-
-fn bytes_of(particles: &[[f32; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|x| x.to_le_bytes()).collect()
 }
 
 fn piece(folder: &Path, number: usize) -> PathBuf {
@@ -44,22 +41,21 @@ fn scene() -> (TempDir, PathBuf, PathBuf) {
             own.len()
         );
         let length = (12 * own.len() as u64).to_le_bytes();
-        let bytes = [head.as_bytes(), &length, &bytes_of(own), b"</AppendedData></VTKFile>"].concat();
+        let bytes = [head.as_bytes(), &length, &raw(own), b"</AppendedData></VTKFile>"].concat();
         fs::write(piece(folder.path(), number), bytes).unwrap();
         list += &format!("<Piece Source=\"ball_{number}.vtp\"/>\n");
     }
     let [pieces, whole] = ["ball.pvtp", "ball.xyz"].map(|name| folder.path().join(name));
     fs::write(&pieces, list + "</PPolyData></VTKFile>").unwrap();
-    fs::write(&whole, bytes_of(&particles)).unwrap();
+    fs::write(&whole, raw(&particles)).unwrap();
     assert!(piece(folder.path(), PIECES - 20).exists());
     (folder, pieces, whole)
 }
 
 /// Runs the program where so few files may be open.
 fn limited(folder: &Path, arguments: &str) -> Output {
-    let program = env!("CARGO_BIN_EXE_meniscus");
-    let command = format!("ulimit -n {MAY_BE_OPEN}; exec {program} reconstruct {arguments} --backend cpu -q");
-    Command::new("bash").current_dir(folder).args(["-c", &command]).output().unwrap()
+    let arguments = format!("reconstruct {arguments} --backend cpu -q");
+    program::in_shell(folder, &format!("ulimit -n {MAY_BE_OPEN}"), &arguments)
 }
 
 #[track_caller]

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod common {
+    pub mod files;
     pub mod shapes;
 }
 
@@ -11,6 +12,7 @@ use std::io::Read;
 use std::path::Path;
 use std::process::Command;
 
+use common::files::names;
 use common::shapes::{cuboid, dressed, moved, sphere, torus};
 use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
@@ -391,15 +393,6 @@ fn vtp_arrays_cannot_share_their_data_to_grow_in_memory() {
     let damaged = [&bytes[..text], &again.repeat(50), &bytes[text..]].concat();
     let fault = MeshFormat::Vtp.read(&damaged).unwrap_err().to_string();
     assert!(fault.contains("shares its data"), "{fault}");
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> = fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
-    names.sort();
-    names
 }
 
 #[test]

@@ -8,10 +8,12 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
+use common::files::{raw, tree};
 use common::fill;
+use common::program::{command, run};
 use common::scene::Random;
 use glam::{DVec3, IVec3};
 use meniscus::internals::io::output::read_mesh;
@@ -19,22 +21,6 @@ use serde_json::Value;
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
-
-fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).args(arguments);
-    command
-}
-
-/// What a run says, which ends with `code`.
-#[track_caller]
-fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
-    let Output { status, stderr, .. } = command(folder, arguments).output().unwrap();
-    let errors = String::from_utf8(stderr).unwrap();
-    assert_eq!(status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    errors
-}
 
 /// A run that is refused with code 2, and leaves all as it was.
 #[track_caller]
@@ -45,26 +31,8 @@ fn refused(folder: &Path, arguments: &[&str], says: &str) {
     assert!(tree(folder) == before, "{arguments:?} left something behind");
 }
 
-/// Every file of a folder and those in it.
-fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-        let name = entry.file_name().unwrap().to_string_lossy().into_owned();
-        if entry.is_dir() {
-            files.extend(tree(&entry).into_iter().map(|(inner, bytes)| (format!("{name}/{inner}"), bytes)));
-        } else {
-            files.insert(name, fs::read(entry).unwrap_or_default());
-        }
-    }
-    files
-}
-
 fn ball(radius: f64) -> Vec<[f64; 3]> {
     fill(2.0 * radius, 1.0, 0.3, 1, |p| p.length() < radius)
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
 }
 
 /// Particles as a .ply file that could be a mesh's.

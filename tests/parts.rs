@@ -4,9 +4,11 @@
 mod common;
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Command;
 
+use common::files::{data, names, raw};
+use common::program::{self, in_shell};
 use common::scene::Random;
 use common::{dif, fill, sampling, shuffle, splashes, surfacing};
 use glam::{DVec3, IVec3};
@@ -23,24 +25,14 @@ use meniscus::internals::grid::{BLOCK, CellBox, Grid, MortonKey};
 use meniscus::internals::system::timings::Timings;
 use tempfile::TempDir;
 
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
-}
-
-fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).arg("reconstruct").args(arguments).args(["--backend", "cpu"]);
-    command.output().unwrap()
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    program::command(folder, &[&["reconstruct"], arguments, &["--backend", "cpu"]].concat())
 }
 
 /// Runs `reconstruct`, which must end with `code`, and returns what it says on standard error.
 #[track_caller]
 fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
-    let output = meniscus(folder, arguments);
-    let errors = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    errors
+    program::run(folder, &[&["reconstruct"], arguments, &["--backend", "cpu"]].concat(), code)
 }
 
 /// Plans, makes the parts in some order, and merges them, all with the same options.
@@ -53,17 +45,6 @@ fn in_parts(folder: &Path, input: &str, output: &str, count: usize, order: &[usi
         run(folder, &[&common[..], &["--part", &part.to_string()]].concat(), 0);
     }
     run(folder, &[&common[..], &["--merge"]].concat(), 0);
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> =
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 /// A folder with a real frame of a dam break, spray, and a ball in disorder whose particles have velocities.
@@ -174,9 +155,7 @@ fn a_part_is_one_file_however_often_and_by_however_many_at_once_it_is_made() {
     run(folder, &with(&["--plan"]), 0);
     let path = folder.join("m.ply.meniscus-parts/part_1");
     let start = |threads: &'static str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        let arguments = with(&["--part", "1", "-q", "--backend", "cpu", "--threads", threads]);
-        command.current_dir(folder).arg("reconstruct").args(arguments).spawn().unwrap()
+        command(folder, &with(&["--part", "1", "-q", "--threads", threads])).spawn().unwrap()
     };
     let both = ["1", "2"].map(start);
     for mut child in both {
@@ -303,7 +282,7 @@ fn a_part_that_is_missing_damaged_or_of_another_plan_is_refused_and_no_mesh_appe
         let mut other = text.clone().into_bytes();
         other[at] = b'0' + (other[at] - b'0' + 1) % 10;
         fs::write(&plan, other).unwrap();
-        let output = meniscus(folder, &with(&["--merge", "--overwrite"]));
+        let output = command(folder, &with(&["--merge", "--overwrite"])).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{:?} was not seen", &text[at - 30..at + 3]);
         let says = String::from_utf8(output.stderr).unwrap();
         assert!(says.contains("plan.json"), "{says}");
@@ -419,10 +398,8 @@ fn a_full_disk_is_exit_4_and_the_part_can_be_made_when_there_is_room() {
     let folder = folder.path();
     let common = ["dam.bgeo", "-o", "m.ply", "--parts", "2", "-q"];
     run(folder, &[&common[..], &["--plan"]].concat(), 0);
-    let program = env!("CARGO_BIN_EXE_meniscus");
-    let limited =
-        format!("trap '' XFSZ; ulimit -f 100; exec {program} reconstruct {} --part 0", common.join(" "));
-    let output = Command::new("bash").current_dir(folder).args(["-c", &limited]).output().unwrap();
+    let arguments = format!("reconstruct {} --part 0", common.join(" "));
+    let output = in_shell(folder, "trap '' XFSZ; ulimit -f 100", &arguments);
     assert_eq!(output.status.code(), Some(4), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(names(&folder.join("m.ply.meniscus-parts")), ["plan.json"]);
     for part in ["0", "1"] {

@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use common::files::raw;
 use common::scene::Random;
 use common::shuffle;
 use meniscus::error::{Error, PartsError};
@@ -19,10 +20,6 @@ fn pool() -> Vec<[f64; 3]> {
     let mut random = Random::new(3);
     let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
     (0..100_000).map(|i| at(i).map(|x| x + 0.1 * random.unit())).collect()
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
 }
 
 /// A .vtp of points alone, with a flag of ghosts each, appended raw.

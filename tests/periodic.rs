@@ -4,10 +4,11 @@
 mod common;
 
 use std::fs;
-use std::path::Path;
-use std::process::{Command, Output};
 
+use common::attributed::Attributed;
+use common::files::{bytes_of, raw};
 use common::periodic::{Faces, fluid, repeated, triangles_within};
+use common::program::{command, run};
 use common::scene::Random;
 use common::{fill, sampling, shuffle, surfacing};
 use glam::DVec3;
@@ -18,48 +19,21 @@ use meniscus::internals::frame::{Counted, FieldRequest, Frame, Normals, Resource
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget};
 use meniscus::internals::grid::{Grid, Periodic};
 use meniscus::internals::io::output::read_mesh;
-use meniscus::internals::particles::{AttributeInfo, Particles};
+use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::system::timings::Timings;
-use meniscus::{PeriodicMesh, Reconstruction, Surface, Warning};
+use meniscus::{PeriodicMesh, Reconstruction, Warning};
 use tempfile::TempDir;
 
 const METHODS: [Method; 3] = [Method::Mueller { iso: 0.5 }, Method::ZhuBridson, Method::YuTurk { iso: 0.4 }];
 
-/// Particles that have a direction each.
-struct Turned(Vec<[f64; 3]>, Vec<[f32; 3]>, Vec<AttributeInfo>);
-
-impl Turned {
-    /// All directions have a 1, so that what they are rounded to is the same whichever are seen together.
-    fn new(particles: &[[f64; 3]]) -> Self {
-        let turned = |p: &[f64; 3]| [(p[0] as f32).sin(), 1.0, (p[2] as f32).cos()];
-        let info = AttributeInfo { name: "direction".into(), components: 3 };
-        Self(particles.to_vec(), particles.iter().map(turned).collect(), vec![info])
-    }
-
-    fn repeated(&self, faces: Faces) -> Self {
-        let positions = repeated(&self.0, faces);
-        let turned = self.1.iter().copied().cycle().take(positions.len()).collect();
-        Self(positions, turned, self.2.clone())
-    }
-}
-
-impl Particles for Turned {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        self.0[..].positions(first, out);
-    }
-    fn attributes(&self) -> &[AttributeInfo] {
-        &self.2
-    }
-    fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
-        let count = out.len() / 3;
-        out.copy_from_slice(self.1[first..first + count].as_flattened());
-    }
+/// Particles that have a direction each: those of `first` for as many of them, again and again.
+/// All directions have a 1, so that what they are rounded to is the same whichever are seen together.
+fn turned(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
+    let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
+    Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
 }
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
@@ -106,17 +80,18 @@ fn kernel_methods_have_the_mesh_of_the_fluid_repeated_too() {
 fn attributes_come_from_beyond_the_faces_as_well() {
     let edges = DVec3::new(32.0, 40.0, 24.0);
     let faces = [Some([0.0, edges.x]), Some([0.0, edges.y]), Some([0.0, edges.z])];
-    let particles = Turned::new(&fluid(3, edges));
+    let fluid = fluid(3, edges);
+    let particles = turned(&fluid, &fluid);
     let sampling = Sampling { carried: vec![0], ..in_box(IndicatorKind::Cloud, 0.5, faces) };
     let surfacing = Surfacing { periodic_mesh: PeriodicMesh::Overlap, ..surfacing() };
     let (_, found) = drawn(&particles, &sampling, &surfacing);
     let alone = Sampling { periodic: None, ..sampling };
-    let (frame, calibrated) =
-        (Frame::sample(&particles.repeated(faces), &alone, &mut Timings::default()).unwrap(), {
-            let frame =
-                Frame::sample(&particles, &in_box(IndicatorKind::Cloud, 0.5, faces), &mut Timings::default());
-            surfacing.calibrate(frame.unwrap().dif().unwrap()).unwrap().calibration
-        });
+    let around = turned(&repeated(&fluid, faces), &fluid);
+    let (frame, calibrated) = (Frame::sample(&around, &alone, &mut Timings::default()).unwrap(), {
+        let frame =
+            Frame::sample(&particles, &in_box(IndicatorKind::Cloud, 0.5, faces), &mut Timings::default());
+        surfacing.calibrate(frame.unwrap().dif().unwrap()).unwrap().calibration
+    });
     let timings = &mut Timings::default();
     let expected = frame.calibrate(&surfacing, Some(&calibrated), timings).unwrap().surface(timings).unwrap();
     let [found, expected] =
@@ -128,20 +103,17 @@ fn attributes_come_from_beyond_the_faces_as_well() {
 fn neither_order_nor_threads_nor_memory_change_a_byte() {
     let edges = DVec3::new(31.0, 40.0, 29.0);
     let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
-    let particles = Turned::new(&fluid(11, edges));
+    let fluid = fluid(11, edges);
+    let particles = turned(&fluid, &fluid);
     let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
     let scratch = TempDir::new().unwrap();
     for kind in common::INDICATORS {
         let sampling = Sampling { carried: vec![0], ..in_box(kind, 0.9, faces) };
         let (_, expected) = drawn(&particles, &sampling, &surfacing);
         assert_watertight(&expected, &format!("{kind:?}"));
-        let mut order: Vec<usize> = (0..particles.len()).collect();
-        shuffle(&mut order, &mut Random::new(1));
-        let shuffled = Turned(
-            order.iter().map(|&i| particles.0[i]).collect(),
-            order.iter().map(|&i| particles.1[i]).collect(),
-            particles.2.clone(),
-        );
+        let mut shuffled = fluid.clone();
+        shuffle(&mut shuffled, &mut Random::new(1));
+        let shuffled = turned(&shuffled, &shuffled);
         for (budget, threads) in [(1 << 18, 1), (1 << 20, 3), (8 << 30, 4)] {
             let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
             let sampling = Sampling { resources, ..sampling.clone() };
@@ -252,20 +224,6 @@ fn a_narrow_reach_is_enough_and_less_is_refused() {
     assert!(error.to_string().contains("periodic"), "{error}");
 }
 
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
-}
-
-#[track_caller]
-fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    let Output { status, stderr, .. } = command.current_dir(folder).args(arguments).output().unwrap();
-    let errors = String::from_utf8(stderr).unwrap();
-    assert_eq!(status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    errors
-}
-
 /// A pool at spacing 1 in a box from 0 to 24 along x and z, in `pool.xyz`.
 fn pool() -> (TempDir, Vec<[f64; 3]>) {
     let folder = TempDir::new().unwrap();
@@ -372,8 +330,7 @@ fn a_packed_frame_keeps_its_box_and_its_mesh_may_end_either_way() {
     assert!(errors.contains("images up to"), "{errors}");
     let errors = run(folder.path(), &["reconstruct", "pool.mnf", "--periodic", BOX, "-o", "box.ply"], 2);
     assert!(errors.contains("--periodic needs the particles themselves"), "{errors}");
-    let mut info = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    let said = info.current_dir(folder.path()).args(["info", "pool.mnf"]).output().unwrap().stdout;
+    let said = command(folder.path(), &["info", "pool.mnf"]).output().unwrap().stdout;
     assert!(String::from_utf8(said).unwrap().contains("x 0 to 24, z 0 to 24"));
 }
 
@@ -402,13 +359,6 @@ fn a_sequence_keeps_its_box_and_goes_on_with_no_other() {
     run(folder.path(), &with(&frames, &["--periodic", BOX, "--resume"]), 0);
 }
 
-fn bytes(surface: &Surface) -> Vec<u8> {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("mesh.ply");
-    surface.write(&path).unwrap();
-    fs::read(path).unwrap()
-}
-
 #[test]
 fn the_library_and_the_program_write_the_same_bytes_of_a_periodic_box() {
     let (folder, particles) = pool();
@@ -419,10 +369,10 @@ fn the_library_and_the_program_write_the_same_bytes_of_a_periodic_box() {
         run(folder.path(), &with(&POOL, &options), 0);
         let request = periodic.clone().periodic_mesh(asked);
         let of_file = request.run_file(folder.path().join("pool.xyz")).unwrap();
-        assert!(fs::read(folder.path().join(&output)).unwrap() == bytes(&of_file), "{ends}");
+        assert!(fs::read(folder.path().join(&output)).unwrap() == bytes_of(&of_file), "{ends}");
         let single: Vec<[f32; 3]> = particles.iter().map(|p| p.map(|x| x as f32)).collect();
         let surface = request.run(&single[..]).unwrap();
-        assert!(bytes(&of_file) == bytes(&surface), "{ends}");
+        assert!(bytes_of(&of_file) == bytes_of(&surface), "{ends}");
         let warnings = &surface.report().warnings;
         assert!(!warnings.iter().any(|w| matches!(w, Warning::Shortfall { .. } | Warning::Lost { .. })));
     }

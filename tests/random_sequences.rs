@@ -9,38 +9,18 @@ mod common;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use common::fill;
+use common::files::{raw, tree};
 use common::scene::Random;
+use common::{fill, program};
 use tempfile::TempDir;
 
 /// Sequences in a run that nobody asked for more of.
 const SEQUENCES: u64 = 10;
-
-/// Every file below a folder.
-fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-        if path.is_dir() {
-            files.extend(tree(&path));
-        } else {
-            files.insert(path.clone(), fs::read(&path).unwrap());
-        }
-    }
-    files
-}
-
-/// The same by their names below the folder.
-fn within(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    tree(folder)
-        .into_iter()
-        .map(|(path, bytes)| (path.strip_prefix(folder).unwrap().to_owned(), bytes))
-        .collect()
-}
 
 /// A conversion that things happen to.
 struct Sequence {
@@ -84,7 +64,7 @@ impl Sequence {
         self.written += 1;
         let (seed, radius) = (self.written, 3.0 + 0.1 * (self.written % 10) as f64);
         let ball = fill(10.0, 1.0, 0.3, seed, |p| p.length() < radius);
-        let bytes: Vec<u8> = ball.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect();
+        let bytes = raw(&ball);
         let path = self.input(frame);
         if self.pick(3) == 0 {
             fs::write(&path, &bytes[..bytes.len() / 24 * 12]).unwrap();
@@ -103,9 +83,9 @@ impl Sequence {
     }
 
     fn command(&self, out: &str, more: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
         let output = format!("{out}/m_{{}}.{}", self.format);
-        command.current_dir(self.folder.path()).args(["reconstruct", "in/f_{}.xyz", "-o", &output, "-q"]);
+        let usual = ["reconstruct", "in/f_{}.xyz", "-o", &output, "-q"];
+        let mut command = program::command(self.folder.path(), &usual);
         command.args(["--spacing", "1", "--cell", "1", "--threads", "1", "--backend", "cpu"]).args(more);
         command.stderr(Stdio::piped());
         command
@@ -142,8 +122,10 @@ impl Sequence {
 
     /// Damages an output, or what is known of it.
     fn damage(&mut self) {
-        let files: Vec<PathBuf> = tree(&self.folder.path().join("out"))
+        let out = self.folder.path().join("out");
+        let files: Vec<PathBuf> = tree(&out)
             .into_keys()
+            .map(|name| out.join(name))
             .filter(|path| !path.ends_with("state.json"))
             .collect();
         if files.is_empty() {
@@ -215,8 +197,8 @@ impl Sequence {
         fs::create_dir_all(to.parent().unwrap()).unwrap();
         fs::copy(from, to).unwrap();
         self.whole("alone");
-        let [out, alone] = ["out", "alone"].map(|name| within(&self.folder.path().join(name)));
-        let names = |files: &BTreeMap<PathBuf, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+        let [out, alone] = ["out", "alone"].map(|name| tree(&self.folder.path().join(name)));
+        let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
         assert_eq!(names(&out), names(&alone), "{}", self.told);
         let differing: Vec<String> = alone
             .iter()
@@ -224,14 +206,13 @@ impl Sequence {
             .map(|(name, bytes)| {
                 let [found, expected] =
                     [&out[name], bytes].map(|bytes| String::from_utf8_lossy(&bytes[..bytes.len().min(3000)]));
-                format!("{}: {found}\nin place of {expected}", name.display())
+                format!("{name}: {found}\nin place of {expected}")
             })
             .collect();
         assert!(differing.is_empty(), "{}: {}", self.told, differing.join("\n"));
-        let meshes = out.keys().filter(|name| {
-            name.to_string_lossy().starts_with("m_") && name.extension().is_some_and(|e| e == self.format)
-        });
-        let frames = meshes.filter(|name| name.parent() == Some(Path::new(""))).count();
+        let extension = format!(".{}", self.format);
+        let meshes = out.keys().filter(|name| name.starts_with("m_") && name.ends_with(&extension));
+        let frames = meshes.filter(|name| !name.contains('/')).count();
         assert_eq!(frames as u64, self.frames, "{}", self.told);
     }
 }

@@ -2,10 +2,14 @@
 
 #[path = "readers/build.rs"]
 mod build;
+#[path = "common/files.rs"]
+mod files;
 #[path = "readers/meter.rs"]
 mod meter;
+#[path = "common/particle_files.rs"]
+mod particle_files;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use meniscus::internals::io::bytes::Bytes;
 use meniscus::internals::io::bytes::Unpacking;
@@ -15,6 +19,8 @@ use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy
 use meniscus::internals::particles::{Particles, velocity_attribute};
 
 use build::{Bi4, VtkXml, gzip, tuples};
+use files::data;
+use particle_files::{attribute, positions};
 use zip::CompressionMethod;
 
 type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
@@ -27,24 +33,6 @@ const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
 /// With as much memory as unpacking takes.
 fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
     input::open_particles(path, Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere") })
-}
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
-}
-
-fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
-    let mut out = vec![[f64::NAN; 3]; file.particles.len()];
-    file.particles.positions(0, &mut out);
-    out
-}
-
-fn attribute(file: &ParticleFile, name: &str) -> Vec<f32> {
-    let infos = file.particles.attributes();
-    let index = infos.iter().position(|info| info.name == name).expect(name);
-    let mut out = vec![f32::NAN; file.particles.len() * infos[index].components];
-    file.particles.attribute(index, 0, &mut out);
-    out
 }
 
 fn attributes(file: &ParticleFile) -> Vec<(&str, usize)> {

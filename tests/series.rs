@@ -2,12 +2,14 @@
 #![allow(clippy::unwrap_used)]
 
 mod common {
+    pub mod files;
     pub mod shapes;
 }
 
 use std::fs;
 use std::path::Path;
 
+use common::files::names;
 use common::shapes::{dressed, moved, sphere};
 use meniscus::internals::io::glb::Layout;
 use meniscus::internals::io::output::{MeshFormat, MeshOutput};
@@ -36,13 +38,6 @@ fn frame(frame: u64, file: &str, time: Option<f64>) -> SeriesFrame {
         normals: mesh.has_normals(),
         attributes: MeshSource::attributes(&mesh),
     }
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> =
-        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 #[test]

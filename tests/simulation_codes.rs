@@ -2,13 +2,20 @@
 #![cfg(feature = "hdf5")]
 #![allow(clippy::unwrap_used)]
 
+mod common {
+    pub mod files;
+    pub mod particle_files;
+    pub mod program;
+}
 #[path = "readers/meter.rs"]
 mod meter;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+use common::files;
+use common::particle_files::{attribute, positions};
+use common::program::command;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::frame_files::snapshot_pieces;
 use meniscus::internals::io::input::{holds_mesh, open_particles, open_wanted, steps};
@@ -29,7 +36,7 @@ const FRAMES: [(&str, usize); 6] = [
 ];
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/simulations").join(name)
+    files::data("simulations").join(name)
 }
 
 fn open(name: &str) -> Result<ParticleFile, ReadError> {
@@ -39,20 +46,6 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<ParticleFile, ReadError> {
     let wanted = Wanted { particle_type: name.into(), ..Wanted::default() };
     open_wanted(path, wanted, Unpacking::in_memory())
-}
-
-fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
-    let mut positions = vec![[0.0; 3]; file.particles.len()];
-    file.particles.positions(0, &mut positions);
-    positions
-}
-
-fn named(file: &ParticleFile, name: &str) -> Vec<f32> {
-    let attributes = file.particles.attributes();
-    let index = attributes.iter().position(|a| a.name == name).unwrap();
-    let mut values = vec![0.0; file.particles.len() * attributes[index].components];
-    file.particles.attribute(index, 0, &mut values);
-    values
 }
 
 /// The points that every file holds.
@@ -89,7 +82,7 @@ fn every_code_s_frame_holds_the_same_particles_with_their_velocities_and_no_ghos
         let found = positions(&file);
         assert_eq!((found.len(), file.ghosts), (expected.len(), ghosts), "{name}");
         let velocity = if file.format.contains("GADGET") { "Velocities" } else { "velocity" };
-        let velocities = named(&file, velocity);
+        let velocities = attribute(&file, velocity);
         for (i, (found, point)) in found.iter().zip(expected).enumerate() {
             for axis in 0..3 {
                 let right = point[axis] + shift;
@@ -113,8 +106,7 @@ fn a_header_s_box_and_unit_are_told_and_nothing_else_is_taken_from_them() {
     assert!((megaparsec / 3.0857e22 - 1.0).abs() < 1e-4, "{megaparsec}");
     let gadget = open(GADGET[2]).unwrap();
     assert_eq!((gadget.box_size, gadget.unit_metres), (Some([4.0; 3]), Some(1.0)));
-    let output = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-        .args(["info"])
+    let output = command(Path::new("."), &["info"])
         .args([data("swift_0003.hdf5"), data("grid.vtkhdf")])
         .output()
         .unwrap();
@@ -329,8 +321,7 @@ fn the_files_of_snapshots_in_a_folder_are_a_frame_each() {
     }
     fs::remove_file(path.join("gadget_005.hdf5")).unwrap();
     let run = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        let output = command.current_dir(path).arg("reconstruct").args(arguments).output().unwrap();
+        let output = command(path, &["reconstruct"]).args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
         let list = fs::read(path.join("m/gadget.ply.json")).unwrap();
         let list: serde_json::Value = serde_json::from_slice(&list).unwrap();

@@ -7,11 +7,12 @@ mod common;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use common::fill;
+use common::files::{data, raw, tree};
 use common::scene::Random;
+use common::{fill, program};
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::surface::mesh::Mesh;
@@ -21,22 +22,12 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).arg("reconstruct").args(arguments);
-    command
+    program::command(folder, &[&["reconstruct"], arguments].concat())
 }
 
 #[track_caller]
 fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
-    let Output { status, stderr, .. } = command(folder, arguments).output().unwrap();
-    let errors = String::from_utf8(stderr).unwrap();
-    assert_eq!(status.code(), Some(code), "{arguments:?}: {errors}");
-    assert!(!errors.contains("panicked"), "{errors}");
-    errors
-}
-
-fn raw(particles: &[[f64; 3]]) -> Vec<u8> {
-    particles.iter().flatten().flat_map(|&x| (x as f32).to_le_bytes()).collect()
+    program::run(folder, &[&["reconstruct"], arguments].concat(), code)
 }
 
 /// A ball that falls, in `in/f_N.xyz`, with particles in disorder.
@@ -53,23 +44,6 @@ fn ball(frame: u64) -> Vec<[f64; 3]> {
     let fall = DVec3::new(0.0, -0.07 * frame as f64, 0.0);
     let ball = fill(10.0, 2.0, 0.4, frame, |p| p.length() < 5.0);
     ball.into_iter().map(|p| (DVec3::from(p) + fall).to_array()).collect()
-}
-
-/// Every file below a folder, by its path in it.
-fn tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for path in fs::read_dir(next).unwrap().map(|e| e.unwrap().path()) {
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
-                files.insert(name, fs::read(path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 const ALL: [&str; 3] = ["in/f_{}.xyz", "-o", "out/m_{}.ply"];
@@ -598,7 +572,7 @@ fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
 
 #[test]
 fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will_be() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
+    let data = data("dambreak_small");
     let folder = TempDir::new().unwrap();
     for name in [
         "ParticleData_Fluid_1.bgeo",

@@ -6,16 +6,17 @@ mod common;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use common::files::{bytes_of, raw, tree};
 use common::fill;
+use common::program::command;
 use meniscus::error::{Conflict, Setting};
 use meniscus::files::Replace;
 use meniscus::{
     Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress, Reconstruction,
-    Simulation, Stage, Summary, Surface, Warning,
+    Simulation, Stage, Summary, Warning,
 };
 use tempfile::TempDir;
 
@@ -29,8 +30,7 @@ fn falling(frame: u64) -> Vec<[f32; 3]> {
 }
 
 fn write(path: &Path, particles: &[[f32; 3]]) {
-    let bytes: Vec<u8> = particles.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-    fs::write(path, bytes).unwrap();
+    fs::write(path, raw(particles)).unwrap();
 }
 
 /// A folder with so many frames.
@@ -46,28 +46,6 @@ fn simulation(folder: &Path, meshes: &str) -> Simulation {
     let request = Reconstruction::new().spacing(0.5).threads(2).memory(MemoryBudget(1 << 30));
     Simulation::new(folder.join("sim/drop_{}.xyz"), folder.join(meshes).join("drop_{}.ply"))
         .reconstruction(request)
-}
-
-/// The bytes of all files in a folder and in those below, by their names.
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
-        let name = entry.file_name().into_string().unwrap();
-        if entry.path().is_dir() {
-            let inside = contents(&entry.path()).into_iter();
-            found.extend(inside.map(|(file, bytes)| (format!("{name}/{file}"), bytes)));
-        } else {
-            found.insert(name, fs::read(entry.path()).unwrap());
-        }
-    }
-    found
-}
-
-fn bytes(surface: &Surface) -> Vec<u8> {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("mesh.ply");
-    surface.write(&path).unwrap();
-    fs::read(path).unwrap()
 }
 
 #[test]
@@ -87,14 +65,13 @@ fn the_library_and_the_program_write_the_same_files() {
     ];
     for (number, (options, ask)) in asked.into_iter().enumerate() {
         let [program, library] = ["program", "library"].map(|by| format!("{by}_{number}"));
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-        command.current_dir(folder.path()).args(["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
+        let mut command = command(folder.path(), &["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
         command.arg("-o").arg(format!("{program}/drop_{{}}.ply")).args(["--quiet", "--backend", "cpu"]);
         assert!(command.args(options).status().unwrap().success(), "{options:?}");
         let request = ask(Reconstruction::new().spacing(0.5));
         let summaries = simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
         assert!(matches!(&summaries[..], [Summary { made: 4, failed: 0, .. }]), "{summaries:?}");
-        let [program, library] = [program, library].map(|by| contents(&folder.path().join(by)));
+        let [program, library] = [program, library].map(|by| tree(&folder.path().join(by)));
         assert_eq!(program.len(), 8, "{:?}", program.keys());
         assert!(program.keys().eq(library.keys()), "{:?} {:?}", program.keys(), library.keys());
         for (file, bytes) in &program {
@@ -166,7 +143,7 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
     let [done, failed] = [done, failed].map(AtomicUsize::into_inner);
     assert!((3..12).contains(&done) && failed == 0, "{done} done, {failed} failed");
     let meshes = |folder: &str, root: &Path| {
-        let files = contents(&root.join(folder));
+        let files = tree(&root.join(folder));
         assert!(files.keys().all(|name| !name.contains(".tmp")), "{:?}", files.keys());
         files.into_iter().filter(|(name, _)| name.ends_with(".ply")).collect::<BTreeMap<_, _>>()
     };
@@ -306,7 +283,7 @@ fn frames_from_memory_are_those_from_files() {
             let surface = live.frame(&falling(frame)[..]).unwrap();
             let file = folder.path().join(format!("mesh/drop_{frame}.ply"));
             assert!(
-                live.is_settled() && bytes(&surface) == fs::read(file).unwrap(),
+                live.is_settled() && bytes_of(&surface) == fs::read(file).unwrap(),
                 "frame {frame} by {kind:?}"
             );
         }
@@ -345,15 +322,15 @@ fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
     for smooth in [1.2, 1.6, 2.2] {
         let other = request.clone().smooth(smooth);
         let drawn = frame.surface_by(&other).unwrap();
-        assert!(bytes(&drawn) == bytes(&other.run(&water[..]).unwrap()), "{smooth}");
+        assert!(bytes_of(&drawn) == bytes_of(&other.run(&water[..]).unwrap()), "{smooth}");
     }
-    assert!(bytes(&frame.surface().unwrap()) == bytes(&request.run(&water[..]).unwrap()));
+    assert!(bytes_of(&frame.surface().unwrap()) == bytes_of(&request.run(&water[..]).unwrap()));
 
     let folder = TempDir::new().unwrap();
     let packed = folder.path().join("frame.mnf");
     frame.pack(request.packed_output(&packed, Replace::Refuse).unwrap()).unwrap();
     let drawn = Reconstruction::new().smooth(2.2).run_file(&packed).unwrap();
-    assert!(bytes(&drawn) == bytes(&request.clone().smooth(2.2).run(&water[..]).unwrap()));
+    assert!(bytes_of(&drawn) == bytes_of(&request.clone().smooth(2.2).run(&water[..]).unwrap()));
     let none = request.packed_output(folder.path().join("frame.ply"), Replace::Refuse).unwrap_err();
     assert_eq!(none.cause(), Cause::Request);
 }

@@ -6,7 +6,6 @@ mod common;
 #[allow(dead_code, reason = "others compare binaries")]
 mod compile;
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -458,7 +457,7 @@ fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
 
 #[test]
 fn the_shared_frames_have_the_same_surfaces_on_the_device() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let data = common::files::data("");
     validated(|device| {
         let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
         for file in ["dambreak_small/ParticleData_Fluid_20.bgeo"] {

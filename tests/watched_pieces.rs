@@ -5,11 +5,12 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
-use common::fill;
+use common::program::command;
+use common::{files, fill};
 use tempfile::TempDir;
 
 /// Half a ball, that is the first or the second piece of a frame.
@@ -38,9 +39,8 @@ fn write_index(folder: &Path, frame: u64) {
 }
 
 fn start(folder: &Path, input: &str, more: &[&str]) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).args(["reconstruct", input, "-o", "out/m_{}.ply", "--spacing", "0.5", "-q"]);
-    command.args(["--backend", "cpu"]).args(more).stderr(Stdio::piped()).spawn().unwrap()
+    let usual = ["reconstruct", input, "-o", "out/m_{}.ply", "--spacing", "0.5", "-q"];
+    command(folder, &usual).args(["--backend", "cpu"]).args(more).stderr(Stdio::piped()).spawn().unwrap()
 }
 
 /// The meshes that are there when it ends.
@@ -48,11 +48,7 @@ fn start(folder: &Path, input: &str, more: &[&str]) -> Child {
 fn meshes(child: Child, folder: &Path) -> Vec<String> {
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let entries = fs::read_dir(folder.join("out")).unwrap();
-    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let mut names: Vec<_> = names.filter(|name| name.starts_with("m_")).collect();
-    names.sort();
-    names
+    files::names(&folder.join("out")).into_iter().filter(|name| name.starts_with("m_")).collect()
 }
 
 #[test]

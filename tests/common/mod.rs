@@ -1,10 +1,13 @@
-//! What the tests share: random scenes, settings, and the oracle.
+//! What the tests share: random scenes, particles, files, the program, settings, and the oracle.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+pub mod attributed;
 pub mod dense;
 pub mod device;
 pub mod distances;
+pub mod files;
 pub mod periodic;
+pub mod program;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
 pub mod watertight;

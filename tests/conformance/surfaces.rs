@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use crate::common::attributed::Attributed;
 use crate::common::scene::Random;
 use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
@@ -16,7 +17,6 @@ use meniscus::internals::frame::{
 };
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
 use meniscus::internals::grid::{BIN, BLOCK, CellBox, Domain, Grid, MortonKey, PeriodicMesh};
-use meniscus::internals::particles::{AttributeInfo, Particles};
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::spool::Spool;
@@ -456,30 +456,12 @@ pub fn a_million_particles_in_one_place_are_one_drop(place: &Place) {
 }
 
 pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
-    struct Moving(Vec<[f64; 3]>, [AttributeInfo; 1]);
-    impl Particles for Moving {
-        fn len(&self) -> usize {
-            self.0.len()
-        }
-        fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-            self.0[..].positions(first, out);
-        }
-        fn attributes(&self) -> &[AttributeInfo] {
-            &self.1
-        }
-        fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
-            // A rigid rotation about y, three times as fast as the unit; one particle has none.
-            for (i, out) in out.chunks_exact_mut(3).enumerate() {
-                let [x, _, z] = self.0[first + i];
-                out.copy_from_slice(&[3.0 * z as f32, f32::from(first + i != 17) * 0.5, -3.0 * x as f32]);
-                if first + i == 18 {
-                    out[0] = f32::NAN;
-                }
-            }
-        }
-    }
-    let ball = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
-    let mut moving = Moving(ball, [AttributeInfo { name: "v".into(), components: 3 }]);
+    // A rigid rotation about y, three times as fast as the unit; one particle has no velocity, and a number of one is none.
+    let rotation = |i: usize, [x, _, z]: [f64; 3]| {
+        [if i == 18 { f32::NAN } else { 3.0 * z as f32 }, f32::from(i != 17) * 0.5, -3.0 * x as f32]
+    };
+    let mut ball = fill(20.0, 2.0, 0.3, 5, |p| p.length() < 12.0);
+    let moving = Attributed::new(ball.clone()).with("v", rotation);
     let sampling = Sampling { carried: vec![0], ..place.sampling() };
     let (_, first) = reconstruct(&moving, &sampling, &surfacing());
     let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
@@ -489,7 +471,8 @@ pub fn attributes_reach_the_vertices_blurred_like_the_field(place: &Place) {
         assert!((f64::from(v[0]) - 3.0 * z).abs() < 6.0 && (f64::from(v[2]) + 3.0 * x).abs() < 6.0);
         assert!((v[1] - 0.5).abs() < 0.1);
     }
-    moving.0.swap(100, 5000);
+    ball.swap(100, 5000);
+    let moving = Attributed::new(ball).with("v", rotation);
     let (_, second) = reconstruct(&moving, &sampling, &surfacing());
     assert!(first.mesh == second.mesh, "values depend on the particles' order");
 }

@@ -2,6 +2,8 @@
 
 mod damage;
 mod meshes;
+#[path = "../common/particle_files.rs"]
+mod particle_files;
 mod pieces;
 mod ply_particles;
 mod vtk_particles;
@@ -14,6 +16,7 @@ use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk
 use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::source::MeshSource;
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
+use particle_files::{attribute, positions};
 
 /// Refuses, and so ends the tests at, any allocation that only a lying header can ask for.
 struct Modest;
@@ -68,12 +71,6 @@ impl Format {
     }
 }
 
-fn positions(file: &ParticleFile) -> Vec<[f64; 3]> {
-    let mut out = vec![[0.0; 3]; file.particles.len()];
-    file.particles.positions(0, &mut out);
-    out
-}
-
 fn attributes(file: &ParticleFile) -> Vec<(String, usize, Vec<f32>)> {
     let infos = file.particles.attributes().iter().enumerate();
     infos
@@ -83,10 +80,6 @@ fn attributes(file: &ParticleFile) -> Vec<(String, usize, Vec<f32>)> {
             (info.name.clone(), info.components, out)
         })
         .collect()
-}
-
-fn attribute(file: &ParticleFile, name: &str) -> Vec<f32> {
-    attributes(file).into_iter().find(|(found, ..)| found == name).expect(name).2
 }
 
 /// A number as a format's type of that name stores it, little-endian.

@@ -1,0 +1,32 @@
+//! The program, run in a folder: its command, what it says where its exit code is known, and by a shell.
+
+// Every test takes what it needs.
+#![allow(dead_code)]
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// The program in a folder, which is not started yet.
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    command.current_dir(folder).args(arguments);
+    command
+}
+
+/// What a run says on standard error, which ends with `code`.
+#[track_caller]
+pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
+    let Output { status, stderr, .. } = command(folder, arguments).output().unwrap();
+    let errors = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(code), "{arguments:?}: {errors}");
+    assert!(!errors.contains("panicked"), "{errors}");
+    errors
+}
+
+/// A run by a shell that first does what `before` says, such as to set limits; it takes the arguments apart.
+pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
+    let script = format!("{before}\nexec \"$0\" {arguments}");
+    let mut command = Command::new("bash");
+    command.current_dir(folder).args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")]).output().unwrap()
+}
