@@ -77,7 +77,7 @@ impl WholeFile {
     }
 
     /// The path as it was given.
-    pub(super) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 

@@ -12,7 +12,7 @@ use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Outline};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 #[cfg(feature = "pictures")]
-use crate::surface::picture::{Image, Picture};
+use crate::surface::picture::{Effort, Image, Picture};
 use crate::surface::stitch::WholeMeshError;
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Stage};
@@ -24,6 +24,10 @@ use super::output::{Output, coordinate_width};
 use super::report::Report;
 use super::threads::Threads;
 use super::warning::Warning;
+
+/// Pixels of a preview.
+#[cfg(feature = "pictures")]
+const PREVIEW: [usize; 2] = [640, 360];
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
@@ -77,6 +81,16 @@ impl Surface {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let drawn = threads.install(|| picture.draw(self.mesh()));
         drawn.map_err(|fault| Error::Picture { path: None, fault })
+    }
+
+    /// Draws a small picture of the mesh on a ground, to see in a moment what became of the particles.
+    ///
+    /// # Errors
+    /// Those of [`picture`](Self::picture).
+    #[cfg(feature = "pictures")]
+    pub fn preview(&self) -> Result<Image, Error> {
+        let [width, height] = PREVIEW;
+        self.picture(&Picture::new().size(width, height).ground(true).effort(Effort::Draft))
     }
 
     /// Finds what a format makes of the mesh that is worth a warning.

@@ -29,6 +29,8 @@ pub mod records;
 mod run;
 mod setup;
 mod shared;
+#[cfg(feature = "pictures")]
+mod sheet;
 pub mod state;
 mod tally;
 mod watch;
@@ -43,3 +45,5 @@ pub use inputs::{FrameFile, frames};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
 pub use pictures::{PictureDone, PictureFile, Pictures};
+#[cfg(feature = "pictures")]
+pub use sheet::Sheet;

@@ -63,6 +63,20 @@ impl PictureFile {
         }
     }
 
+    /// Makes sure, before the work, that a picture can be written beside a mesh, under its name with `.png`.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn beside(mesh: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
+        Self::prepare(mesh.as_ref().with_extension(PNG), replace)
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+
     /// Writes the picture. Returns the file's size in bytes.
     ///
     /// # Errors

@@ -1,10 +1,10 @@
 //! One frame's mesh: what is checked before the work, and what is said and written after it, however it is made.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use bytesize::ByteSize;
 use meniscus::files::{Output, Replace, file_and_step, is_same_file};
-use meniscus::picture::{Effort, Picture, PictureFile};
+use meniscus::picture::PictureFile;
 use meniscus::{Error, Reconstruction, Surface};
 
 use crate::interrupt;
@@ -13,9 +13,6 @@ use crate::options::Options;
 use crate::report::{report, report_device, report_stages, warn_all};
 use crate::run::bytes_of;
 use crate::stats::{Made, record};
-
-/// Pixels of the picture beside a mesh.
-const PREVIEW: [usize; 2] = [640, 360];
 
 /// Refuses a file that is to be read or written and written again, which is a slip of the hand.
 pub fn refuse_same_file(one: &Path, other: &Path) -> Result<(), Error> {
@@ -53,7 +50,7 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    let preview = preview_path(options).map(|path| PictureFile::prepare(path, replace)).transpose()?;
+    let preview = options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
 
     // What the file cannot hold need not be carried.
     let carries = options.attributes.is_some() || output.format().holds_attributes();
@@ -61,19 +58,12 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     Ok(Ready { request, output, preview, notes })
 }
 
-/// The picture beside a mesh, if one is asked for.
-fn preview_path(options: &Options) -> Option<PathBuf> {
-    options.preview.then(|| options.output.with_extension("png"))
-}
-
 /// Draws the picture beside a mesh.
-fn draw_preview(options: &Options, surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
-    let [width, height] = PREVIEW;
-    let image = surface.picture(&Picture::new().size(width, height).ground(true).effort(Effort::Draft))?;
+fn draw_preview(surface: &Surface, file: PictureFile, notes: &Notes) -> Result<(), Error> {
+    let image = surface.preview()?;
+    let what = format!("{}: {} x {} pixels", file.path().display(), image.width(), image.height());
     file.write(&image)?;
-    if let Some(path) = preview_path(options) {
-        notes.say(format!("{}: {width} x {height} pixels", path.display()));
-    }
+    notes.say(what);
     Ok(())
 }
 
@@ -94,7 +84,7 @@ pub fn write(
     let bytes = surface.write_to(output)?;
     stages.done("write");
     if let Some(file) = preview {
-        draw_preview(options, surface, file, notes)?;
+        draw_preview(surface, file, notes)?;
         stages.done("picture");
     }
     let (mesh, report) = (surface.mesh(), surface.report());

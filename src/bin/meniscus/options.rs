@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
-use meniscus::files::usual_up;
 use meniscus::{Error, Method, PeriodicMesh, Reconstruction, UpAxis};
 
 use crate::method::MethodName;
@@ -211,12 +210,6 @@ impl Options {
             request = request.particles_up(axis.into());
         }
         Ok(request)
-    }
-
-    /// The axis that points up in the meshes.
-    pub fn mesh_up(&self) -> UpAxis {
-        let usual = || self.inputs.first().map_or(UpAxis::Y, |input| usual_up(input));
-        self.up.or(self.particles_up).map_or_else(usual, Into::into)
     }
 
     /// Whether the isovalue was given.

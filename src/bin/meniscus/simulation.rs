@@ -1,12 +1,9 @@
 //! `meniscus reconstruct` for the frames of a simulation: what is said of its events.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use meniscus::files::Replace;
-use meniscus::picture::{Picture, PictureFile, Pictures};
-use meniscus::{Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied};
+use meniscus::{Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied};
 
 use crate::advice::{doubted, told, warned};
 use crate::interrupt;
@@ -53,7 +50,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
         }
         return Ok(teller.verdict());
     }
-    let sheet = options.preview.then(|| Sheet::prepare(options)).transpose()?;
+    let sheet = options.preview.then(|| simulation.sheet()).transpose()?;
     interrupt::resumable();
     if options.simulation.plan {
         let numbers: Vec<String> = simulation.plan(hear)?.iter().map(u64::to_string).collect();
@@ -67,46 +64,11 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     }
     converted?;
     if let Some(sheet) = sheet {
-        sheet.draw(options, cancel.clone(), &teller.notes)?;
+        let path = sheet.path().to_owned();
+        sheet.draw()?;
+        teller.notes.say(format!("{}: a sheet of the frames", path.display()));
     }
     Ok(teller.verdict())
-}
-
-/// Pictures of the frames on a sheet, beside the meshes.
-struct Sheet {
-    path: PathBuf,
-    replace: Replace,
-}
-
-impl Sheet {
-    /// Refuses a file that is there already, unless it may be replaced or is this simulation's own.
-    fn prepare(options: &Options) -> Result<Self, Error> {
-        let output = &options.output;
-        let is_folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
-        let stem = if is_folder { None } else { output.file_stem() };
-        let stem = stem.map(|stem| stem.to_string_lossy().split('{').next().unwrap_or("").to_owned());
-        let name = match stem.unwrap_or_default().trim_end_matches(['_', '-', '.', ' ']) {
-            "" => "frames.png".to_owned(),
-            stem => format!("{stem}.png"),
-        };
-        let folder = if is_folder { output } else { output.parent().unwrap_or(Path::new("")) };
-        let path = folder.join(name);
-        let ours = options.run.overwrite || options.simulation.resume;
-        let replace = if ours { Replace::Allow } else { Replace::Refuse };
-        if path.exists() {
-            drop(PictureFile::prepare(&path, replace)?);
-        }
-        Ok(Self { path, replace })
-    }
-
-    /// Draws the meshes that there are.
-    fn draw(self, options: &Options, cancel: Cancel, notes: &Notes) -> Result<(), Error> {
-        let picture = Picture::new().up(options.mesh_up()).ground(true);
-        let pictures = Pictures::new(picture, [&options.output], &self.path).replace(self.replace);
-        pictures.cancel(cancel).run(|_| ())?;
-        notes.say(format!("{}: a sheet of the frames", self.path.display()));
-        Ok(())
-    }
 }
 
 /// Says what happens.

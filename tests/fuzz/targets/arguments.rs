@@ -73,7 +73,6 @@ fn run(data: &[u8]) {
                 let opened = request.open("there/is/none.xyz");
                 assert!(opened.is_err_and(|error| !crate::advice::told(&error).is_empty()));
             }
-            options.mesh_up();
         }
         Ok(_) => {}
         Err(error) => assert!(!error.to_string().is_empty()),

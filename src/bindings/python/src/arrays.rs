@@ -101,8 +101,9 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py
     let held = held(name, object)?;
     let shape = held.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
+        let way = if shape.len() == 2 && shape[0] == 3 { "; .T turns it" } else { "" };
         return Err(InputError::new_err(format!(
-            "{name}: an array of shape (N, 3) is needed, not {}",
+            "{name}: an array of shape (N, 3) is needed, not {}{way}",
             shown(shape)
         )));
     }
@@ -147,8 +148,14 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Held<'py>> {
         (b'f', 4) => Kind::F32,
         (b'f', 8) => Kind::F64,
         _ => {
+            let way = match dtype.kind() {
+                b'V' => "numpy.lib.recfunctions.structured_to_unstructured",
+                // As of torch's tensors.
+                _ if !object.hasattr("astype")? && object.hasattr("float")? => ".float()",
+                _ => ".astype(\"float32\")",
+            };
             return Err(PyTypeError::new_err(format!(
-                "{name}: numbers of type float32 or float64 are needed, not {}; .astype(\"float32\") makes them",
+                "{name}: numbers of type float32 or float64 are needed, not {}; {way} makes them",
                 called()
             )));
         }
@@ -175,14 +182,15 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
     let py = object.py();
     if let Ok(array) = object.cast::<PyUntypedArray>() {
         if object.hasattr("mask")? {
-            let what = format!("{name}: an array with a mask; .compressed() leaves out what is masked");
+            let what = format!("{name}: an array with a mask; .filled(numpy.nan) makes one without");
             return Err(PyTypeError::new_err(what));
         }
         return Ok(array.clone());
     }
     let numpy = py.import("numpy")?;
     let because = |error: PyErr| {
-        let what = format!("{name}: {} cannot be read as an array: {}", type_of(object), error.value(py));
+        let of = object.getattr("dtype").map_or_else(|_| String::new(), |dtype| format!(" of {dtype}"));
+        let what = format!("{name}: {}{of} cannot be read as an array: {}", type_of(object), error.value(py));
         PyTypeError::new_err(what)
     };
     let array = if object.hasattr("__dlpack__")? {

@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 
 use meniscus::files::Replace;
 use meniscus::mesh::{Measures, VertexAttribute, check, measure};
+use meniscus::picture::PictureFile;
 use meniscus::{Reconstruction, Surface};
 use numpy::prelude::*;
 use numpy::{Element, PyArray1, PyArray2};
@@ -179,6 +180,8 @@ impl Mesh {
     ///     The file.
     /// overwrite : bool
     ///     Whether a file that is there may be replaced.
+    /// preview : bool
+    ///     Draw a picture beside it, too: under its name, as .png.
     ///
     /// Returns
     /// -------
@@ -191,15 +194,20 @@ impl Mesh {
     ///     Where it is there already, or cannot be written; an OSError.
     /// meniscus.InputError
     ///     For an unknown extension, or what the format cannot hold; a ValueError.
-    #[pyo3(signature = (path, *, overwrite=false))]
-    fn write(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<u64> {
+    #[pyo3(signature = (path, *, overwrite=false, preview=false))]
+    fn write(&self, py: Python<'_>, path: PathBuf, overwrite: bool, preview: bool) -> PyResult<u64> {
         let work = Work::new();
         let request = work.holds(self.request.clone(), false);
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
         let (bytes, warnings) = with_progress(py, None, work, || {
             let output = request.output(&path, replace)?;
+            let picture = preview.then(|| PictureFile::beside(&path, replace)).transpose()?;
             let warnings = self.surface.warnings_in(output.format())?;
-            Ok((self.surface.write_to(output)?, warnings))
+            let bytes = self.surface.write_to(output)?;
+            if let Some(file) = picture {
+                file.write(&self.surface.preview()?)?;
+            }
+            Ok((bytes, warnings))
         })?;
         warn(py, warnings.iter().map(|warning| format!("{}: {warning}", path.display())))?;
         Ok(bytes)

@@ -151,7 +151,7 @@ impl Keywords {
                 request
             }
             "device" => {
-                self.device.named(given.text()?);
+                self.device.named(given.text_or_number()?);
                 request
             }
             // Switches that are off.

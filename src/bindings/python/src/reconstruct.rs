@@ -64,7 +64,7 @@ use crate::work::{Work, with_progress};
 ///     The axis that points up in files, and in the particles.
 /// backend : "auto", "cpu" or "vulkan", optional
 ///     Where it is computed: the same bytes everywhere.
-/// device : str, optional
+/// device : str or int, optional
 ///     The Vulkan device, by number, UUID or a part of its name.
 /// threads : int, optional
 ///     Threads to use; all cores by default.

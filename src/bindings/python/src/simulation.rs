@@ -18,7 +18,8 @@ use crate::values::Given;
 use crate::work::{News, Work, with_progress};
 
 /// The keywords of which frames are made, and how it goes.
-const SIMULATION: [&str; 8] = ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps"];
+const SIMULATION: [&str; 9] =
+    ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps", "preview"];
 
 /// The frames of a simulation, all alike: cells, grid and calibration are measured once, and frozen.
 ///
@@ -46,6 +47,8 @@ const SIMULATION: [&str; 8] = ["start", "end", "step", "frames", "resume", "over
 ///     Follow a simulation that runs, until nothing has come for so many seconds.
 /// fps : float, optional
 ///     Frames a second, for times where the files have none.
+/// preview : bool, optional
+///     Draw a sheet of the frames beside their meshes, as .png.
 /// attributes : list of str, optional
 ///     The attributes that vertices carry; their velocity by default.
 /// particle_type : str, optional
@@ -68,7 +71,8 @@ pub struct Simulation {
 
 enum Kind {
     Live(Mutex<LiveSimulation>),
-    Files(Box<Files>),
+    /// And whether a sheet of the frames is drawn.
+    Files(Box<Files>, bool),
 }
 
 impl Simulation {
@@ -92,7 +96,7 @@ impl Simulation {
     #[pyo3(
         signature = (inputs=None, output=None, **keywords),
         text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
-            overwrite=None, watch=None, fps=None, attributes=None, particle_type=None, spacing=None, radius=None, cell=None, \
+            overwrite=None, watch=None, fps=None, preview=None, attributes=None, particle_type=None, spacing=None, radius=None, cell=None, \
             cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -119,12 +123,12 @@ impl Simulation {
             let live = LiveSimulation::new(&request).map_err(exception)?;
             return Ok(Self { kind: Kind::Live(Mutex::new(live)), request, names, process });
         };
-        let files = of_files(paths(inputs)?, output.clone(), keywords)?;
+        let (files, preview) = of_files(paths(inputs)?, output.clone(), keywords)?;
         let files = files.reconstruction(asked.request.clone());
         files.check().map_err(exception)?;
         let request = asked.on_machine(files.input_bytes())?;
         let files = files.reconstruction(request.clone());
-        Ok(Self { kind: Kind::Files(Box::new(files)), request, names, process })
+        Ok(Self { kind: Kind::Files(Box::new(files), preview), request, names, process })
     }
 
     /// Reconstructs the next frame of a running simulation.
@@ -185,7 +189,7 @@ impl Simulation {
                 Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner().is_settled()),
                 Err(TryLockError::WouldBlock) => Err(other("another thread is at work on a frame of it")),
             },
-            Kind::Files(_) => Ok(true),
+            Kind::Files(..) => Ok(true),
         }
     }
 
@@ -204,7 +208,15 @@ impl Simulation {
     ///     One for each simulation that there is.
     #[pyo3(signature = (*, progress=None))]
     fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
-        let ended = self.on_files(py, progress, |files, tell| files.run(tell))?;
+        let preview = matches!(self.kind, Kind::Files(_, true));
+        let ended = self.on_files(py, progress, |files, tell| {
+            let sheet = preview.then(|| files.sheet()).transpose()?;
+            let ended = files.run(tell)?;
+            if let Some(sheet) = sheet {
+                sheet.draw()?;
+            }
+            Ok(ended)
+        })?;
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
@@ -227,7 +239,7 @@ impl Simulation {
         progress: Option<&Bound<'_, PyAny>>,
         act: impl FnOnce(&Files, &(dyn Fn(meniscus::Event<'_>) + Sync)) -> Result<T, meniscus::Error> + Send,
     ) -> PyResult<T> {
-        let Kind::Files(files) = &self.kind else {
+        let Kind::Files(files, _) = &self.kind else {
             return Err(InputError::new_err("the simulation is one that runs: frame() makes its meshes"));
         };
         let work = Work::<(Event, Vec<String>)>::new();
@@ -257,8 +269,13 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     Ok(())
 }
 
-fn of_files(inputs: Vec<PathBuf>, output: PathBuf, keywords: Option<&Bound<'_, PyDict>>) -> PyResult<Files> {
+fn of_files(
+    inputs: Vec<PathBuf>,
+    output: PathBuf,
+    keywords: Option<&Bound<'_, PyDict>>,
+) -> PyResult<(Files, bool)> {
     let mut files = Files::of_files(inputs, output);
+    let mut preview = false;
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if value.is_none() {
@@ -281,8 +298,12 @@ fn of_files(inputs: Vec<PathBuf>, output: PathBuf, keywords: Option<&Bound<'_, P
             "overwrite" if given.switch()? => files.overwrite(),
             "watch" => files.watch(given.number()?),
             "fps" => files.fps(given.number()?),
+            "preview" => {
+                preview = given.switch()?;
+                files
+            }
             _ => files,
         };
     }
-    Ok(files)
+    Ok((files, preview))
 }

@@ -43,6 +43,14 @@ impl<'py> Given<'_, 'py> {
         self.value.extract().map_err(|_| self.wants("a str"))
     }
 
+    /// Takes a text, or a whole number as its digits.
+    pub fn text_or_number(&self) -> PyResult<String> {
+        match self.value.extract::<u32>() {
+            Ok(number) => Ok(number.to_string()),
+            Err(_) => self.value.extract().map_err(|_| self.wants("a str or a whole number")),
+        }
+    }
+
     pub fn path(&self) -> PyResult<PathBuf> {
         self.value.extract().map_err(|_| self.wants("a str or a path"))
     }

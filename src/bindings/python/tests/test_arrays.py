@@ -128,6 +128,18 @@ def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword:
         meniscus.reconstruct(Nowhere(ball))
 
 
+def test_an_array_without_astype_is_told_of_its_own_way_and_type(ball: Any) -> None:
+    class Half(OnlyDLPack):
+        dtype = "torch.half"
+
+        def float(self) -> None: ...
+
+    with pytest.raises(TypeError, match=r"not float16; \.float\(\) makes them"):
+        meniscus.reconstruct(Half(ball.astype(np.float16)))
+    with pytest.raises(TypeError, match=r"^positions: Half of torch\.half cannot be read as an array: "):
+        meniscus.reconstruct(Half(ball.astype(object)))
+
+
 def test_a_field_that_makes_arrays_is_told_to_do_so() -> None:
     class Field:
         def to_numpy(self) -> None: ...
@@ -148,7 +160,9 @@ def test_a_field_that_makes_arrays_is_told_to_do_so() -> None:
         (np.zeros((5, 3), object), TypeError, "not object"),
         (np.zeros((5, 3), ">f8"), TypeError, r"byte-swapped \(>f8\)"),
         (np.zeros((5, 3), ">f4"), TypeError, r'\.astype\("float32"\)'),
-        (np.ma.masked_array(np.zeros((5, 3))), TypeError, "with a mask"),
+        (np.zeros((3, 5)), meniscus.InputError, r"not \(3, 5\); \.T turns it"),
+        (np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]), TypeError, r"; numpy\.lib\.recfunctions\.structured_to_unstructured"),
+        (np.ma.masked_array(np.zeros((5, 3))), TypeError, r"with a mask; \.filled\(numpy\.nan\)"),
         ([[0.0, 0.0, 0.0]], TypeError, "not list"),
         ("positions", TypeError, "not str"),
         (None, TypeError, "not NoneType"),

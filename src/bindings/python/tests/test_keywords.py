@@ -15,6 +15,7 @@ import meniscus
 OF_FILES = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",
+    "preview": "Mesh.write() takes it; Simulation has it for a sheet of its frames",
     "particle_type": "arrays are of one type; read_particles(), Frame.load() and Simulation have it",
     "start": "Simulation has it",
     "end": "Simulation has it",
@@ -31,7 +32,6 @@ OF_THE_PROGRAM = {
     "merge": "as parts",
     "dry_run": "it prints",
     "stats": "Mesh.report has them",
-    "preview": "a mesh is drawn by the program alone",
     "quiet": "nothing is printed",
     "verbose": "nothing is printed",
     "help": "it prints",
@@ -67,6 +67,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
     wanted = options - set(OF_THE_PROGRAM) - {"output", "progress"}
     assert keywords(meniscus.Simulation) == wanted
     assert "output" in inspect.signature(meniscus.Simulation).parameters
+    assert keywords(meniscus.Mesh.write) == {"overwrite", "preview"} <= options
     # As in the program, attributes are named there.
     assert "attributes" in wanted
 
@@ -90,7 +91,7 @@ def test_every_keyword_is_read_and_refuses_nonsense_by_its_name(name: str, ball:
             call(object())
 
 
-@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "particle_type", "resume"])
+@pytest.mark.parametrize("name", ["start", "end", "step", "frames", "watch", "fps", "attributes", "particle_type", "resume", "preview"])
 def test_every_keyword_of_simulations_is_read(name: str, tmp_path: Any) -> None:
     with pytest.raises(TypeError, match=f"^{name}: "):
         meniscus.Simulation("in_{}.bgeo", tmp_path / "out_{}.ply", **{name: object()})

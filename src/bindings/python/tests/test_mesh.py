@@ -167,8 +167,9 @@ def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> 
 
 
 def test_a_device_that_is_not_there_is_a_device_error(ball: Any) -> None:
-    with pytest.raises(meniscus.DeviceError):
-        meniscus.reconstruct(ball, backend="vulkan", device="no device is called so")
+    for device in "no device is called so", 4_000_000_000:
+        with pytest.raises(meniscus.DeviceError, match=str(device)):
+            meniscus.reconstruct(ball, backend="vulkan", device=device)
 
 
 def test_a_device_makes_the_same_bytes_as_the_processor(ball: Any) -> None:

@@ -95,6 +95,28 @@ def test_attributes_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any,
     assert written(tmp_path, "ours.ply", mesh) == (tmp_path / "theirs.ply").read_bytes()
 
 
+def test_previews_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any, dambreak: Path) -> None:
+    np.save(tmp_path / "in.npy", ball)
+    program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", "--preview")
+    meniscus.reconstruct(ball).write(tmp_path / "ours.ply", preview=True)
+    assert (tmp_path / "ours.png").read_bytes() == (tmp_path / "theirs.png").read_bytes()
+    # One that is there is not replaced, and then there is no mesh either.
+    (tmp_path / "kept.png").write_bytes(b"mine")
+    with pytest.raises(meniscus.FileError, match=r"kept\.png: exists already"):
+        meniscus.reconstruct(ball).write(tmp_path / "kept.ply", preview=True)
+    assert (tmp_path / "kept.png").read_bytes() == b"mine" and not (tmp_path / "kept.ply").exists()
+
+    frames = dambreak / "ParticleData_Fluid_{}.bgeo"
+    program("reconstruct", frames, "-o", tmp_path / "theirs" / "water_{}.ply", "-q", "--preview", "--up", "z")
+    simulation = meniscus.Simulation(frames, tmp_path / "ours" / "water_{}.ply", up="z", preview=True)
+    assert simulation.run()[0].complete
+    sheet = (tmp_path / "ours" / "water.png").read_bytes()
+    assert sheet == (tmp_path / "theirs" / "water.png").read_bytes() and sheet[:4] == b"\x89PNG"
+    for off in False, None:
+        meniscus.Simulation(frames, tmp_path / f"plain_{off}" / "water_{}.ply", preview=off).run()
+        assert not (tmp_path / f"plain_{off}" / "water.png").exists()
+
+
 @pytest.mark.parametrize("by", ["read", "frame"])
 def test_files_are_read_as_by_the_program(tmp_path: Path, program: Any, dambreak: Path, by: str) -> None:
     path = dambreak / "ParticleData_Fluid_20.bgeo"

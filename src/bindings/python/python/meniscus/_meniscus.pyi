@@ -62,7 +62,7 @@ def reconstruct(
     up: Literal["y", "z"] | None = None,
     particles_up: Literal["y", "z"] | None = None,
     backend: Literal["auto", "cpu", "vulkan"] | None = None,
-    device: str | None = None,
+    device: str | int | None = None,
     threads: int | None = None,
     memory: int | str | None = None,
     scratch: _Path | None = None,
@@ -92,7 +92,7 @@ class Mesh:
     @property
     def report(self) -> Report: ...
     def check(self) -> Check: ...
-    def write(self, path: _Path, *, overwrite: bool = False) -> int: ...
+    def write(self, path: _Path, *, overwrite: bool = False, preview: bool = False) -> int: ...
     def for_trimesh(self) -> dict[str, Any]: ...
     def for_meshio(self) -> dict[str, Any]: ...
 
@@ -128,7 +128,7 @@ class Frame:
         up: Literal["y", "z"] | None = None,
         particles_up: Literal["y", "z"] | None = None,
         backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | None = None,
+        device: str | int | None = None,
         threads: int | None = None,
         memory: int | str | None = None,
         scratch: _Path | None = None,
@@ -164,7 +164,7 @@ class Frame:
         up: Literal["y", "z"] | None = None,
         particles_up: Literal["y", "z"] | None = None,
         backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | None = None,
+        device: str | int | None = None,
         threads: int | None = None,
         memory: int | str | None = None,
         scratch: _Path | None = None,
@@ -206,6 +206,7 @@ class Simulation:
         overwrite: bool | None = None,
         watch: float | None = None,
         fps: float | None = None,
+        preview: bool | None = None,
         attributes: Iterable[str] | None = None,
         particle_type: str | None = None,
         spacing: float | None = None,
@@ -232,7 +233,7 @@ class Simulation:
         up: Literal["y", "z"] | None = None,
         particles_up: Literal["y", "z"] | None = None,
         backend: Literal["auto", "cpu", "vulkan"] | None = None,
-        device: str | None = None,
+        device: str | int | None = None,
         threads: int | None = None,
         memory: int | str | None = None,
         scratch: _Path | None = None,
