@@ -222,10 +222,7 @@ mod tests {
         let within = tempfile::tempdir().unwrap();
         let list = within.path().join("m.list");
         let first = turn(&list).unwrap();
-        let second = thread::spawn({
-            let list = list.clone();
-            move || turn(&list).is_some()
-        });
+        let second = thread::spawn(move || turn(&list).is_some());
         thread::sleep(10 * PAUSE);
         assert!(!second.is_finished());
         drop(first);
