@@ -13,7 +13,6 @@ use crc32fast::Hasher;
 use crate::system::cancel::{BELONGINGS, belonging};
 
 use super::counted::counted;
-use super::whole::Replace;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]
@@ -98,13 +97,13 @@ impl Folder {
         all.finalize()
     }
 
-    /// Gives the folder its name. One that has it goes if it may be replaced, after the file at `named`, which names what is in that. Whoever
+    /// Gives the folder its name. One that has it goes if it is `replaceable`, after the file at `named`, which names what is in that. Whoever
     /// does so at the same time waits for the end of [`turn`], or where there are no locks goes on, and the last one's folder stays.
     ///
     /// # Errors
     /// Those of the system, and [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be replaced.
-    pub fn keep(self, named: &Path, replace: Replace) -> io::Result<()> {
-        if replace == Replace::Refuse && named.symlink_metadata().is_ok() {
+    pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
+        if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
         }
         let mut left = TRIES;
@@ -115,7 +114,7 @@ impl Folder {
             if !taken || left == 0 {
                 return Err(fault);
             }
-            if replace == Replace::Refuse {
+            if !replaceable {
                 return Err(ErrorKind::AlreadyExists.into());
             }
             unless_gone(fs::remove_file(named))?;
@@ -129,7 +128,7 @@ impl Folder {
 /// How often a folder may find its name taken once more by another.
 const TRIES: u32 = 100;
 
-/// What is not there need not be removed.
+/// Takes what is not there for moved or removed already.
 fn unless_gone(done: io::Result<()>) -> io::Result<()> {
     done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
@@ -192,7 +191,7 @@ mod tests {
         let (list, piece) = (within.path().join("m.list"), within.path().join("m/m_0.piece"));
         let job = |name: &str| {
             for _ in 0..300 {
-                filled(within.path(), name).keep(&list, Replace::Allow).unwrap();
+                filled(within.path(), name).keep(&list, true).unwrap();
             }
         };
         thread::scope(|scope| {
@@ -210,7 +209,7 @@ mod tests {
             let theirs = within.path().join(taken);
             fs::create_dir_all(theirs.parent().unwrap()).unwrap();
             fs::write(&theirs, "theirs").unwrap();
-            let refused = folder.keep(&within.path().join("m.list"), Replace::Refuse).unwrap_err();
+            let refused = folder.keep(&within.path().join("m.list"), false).unwrap_err();
             assert_eq!(refused.kind(), ErrorKind::AlreadyExists);
             assert_eq!(fs::read_to_string(&theirs).unwrap(), "theirs");
             assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "nothing else is left");

@@ -184,7 +184,7 @@ impl FilledFile {
                 let synced = file.as_file().sync_all();
                 // The folder and the file that names what is in it are to be of one job.
                 let _turn = folder.as_ref().and_then(|_| turn(&place));
-                let before = |folder: Folder| folder.keep(&place, replace);
+                let before = |folder: Folder| folder.keep(&place, replace == Replace::Allow);
                 synced.and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
                     Replace::Allow => file.persist(place).map(drop).map_err(Into::into),
                     Replace::Refuse => file.persist_noclobber(place).map(drop).map_err(Into::into),
