@@ -138,3 +138,65 @@ fn of(&[a, b, c]: &[u32; 3], batch: &Batch<'_>, corners: &Corners, view: usize) 
     let at = |corner: u32| corners.at[batch.index(corner)][view];
     [at(a), at(b), at(c)]
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::surface::mesh::Mesh;
+    use crate::surface::picture::camera::{Camera, View};
+    use crate::surface::picture::colour::Values;
+    use crate::surface::picture::memory::Memory;
+    use crate::surface::picture::shape::Shape;
+
+    /// What is seen at all samples.
+    fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
+        let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
+        samples.map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()])).collect()
+    }
+
+    #[test]
+    fn small_triangles_that_are_drawn_at_once_show_what_those_drawn_in_rows_do() {
+        let mut state = 7_u64;
+        let mut unit = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1 << 24)
+        };
+        let mut mesh = Mesh::default();
+        for n in 0..20_000 {
+            // Of all sizes about a sample's, on and off the picture, and some behind the eye.
+            let middle = [(); 3].map(|()| 3.0 * unit() - 1.5);
+            let size = [0.01, 0.03, 0.1, 1.0, 4.0][n % 5];
+            mesh.positions.extend([(); 3].map(|()| middle.map(|x| x + size * (unit() - 0.5))));
+            let first = 3 * n as u32;
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+        let bounds = [[-1.0; 3], [1.0; 3]];
+        let at = |eye| Camera::new(Some(View::At { eye, target: [0.0; 3] }), bounds, DMat3::IDENTITY, 1.5);
+        let cameras = [at([0.0, 0.0, 4.0]), at([1.2, 1.0, 0.3])];
+        let rasters = || cameras.each_ref().map(|camera| Raster::new(90, 60, camera, 6.0));
+        let (found, expected) = (rasters(), rasters());
+        let shape = Shape::read(&mesh, &Values::None, &Memory::Whole).unwrap();
+        shape
+            .batches(|batch| {
+                let mut corners = Corners::with_room(0);
+                let canvas = |view: usize| Canvas { raster: &found[view], camera: &cameras[view] };
+                fill([canvas(0), canvas(1)], batch, &mut corners);
+                for (n, triangle) in batch.triangles.iter().enumerate() {
+                    for (view, raster) in expected.iter().enumerate() {
+                        let places = || {
+                            triangle.map(|corner| cameras[view].seen(batch.places[corner as usize].into()))
+                        };
+                        raster.draw(&(0..60), n as u32, of(triangle, batch, &corners, view), places);
+                    }
+                }
+                Ok(())
+            })
+            .unwrap();
+        for view in 0..VIEWS {
+            assert!(seen(&found[view]) == seen(&expected[view]), "view {view}");
+            assert!(seen(&found[view]).iter().flatten().count() > 3000);
+        }
+    }
+}
