@@ -30,22 +30,23 @@ fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
     [both(63), both(31)]
 }
 
-/// The triangles of a task that are to be drawn yet: a bit each, and the rows that they are in.
+/// The triangles of a task that are to be drawn yet: a bit each, and the first of the rows that they are in and the one behind.
 struct Held {
-    rows: Range<i32>,
+    first: i32,
+    end: i32,
     members: [u64; TASK / WORD],
 }
 
 impl Held {
-    const NONE: Self = Self { rows: i32::MAX..i32::MIN, members: [0; TASK / WORD] };
+    const NONE: Self = Self { first: i32::MAX, end: i32::MIN, members: [0; TASK / WORD] };
 
     fn meets(&self, rows: &Range<i32>) -> bool {
-        self.rows.start < rows.end && rows.start < self.rows.end
+        self.first < rows.end && rows.start < self.end
     }
 
     fn insert(&mut self, member: usize, rows: &Range<i32>) {
         self.members[member / WORD] |= 1 << (member % WORD);
-        self.rows = self.rows.start.min(rows.start)..self.rows.end.max(rows.end);
+        (self.first, self.end) = (self.first.min(rows.start), self.end.max(rows.end));
     }
 
     fn members(&self) -> impl Iterator<Item = usize> + '_ {
@@ -172,6 +173,9 @@ mod tests {
             let first = 3 * n as u32;
             mesh.triangles.push([first, first + 1, first + 2]);
         }
+        // One whose corners are all too far to the side, though it is seen.
+        mesh.positions.extend([[-1e9, -1e9, 0.0], [1e9, -1e9, 0.0], [0.0, 1e9, 0.0]]);
+        mesh.triangles.push([60_000, 60_001, 60_002]);
         let bounds = [[-1.0; 3], [1.0; 3]];
         let at = |eye| Camera::new(Some(View::At { eye, target: [0.0; 3] }), bounds, DMat3::IDENTITY, 1.5);
         let cameras = [at([0.0, 0.0, 4.0]), at([1.2, 1.0, 0.3])];
