@@ -266,7 +266,7 @@ fn a_mesh_that_is_larger_than_memory_gives_the_same_bytes_read_in_batches() {
         let whole = picture.draw(mesh).unwrap();
         // Less than the vertices and triangles alone take.
         let memory = 40 << 20;
-        assert!(36 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
+        assert!(56 * mesh.vertex_count() + 12 * mesh.triangle_count() > memory);
         assert_eq!(picture.clone().memory(memory).draw(mesh).unwrap(), whole);
         let refused = picture.memory(20 << 20).draw(mesh).unwrap_err();
         assert!(matches!(refused, PictureError::Memory { needed, .. } if needed > 20 << 20), "{refused}");
@@ -353,6 +353,38 @@ fn distances_from_another_surface_are_negative_inside_and_coloured_around_zero()
     assert!(code == Some(2) && told.contains("--colour distance"), "{told}");
     let (code, told) = with(&["gone.ply", "--overwrite"]);
     assert!(code == Some(3) && told.contains("gone.ply"), "{told}");
+}
+
+#[test]
+fn a_vertex_that_is_far_off_leaves_the_colours_of_all_others_and_is_told_of_in_the_legend() {
+    let reference = Reference::new(&sphere(1.0, 5)).unwrap();
+    let colour = Colour::Distance { from: reference, map: "red-blue".parse().unwrap() };
+    let mut bounds = Scope::default();
+    bounds.bounds = Some([[-1.2; 3], [1.2; 3]]);
+    let mut ball = sphere(1.1, 5);
+    // Some inside, some outside.
+    ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x * (1.0 + 0.1 * p[1])));
+    let known = small().colour(colour.clone()).scope_of(&ball).unwrap();
+    assert!(known.range.unwrap()[1] > 0.18);
+    let farthest =
+        (0..ball.positions.len()).min_by(|&a, &b| ball.positions[a][2].total_cmp(&ball.positions[b][2]));
+    // Behind, where it is not seen.
+    ball.positions[farthest.unwrap()] = [0.0, 0.0, -50.0];
+    let found = small().colour(colour).scope_of(&ball).unwrap();
+    assert!(
+        found.beyond && (found.range.unwrap()[1] / known.range.unwrap()[1] - 1.0).abs() < 0.05,
+        "{found:?}"
+    );
+    let legend = |beyond: bool| {
+        let mut scope = found;
+        (scope.bounds, scope.beyond) = (bounds.bounds, beyond);
+        let heights = ball.positions.iter().map(|p| p[1] as f32).collect();
+        let mut mesh = ball.clone();
+        mesh.attributes.push(VertexAttribute { name: "height".into(), components: 1, values: heights });
+        let colour = Colour::Attribute { name: "height".into(), map: "viridis".parse().unwrap() };
+        small().colour(colour).scope(scope).draw(&mesh).unwrap()
+    };
+    assert_ne!(legend(true), legend(false));
 }
 
 #[test]

@@ -119,6 +119,7 @@ impl Camera {
 
     /// A place as the eye sees it: to the right and up in heights of the picture from its middle, times the distance; and the
     /// distance.
+    #[inline]
     pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
         let seen = self.axes.transpose() * (place - self.eye);
         [seen.x * self.focal, seen.y * self.focal, -seen.z]

@@ -29,11 +29,12 @@ pub enum Colour {
         /// Colours from its least to its greatest value.
         map: ColourMap,
     },
-    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit of length.
+    /// The distance from another surface, negative inside of it, with a legend in the meshes' unit of length. The hundredth of the vertices
+    /// that are farthest from it has the colours of the ends.
     Distance {
         /// The other surface.
         from: Reference,
-        /// Colours from the greatest distance inside of it to as far outside.
+        /// Colours from the farthest inside of it to as far outside.
         map: ColourMap,
     },
 }
@@ -178,14 +179,6 @@ impl<'a> Values<'a> {
                 vertices.attributes[index].chunks(components).map(length).collect()
             }
             Self::Distance(from) => from.distances(&vertices.positions),
-        }
-    }
-
-    /// The range of colours for a range of values: that of distances has zero in its middle.
-    pub(super) fn range(&self, [lo, hi]: [f32; 2]) -> [f32; 2] {
-        match self {
-            Self::Distance(_) => [-lo.abs().max(hi.abs()), lo.abs().max(hi.abs())],
-            Self::None | Self::Attribute { .. } => [lo, hi],
         }
     }
 }

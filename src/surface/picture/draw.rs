@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use crate::surface::mesh::source::MeshSource;
-use crate::system::memory::empty_in_huge_pages;
 
 use super::camera::{Camera, ball};
+use super::canvas::{Canvas, Corners};
 use super::colour::{Palette, Values};
 use super::error::PictureError;
 use super::fill::fill;
@@ -49,7 +49,7 @@ impl Picture {
         let allowed = self.memory.unwrap_or(u64::MAX);
         let [width, height] = self.pixels();
         let [vertices, triangles] = [mesh.vertex_count(), mesh.triangle_count()];
-        let Samples { of_pixel, of_sun } = Samples::new(self.effort, height);
+        let Samples { of_pixel, of_sun, .. } = Samples::new(self.effort, height);
         let picture = Raster::bytes(of_pixel * width, of_pixel * height)
             + Raster::bytes(of_sun, of_sun)
             + Sunlight::bytes(of_sun)
@@ -82,17 +82,18 @@ fn draw(
     let (middle, radius) = ball(bounds);
     let camera = Camera::new(picture.view, bounds, world, width as f64 / height as f64);
     let farthest = camera.eye.distance(middle) + radius;
-    let Samples { of_pixel, of_sun } = Samples::new(picture.effort, height);
+    let Samples { of_pixel, of_sun, of_shadow } = Samples::new(picture.effort, height);
     let raster = Raster::new(of_pixel * width, of_pixel * height, &camera, farthest);
     let sun = Sun::new(bounds, world, of_sun);
-    let mut corners = empty_in_huge_pages(shape.most_corners());
+    let canvases =
+        [Canvas { raster: &raster, camera: &camera }, Canvas { raster: &sun.raster, camera: &sun.camera }];
+    let mut corners = Corners::with_room(shape.most_corners());
     shape.batches(|batch| {
-        fill(&raster, &camera, batch, &mut corners);
-        fill(&sun.raster, &sun.camera, batch, &mut corners);
+        fill(canvases, batch, &mut corners);
         Ok(())
     })?;
     drop(corners);
-    let sun = sun.light();
+    let sun = sun.light(of_shadow);
     let visible = Visible::of(&raster, shape, &camera, values, budget)?;
     let range = scope.range.unwrap_or([0.0, 1.0]);
     let legended = picture.colour.legend();
@@ -106,7 +107,7 @@ fn draw(
     });
     let mut image = Image::new(width, height, rgb);
     if let Some((name, map)) = legended {
-        legend(&mut image, name, map, range);
+        legend(&mut image, name, map, range, scope.beyond);
     }
     Ok(image)
 }

@@ -1,13 +1,14 @@
-//! Triangles onto a raster, on all threads: each draws in rows of its own what may be there.
+//! Triangles onto two rasters at once, on all threads: the eye's and the sun's.
 //!
 //! Most triangles of a fine mesh lie between samples, and most of a coarse one in few rows. So all are looked at once, in tasks, for whether
-//! the box of their corners holds a sample at all; strips of rows then go through those that do, of the tasks that reach them.
+//! the box of their corners holds a sample at all; of those that do, the small ones are drawn at once. Of the others each thread then draws
+//! what is in strips of rows of its own, of the tasks that reach them.
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::camera::Camera;
+use super::canvas::{Canvas, Corners, VIEWS};
 use super::raster::{Corner, Raster};
 use super::shape::Batch;
 
@@ -18,67 +19,188 @@ const WORD: usize = u64::BITS as usize;
 const STRIPS: usize = 6;
 const LEAST_ROWS: usize = 16;
 
-/// The triangles of a task whose boxes hold a sample: a bit each, and the rows that they are in.
+/// Tells which views of a triangle may show a sample, by the halves of its corners: between samples all of them are in the same one.
+#[inline(always)]
+fn may_show([a, b, c]: [u64; 3]) -> [u64; VIEWS] {
+    const LOW: u64 = 0x7fff_7fff_7fff_7fff;
+    let differ = (a ^ b) | (a ^ c);
+    // In the highest bit of each half whether any of its bits is set, or it is even.
+    let shows = differ | ((differ & LOW) + LOW) | !(a << 15);
+    let both = |bit: u32| shows >> bit & shows >> (bit - 16) & 1;
+    [both(63), both(31)]
+}
+
+/// The triangles of a task that are to be drawn yet: a bit each, and the first of the rows that they are in and the one behind.
 struct Held {
-    rows: Range<i32>,
+    first: i32,
+    end: i32,
     members: [u64; TASK / WORD],
 }
 
 impl Held {
-    fn of(raster: &Raster, triangles: impl Iterator<Item = [Corner; 3]>) -> Self {
-        let (mut first, mut end) = (i32::MAX, i32::MIN);
-        let mut members = [0; TASK / WORD];
-        // Without branches: whether a small triangle holds a sample is as good as random.
-        for (n, triangle) in triangles.enumerate() {
-            let (rows, holds) = raster.rows(triangle);
-            members[n / WORD] |= u64::from(holds) << (n % WORD);
-            (first, end) = (first.min(rows.start), end.max(rows.end));
-        }
-        Self { rows: first..end, members }
-    }
+    const NONE: Self = Self { first: i32::MAX, end: i32::MIN, members: [0; TASK / WORD] };
 
     fn meets(&self, rows: &Range<i32>) -> bool {
-        self.rows.start < rows.end && rows.start < self.rows.end
+        self.first < rows.end && rows.start < self.end
+    }
+
+    fn insert(&mut self, member: usize, rows: &Range<i32>) {
+        self.members[member / WORD] |= 1 << (member % WORD);
+        (self.first, self.end) = (self.first.min(rows.start), self.end.max(rows.end));
     }
 
     fn members(&self) -> impl Iterator<Item = usize> + '_ {
-        self.members.iter().enumerate().flat_map(|(n, &word)| {
-            let mut word = word;
-            std::iter::from_fn(move || {
-                let bit = (word != 0).then(|| word.trailing_zeros())?;
-                word &= word - 1;
-                Some(n * WORD + bit as usize)
-            })
-        })
+        self.members.iter().enumerate().flat_map(|(n, &word)| ones(word).map(move |bit| n * WORD + bit))
     }
 }
 
-/// Draws triangles on a raster. `corners` is kept from one call to the next for its memory.
-pub(super) fn fill(raster: &Raster, camera: &Camera, batch: &Batch<'_>, corners: &mut Vec<Corner>) {
-    let seen = |n: usize| camera.seen(batch.places[n].into());
-    (0..batch.places.len()).into_par_iter().map(|n| raster.corner(seen(n))).collect_into_vec(corners);
-    let corners = &corners[..];
-    let tasks: Vec<Held> = batch
-        .triangles
-        .par_chunks(TASK)
-        .map(|triangles| Held::of(raster, triangles.iter().map(|triangle| of(triangle, batch, corners))))
-        .collect();
-    let height = raster.height as i32;
-    let strip = raster.height.div_ceil(STRIPS * rayon::current_num_threads()).max(LEAST_ROWS);
-    (0..height).into_par_iter().step_by(strip).for_each(|top| {
-        let rows = top..height.min(top + strip as i32);
-        for (task, held) in tasks.iter().enumerate().filter(|(_, held)| held.meets(&rows)) {
-            for n in held.members().map(|n| task * TASK + n) {
-                let triangle = &batch.triangles[n];
-                let seen = || triangle.map(|corner| seen(batch.index(corner)));
-                raster.draw(&rows, batch.first + n as u32, of(triangle, batch, corners), seen);
-            }
-        }
-    });
+/// The numbers of the bits that are set.
+fn ones(mut word: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = (word != 0).then(|| word.trailing_zeros())?;
+        word &= word - 1;
+        Some(bit as usize)
+    })
 }
 
-/// The corners of a triangle.
+/// Draws triangles on rasters.
+pub(super) fn fill(canvases: [Canvas<'_>; VIEWS], batch: &Batch<'_>, corners: &mut Corners) {
+    corners.put(canvases, batch.places);
+    let corners = &*corners;
+    let tasks: Vec<[Held; VIEWS]> = batch
+        .triangles
+        .par_chunks(TASK)
+        .enumerate()
+        .map(|(task, triangles)| {
+            let first = batch.first + (task * TASK) as u32;
+            draw_small(canvases.map(|canvas| canvas.raster), first, triangles, batch, corners)
+        })
+        .collect();
+    for (view, Canvas { raster, camera }) in canvases.into_iter().enumerate() {
+        let height = raster.height as i32;
+        let strip = raster.height.div_ceil(STRIPS * rayon::current_num_threads()).max(LEAST_ROWS);
+        (0..height).into_par_iter().step_by(strip).for_each(|top| {
+            let rows = top..height.min(top + strip as i32);
+            let held = tasks.iter().map(|task| &task[view]).enumerate();
+            for (task, held) in held.filter(|(_, held)| held.meets(&rows)) {
+                for n in held.members().map(|n| task * TASK + n) {
+                    let triangle = &batch.triangles[n];
+                    let seen =
+                        || triangle.map(|corner| camera.seen(batch.places[batch.index(corner)].into()));
+                    let corners = of(triangle, batch, corners, view);
+                    raster.draw(&rows, batch.first + n as u32, corners, seen);
+                }
+            }
+        });
+    }
+}
+
+/// Draws the small triangles of a task, and returns the large ones of each view.
+fn draw_small(
+    rasters: [&Raster; VIEWS],
+    first: u32,
+    triangles: &[[u32; 3]],
+    batch: &Batch<'_>,
+    corners: &Corners,
+) -> [Held; VIEWS] {
+    let mut large = [Held::NONE; VIEWS];
+    for (word, triangles) in triangles.chunks(WORD).enumerate() {
+        // Without branches: whether a small triangle holds a sample is as good as random.
+        let mut may_hold = [0; VIEWS];
+        for (n, &[a, b, c]) in triangles.iter().enumerate() {
+            let halves = |corner: u32| corners.halves[batch.index(corner)];
+            let [eye, sun] = may_show([halves(a), halves(b), halves(c)]);
+            may_hold[0] |= eye << n;
+            may_hold[1] |= sun << n;
+        }
+        for (view, raster) in rasters.iter().enumerate() {
+            // Likewise whether the only sample in its box is inside of it.
+            let mut drawn = 0;
+            for n in ones(may_hold[view]) {
+                let corners = of(&triangles[n], batch, corners, view);
+                let [one, inside] = raster.holds_one(corners);
+                drawn |= u64::from(!one | inside) << n;
+            }
+            for n in ones(drawn) {
+                let corners = of(&triangles[n], batch, corners, view);
+                let member = word * WORD + n;
+                if let Some(rows) = raster.draw_if_small(first + member as u32, corners) {
+                    large[view].insert(member, &rows);
+                }
+            }
+        }
+    }
+    large
+}
+
+/// The corners of a triangle in a view.
 #[inline(always)]
-fn of(&[a, b, c]: &[u32; 3], batch: &Batch<'_>, corners: &[Corner]) -> [Corner; 3] {
-    [corners[batch.index(a)], corners[batch.index(b)], corners[batch.index(c)]]
+fn of(&[a, b, c]: &[u32; 3], batch: &Batch<'_>, corners: &Corners, view: usize) -> [Corner; 3] {
+    let at = |corner: u32| corners.at[batch.index(corner)][view];
+    [at(a), at(b), at(c)]
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+    use crate::surface::mesh::Mesh;
+    use crate::surface::picture::camera::{Camera, View};
+    use crate::surface::picture::colour::Values;
+    use crate::surface::picture::memory::Memory;
+    use crate::surface::picture::shape::Shape;
+
+    /// What is seen at all samples.
+    fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
+        let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
+        samples.map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()])).collect()
+    }
+
+    #[test]
+    fn small_triangles_that_are_drawn_at_once_show_what_those_drawn_in_rows_do() {
+        let mut state = 7_u64;
+        let mut unit = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1 << 24)
+        };
+        let mut mesh = Mesh::default();
+        for n in 0..20_000 {
+            // Of all sizes about a sample's, on and off the picture, and some behind the eye.
+            let middle = [(); 3].map(|()| 3.0 * unit() - 1.5);
+            let size = [0.01, 0.03, 0.1, 1.0, 4.0][n % 5];
+            mesh.positions.extend([(); 3].map(|()| middle.map(|x| x + size * (unit() - 0.5))));
+            let first = 3 * n as u32;
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+        // One whose corners are all too far to the side, though it is seen.
+        mesh.positions.extend([[-1e9, -1e9, 0.0], [1e9, -1e9, 0.0], [0.0, 1e9, 0.0]]);
+        mesh.triangles.push([60_000, 60_001, 60_002]);
+        let bounds = [[-1.0; 3], [1.0; 3]];
+        let at = |eye| Camera::new(Some(View::At { eye, target: [0.0; 3] }), bounds, DMat3::IDENTITY, 1.5);
+        let cameras = [at([0.0, 0.0, 4.0]), at([1.2, 1.0, 0.3])];
+        let rasters = || cameras.each_ref().map(|camera| Raster::new(90, 60, camera, 6.0));
+        let (found, expected) = (rasters(), rasters());
+        let shape = Shape::read(&mesh, &Values::None, &Memory::Whole).unwrap();
+        shape
+            .batches(|batch| {
+                let mut corners = Corners::with_room(0);
+                let canvas = |view: usize| Canvas { raster: &found[view], camera: &cameras[view] };
+                fill([canvas(0), canvas(1)], batch, &mut corners);
+                for (n, triangle) in batch.triangles.iter().enumerate() {
+                    for (view, raster) in expected.iter().enumerate() {
+                        let places = || {
+                            triangle.map(|corner| cameras[view].seen(batch.places[corner as usize].into()))
+                        };
+                        raster.draw(&(0..60), n as u32, of(triangle, batch, &corners, view), places);
+                    }
+                }
+                Ok(())
+            })
+            .unwrap();
+        for view in 0..VIEWS {
+            assert!(seen(&found[view]) == seen(&expected[view]), "view {view}");
+            assert!(seen(&found[view]).iter().flatten().count() > 3000);
+        }
+    }
 }

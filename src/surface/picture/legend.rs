@@ -5,8 +5,8 @@ use embedded_graphics::text::Alignment;
 use super::colour::ColourMap;
 use super::image::Image;
 
-/// Shows the colours from `lo` to `hi`, and what they stand for.
-pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f32; 2]) {
+/// Shows the colours from `lo` to `hi`, and what they stand for: their ends for all `beyond`, too.
+pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f32; 2], beyond: bool) {
     let (width, height) = (image.width() as i32, image.height() as i32);
     let line = image.line();
     let (bar, long) = (line, height / 3);
@@ -20,9 +20,10 @@ pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f
         }
     }
     image.text(name, [left + bar, top - 2 * line], Alignment::Right);
-    for (share, value) in [(0, hi), (1, lo / 2.0 + hi / 2.0), (2, lo)] {
+    let [below, above] = if beyond { ["<= ", ">= "] } else { [""; 2] };
+    for (share, before, value) in [(0, above, hi), (1, "", lo / 2.0 + hi / 2.0), (2, below, lo)] {
         let y = top + long * share / 2 - line / 2;
-        image.text(&number(value), [left - line / 2, y], Alignment::Right);
+        image.text(&format!("{before}{}", number(value)), [left - line / 2, y], Alignment::Right);
     }
 }
 

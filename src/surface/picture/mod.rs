@@ -6,6 +6,7 @@
 //! by. A picture has the same bytes for any number of threads.
 
 mod camera;
+mod canvas;
 mod colour;
 mod draw;
 mod error;
@@ -14,6 +15,7 @@ mod image;
 mod legend;
 mod light;
 mod memory;
+mod range;
 mod ranked;
 mod raster;
 mod request;

@@ -6,6 +6,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
+/// Numbers of a task.
+const NUMBERS: u32 = 1 << 13;
+
 /// Numbers that several threads enter.
 pub(super) struct Entered {
     first: u32,
@@ -62,7 +65,15 @@ impl Ranked {
         self.before.last().map_or(0, |&total| total as usize)
     }
 
+    /// Whether a number is a member.
+    #[inline]
+    pub(super) fn contains(&self, number: u32) -> bool {
+        let at = number.wrapping_sub(self.first);
+        self.words.get(at as usize / 64).is_some_and(|word| word >> (at % 64) & 1 == 1)
+    }
+
     /// How many members come before a number, if it is one.
+    #[inline]
     pub(super) fn rank(&self, number: u32) -> Option<u32> {
         let at = number.checked_sub(self.first)?;
         let word = *self.words.get(at as usize / 64)?;
@@ -86,16 +97,33 @@ impl Ranked {
     }
 
     /// Maps the members of a range, on several threads; in their order.
-    pub(super) fn map<T: Send>(&self, range: Range<u32>, of: impl Fn(u32) -> Option<T> + Sync) -> Vec<T> {
-        const NUMBERS: u32 = 1 << 13;
-        let parts: Vec<Vec<T>> = (0..range.len() as u32)
-            .into_par_iter()
-            .step_by(NUMBERS as usize)
-            .map(|from| {
-                let start = range.start + from;
-                self.within(start..start.saturating_add(NUMBERS).min(range.end)).filter_map(&of).collect()
-            })
-            .collect();
-        parts.into_iter().flatten().collect()
+    pub(super) fn map<T: Send + Copy + Default>(
+        &self,
+        range: Range<u32>,
+        of: impl Fn(u32) -> T + Sync,
+    ) -> Vec<T> {
+        let first = self.rank_from(range.start);
+        let mut all = vec![T::default(); (self.rank_from(range.end) - first) as usize];
+        let (mut rest, mut parts) = (&mut all[..], Vec::new());
+        for start in range.clone().step_by(NUMBERS as usize) {
+            let part = start..start.saturating_add(NUMBERS).min(range.end);
+            let members = self.rank_from(part.end) - self.rank_from(part.start);
+            let (own, others) = rest.split_at_mut(members as usize);
+            parts.push((part, own));
+            rest = others;
+        }
+        parts.into_par_iter().for_each(|(part, own)| {
+            self.within(part).zip(own).for_each(|(member, to)| *to = of(member));
+        });
+        all
+    }
+
+    /// How many members come before a number, whether or not it is one.
+    fn rank_from(&self, number: u32) -> u32 {
+        let at = number.saturating_sub(self.first) as usize;
+        match self.words.get(at / 64) {
+            Some(word) => self.before[at / 64] + (word & ((1 << (at % 64)) - 1)).count_ones(),
+            None => self.before[self.words.len()],
+        }
     }
 }

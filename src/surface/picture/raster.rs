@@ -3,7 +3,8 @@
 //!
 //! Corners are rounded to 1 / 256 of a sample, and a sample is inside of a triangle by integers; one on an edge belongs to the triangle
 //! below or to the right of it. So a closed surface has no cracks, and every line of sight leaves it as often as it enters. What triangles
-//! make of a sample is a sum of integers and a maximum, in which their order does not show. Each thread draws rows of its own.
+//! make of a sample is a sum of integers and a maximum, in which their order does not show. So triangles of few samples are drawn by whichever
+//! thread looks at them, and of larger ones each thread draws what is in rows of its own.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -19,6 +20,9 @@ const STEP_BITS: u32 = 8;
 const FAR: i32 = 1 << 28;
 /// Steps of the way through the fluid as far as the eye is from the farthest place.
 const WAY_STEPS: f64 = (1 << 26) as f64;
+
+/// Samples in the box of a triangle that any thread may draw. More are drawn faster where no other thread draws at the time.
+const FEW: i64 = 4;
 
 /// A corner of a triangle on the picture.
 #[derive(Debug, Clone, Copy, Default)]
@@ -86,7 +90,7 @@ impl Raster {
     }
 
     /// A place as it is [seen](Camera::seen), on this picture.
-    #[inline]
+    #[inline(always)]
     pub(super) fn corner(&self, [x, y, distance]: [f64; 3]) -> Corner {
         let near = 1.0 / distance;
         let steps = f64::from(STEPS);
@@ -104,20 +108,56 @@ impl Raster {
         Corner { at: [round(right), round(down)], near: (self.unit * near) as f32 }
     }
 
-    /// The rows of the box around a triangle, and whether there is a sample in it; all where a corner has no place.
-    #[inline]
-    pub(super) fn rows(&self, corners: [Corner; 3]) -> (Range<i32>, bool) {
-        let [width, height] = [self.width, self.height].map(|samples| samples as i32);
-        let [a, b, c] = corners.map(|corner| corner.near);
-        if a.min(b).min(c) <= 0.0 {
-            return (0..height, true);
+    /// The column and the row of a corner in halves of samples, so that odd numbers are between samples; those of what is beside the
+    /// picture are one. Even ones, and of no sample, where it has no place.
+    #[inline(always)]
+    pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
+        let (width, height) = (self.width as i32, self.height as i32);
+        if corner.near <= 0.0 || width.max(height) >= i32::from(u16::MAX) / 2 {
+            return [0; 2];
         }
-        let [left, right] = samples(corners, 0, &(0..width));
-        let [top, bottom] = samples(corners, 1, &(0..height));
-        (top..bottom + 1, (left <= right) & (top <= bottom))
+        let [x, y] = corner.at;
+        [halves(x, width), halves(y, height)]
     }
 
-    /// Draws what is in some rows of a triangle; `seen` tells how its corners are seen, where it has to be cut off.
+    /// Whether the box around a triangle, in which there is a sample, holds no other; and whether that one is inside of the triangle.
+    #[inline(always)]
+    pub(super) fn holds_one(&self, corners: [Corner; 3]) -> [bool; 2] {
+        let [[left, right], [top, bottom]] = self.around(corners);
+        let one = (left == right) & (top == bottom) & placed(corners);
+        let [a, b, c] = corners;
+        let turn = area(corners).signum();
+        let inside = |p: Corner, q: Corner| turn_of([left, top], p, q, turn) >= 0;
+        [one, one & inside(a, b) & inside(b, c) & inside(c, a)]
+    }
+
+    /// The first and the last of the columns, and of the rows, in the box around a triangle.
+    #[inline(always)]
+    fn around(&self, corners: [Corner; 3]) -> [[i32; 2]; 2] {
+        [samples(corners, 0, &(0..self.width as i32)), samples(corners, 1, &(0..self.height as i32))]
+    }
+
+    /// Draws a triangle whose box holds few samples, whatever other threads draw. Of any other it draws nothing, and returns the rows
+    /// that it is in: all where a corner has no place.
+    #[inline(always)]
+    pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
+        if !placed(corners) {
+            return Some(0..self.height as i32);
+        }
+        let around @ [[left, right], [top, bottom]] = self.around(corners);
+        // The sides of the box are less than 2^22.
+        if i64::from(right + 1 - left) * i64::from(bottom + 1 - top) > FEW {
+            return Some(top..bottom + 1);
+        }
+        self.fill(around, number, corners, |sample, key, way| {
+            self.nearest[sample].fetch_max(key, Ordering::Relaxed);
+            self.through[sample].fetch_add(way, Ordering::Relaxed);
+        });
+        None
+    }
+
+    /// Draws what is in some rows of a triangle, in which no other thread draws at the time; `seen` tells how its corners are seen, where it
+    /// has to be cut off.
     pub(super) fn draw(
         &self,
         rows: &Range<i32>,
@@ -125,8 +165,8 @@ impl Raster {
         corners: [Corner; 3],
         seen: impl FnOnce() -> [[f64; 3]; 3],
     ) {
-        if corners.iter().all(|corner| corner.near > 0.0) {
-            self.fill(rows, number, corners);
+        if placed(corners) {
+            self.fill_rows(rows, number, corners);
             return;
         }
         // Fanned: what is left of a triangle is convex.
@@ -135,7 +175,7 @@ impl Raster {
         if let [first, rest @ ..] = &corners[..]
             && corners.iter().all(|corner| corner.near > 0.0)
         {
-            rest.windows(2).for_each(|pair| self.fill(rows, number, [*first, pair[0], pair[1]]));
+            rest.windows(2).for_each(|pair| self.fill_rows(rows, number, [*first, pair[0], pair[1]]));
         }
     }
 
@@ -177,31 +217,42 @@ impl Raster {
         polygon
     }
 
-    fn fill(&self, rows: &Range<i32>, number: u32, [a, b, c]: [Corner; 3]) {
-        let [top, bottom] = samples([a, b, c], 1, rows);
+    fn fill_rows(&self, rows: &Range<i32>, number: u32, corners: [Corner; 3]) {
+        let [top, bottom] = samples(corners, 1, rows);
         if top > bottom {
             return;
         }
-        let [left, right] = samples([a, b, c], 0, &(0..self.width as i32));
-        if left > right {
-            return;
-        }
-        let across = |p: Corner, q: Corner| [0, 1].map(|axis| i64::from(q.at[axis]) - i64::from(p.at[axis]));
-        let ([x, y], [u, v]) = (across(a, b), across(a, c));
-        let area = x * v - y * u;
+        let [left, right] = samples(corners, 0, &(0..self.width as i32));
+        // Read and written, which is much faster than both in one.
+        self.fill([[left, right], [top, bottom]], number, corners, |sample, key, way| {
+            let (nearest, through) = (&self.nearest[sample], &self.through[sample]);
+            if nearest.load(Ordering::Relaxed) < key {
+                nearest.store(key, Ordering::Relaxed);
+            }
+            through.store(through.load(Ordering::Relaxed).wrapping_add(way), Ordering::Relaxed);
+        });
+    }
+
+    /// Calls `put` for each sample of some columns and rows that is inside of a triangle, with what is compared to find the nearest, and
+    /// what is to be added to the way.
+    #[inline(always)]
+    fn fill(
+        &self,
+        [[left, right], [top, bottom]]: [[i32; 2]; 2],
+        number: u32,
+        [a, b, c]: [Corner; 3],
+        put: impl Fn(usize, u64, i32),
+    ) {
+        let area = area([a, b, c]);
         if area == 0 {
             return;
         }
         // Rows go down: what turns clockwise there is seen from inside, and is where the line of sight leaves the fluid.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
-        let first = [left, top].map(|sample| i64::from(sample) * i64::from(STEPS));
-        // Twice the area between an edge and the first sample, less one where a sample on the edge is not inside; and what a sample to the
-        // right, and one down, adds.
+        // Of an edge what is 0 or more if the first sample is inside of it, and what one to the right, and one down, adds.
         let edge = |p: Corner, q: Corner| {
             let [x, y] = across(p, q);
-            let [to_x, to_y] = [0, 1].map(|axis| first[axis] - i64::from(p.at[axis]));
-            let lacks = i64::from(!(y < 0 || y == 0 && x > 0));
-            [x * to_y - y * to_x - lacks, -y * i64::from(STEPS), x * i64::from(STEPS)]
+            [turn_of([left, top], p, q, 1), -y * i64::from(STEPS), x * i64::from(STEPS)]
         };
         let [mut of_c, c_right, c_down] = edge(a, b);
         let [mut of_a, a_right, a_down] = edge(b, c);
@@ -217,7 +268,12 @@ impl Raster {
                 if in_a | in_b | in_c >= 0 {
                     entered = true;
                     let near = a.near + (in_b as f32 * b_near + in_c as f32 * c_near) * share;
-                    self.put(row + x as usize, number, near.clamp(least, most), leaves);
+                    let near = near.clamp(least, most);
+                    // Of those that are equally near, the first.
+                    let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
+                    // Sums may exceed their range in between: they come back.
+                    let way = (leaves / near * self.way_steps) as i64 as i32;
+                    put(row + x as usize, key, way);
                 } else if entered {
                     break;
                 }
@@ -230,25 +286,48 @@ impl Raster {
             of_c += c_down;
         }
     }
+}
 
-    /// Adds to a sample, which no other thread does at the time: so it is read and written, which is much faster than both in one.
-    fn put(&self, n: usize, number: u32, near: f32, leaves: f32) {
-        let (nearest, through) = (&self.nearest[n], &self.through[n]);
-        // Of those that are equally near, the first.
-        let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
-        if nearest.load(Ordering::Relaxed) < key {
-            nearest.store(key, Ordering::Relaxed);
-        }
-        // Sums may exceed their range in between: they come back.
-        let way = (leaves / near * self.way_steps) as i64 as i32;
-        through.store(through.load(Ordering::Relaxed).wrapping_add(way), Ordering::Relaxed);
-    }
+#[inline(always)]
+fn across(p: Corner, q: Corner) -> [i64; 2] {
+    [i64::from(q.at[0]) - i64::from(p.at[0]), i64::from(q.at[1]) - i64::from(p.at[1])]
+}
+
+/// Twice the area of a triangle: less than 0 where it turns counterclockwise.
+#[inline(always)]
+fn area([a, b, c]: [Corner; 3]) -> i64 {
+    let ([x, y], [u, v]) = (across(a, b), across(a, c));
+    x * v - y * u
+}
+
+/// Twice the area between an edge and a sample, less one where a sample on the edge is not inside: of an edge that is turned round by -1.
+#[inline(always)]
+fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
+    let [x, y] = across(p, q);
+    let to = |axis: usize| i64::from(sample[axis]) * i64::from(STEPS) - i64::from(p.at[axis]);
+    let (to_x, to_y) = (to(0), to(1));
+    let lacks = i64::from(!((turn * y < 0) | (y == 0) & (turn * x > 0)));
+    turn * (x * to_y - y * to_x) - lacks
+}
+
+/// A place along an axis of so many samples in halves of those.
+#[inline(always)]
+fn halves(at: i32, samples: i32) -> u16 {
+    let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
+    // What is beside the picture is between two samples that are not there, and nothing is less than 1.
+    (half.clamp(-1, 2 * samples - 1) + 2) as u16
+}
+
+/// Whether all corners have a place.
+#[inline(always)]
+fn placed([a, b, c]: [Corner; 3]) -> bool {
+    a.near.min(b.near).min(c.near) > 0.0
 }
 
 /// The first and the last of the samples along an axis, of those given, that are between the outermost corners.
-#[inline]
+#[inline(always)]
 fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
-    let [a, b, c] = corners.map(|corner| corner.at[axis]);
+    let [a, b, c] = [corners[0].at[axis], corners[1].at[axis], corners[2].at[axis]];
     let (lo, hi) = (a.min(b).min(c), a.max(b).max(c));
     // Samples are at whole multiples.
     [((lo + STEPS - 1) >> STEP_BITS).max(of.start), (hi >> STEP_BITS).min(of.end - 1)]

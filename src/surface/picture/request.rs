@@ -17,8 +17,10 @@ const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 pub struct Scope {
     /// The box that is seen whole; `None` where there is no vertex.
     pub bounds: Option<Bounds>,
-    /// The least and the greatest value of the attribute that is shown.
+    /// The least and the greatest value of the attribute that is shown; of distances those that hold 99 of 100 vertices.
     pub range: Option<[f32; 2]>,
+    /// Whether there are values beyond the range, which the legend says.
+    pub beyond: bool,
 }
 
 impl Scope {
@@ -29,6 +31,7 @@ impl Scope {
         Self {
             bounds: [self.bounds, other.bounds].into_iter().flatten().reduce(joined),
             range: ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]),
+            beyond: self.beyond || other.beyond,
         }
     }
 }

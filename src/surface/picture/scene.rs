@@ -24,11 +24,12 @@ const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
 
-/// How many samples a picture takes along edges: of a pixel, and of the sun's view.
+/// How many samples a picture takes along edges: of a pixel, of the sun's view, and of what a shadow in it is blurred over.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Samples {
     pub(super) of_pixel: usize,
     pub(super) of_sun: usize,
+    pub(super) of_shadow: usize,
 }
 
 impl Samples {
@@ -36,8 +37,8 @@ impl Samples {
     pub(super) fn new(effort: Effort, rows: usize) -> Self {
         let of_sun = if rows <= SMALL { SUN_SAMPLES / 2 } else { SUN_SAMPLES };
         match effort {
-            Effort::Full => Self { of_pixel: FINEST, of_sun },
-            Effort::Draft => Self { of_pixel: 1, of_sun: of_sun / 2 },
+            Effort::Full => Self { of_pixel: FINEST, of_sun, of_shadow: 3 },
+            Effort::Draft => Self { of_pixel: 1, of_sun: of_sun / 2, of_shadow: 2 },
         }
     }
 }

@@ -8,17 +8,19 @@ use rayon::prelude::*;
 
 use crate::surface::mesh::bounds::{Bounds, joined};
 use crate::surface::mesh::source::MeshSource;
-use crate::system::memory::empty_in_huge_pages;
+use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::FARTHEST;
+use super::canvas::Corners;
 use super::colour::Values;
 use super::error::PictureError;
 use super::memory::Memory;
+use super::range::Spread;
 use super::ranked::{Entered, Ranked};
 use super::request::Scope;
 
-/// Bytes of a vertex that is kept: its place, and its corner while it is drawn.
-pub(super) const VERTEX_BYTES: u64 = (size_of::<[f64; 3]>() + size_of::<super::raster::Corner>()) as u64;
+/// Bytes of a vertex that is kept: its place, and its corner in each view while it is drawn.
+pub(super) const VERTEX_BYTES: u64 = size_of::<[f64; 3]>() as u64 + Corners::BYTES;
 pub(super) const TRIANGLE_BYTES: u64 = size_of::<[u32; 3]>() as u64;
 /// Bytes of a triangle of a batch whose corners are no other's.
 const BATCH_BYTES: u64 = TRIANGLE_BYTES + 3 * VERTEX_BYTES;
@@ -79,7 +81,7 @@ impl<'a> Shape<'a> {
     /// Reads the vertices of a mesh, and its triangles if all are kept.
     pub(super) fn read(
         mesh: &'a dyn MeshSource,
-        values: &Values<'_>,
+        kind: &Values<'_>,
         memory: &Memory,
     ) -> Result<Self, PictureError> {
         let outline = mesh.outline();
@@ -90,44 +92,48 @@ impl<'a> Shape<'a> {
         }
         let keep = matches!(memory, Memory::Whole);
         let borrowed = mesh.whole_positions().filter(|_| keep);
+        let room = |wanted: bool, count: u64| if keep && wanted { count as usize } else { 0 };
         let mut kept = Kept {
-            places: borrowed.map_or_else(
-                || Cow::Owned(empty_in_huge_pages(if keep { vertices as usize } else { 0 })),
-                Cow::Borrowed,
-            ),
-            normals: Vec::new(),
-            values: Vec::new(),
-            triangles: empty_in_huge_pages(if keep { triangles as usize } else { 0 }),
+            places: borrowed
+                .map_or_else(|| Cow::Owned(zeroed_in_huge_pages(room(true, vertices))), Cow::Borrowed),
+            normals: zeroed_in_huge_pages(room(outline.normals, vertices)),
+            values: zeroed_in_huge_pages(room(kind.any(), vertices)),
+            triangles: zeroed_in_huge_pages(room(true, triangles)),
         };
-        let (mut scope, mut firsts) = (Scope::default(), vec![0]);
+        let mut put_triangles = 0;
+        let (mut scope, mut spread, mut firsts) = (Scope::default(), Spread::default(), vec![0]);
         let group = PIECES * rayon::current_num_threads();
         for start in (0..outline.pieces).step_by(group) {
             let pieces: Vec<_> = (start..(start + group).min(outline.pieces))
                 .into_par_iter()
                 .map(|piece| -> io::Result<_> {
                     let read = mesh.vertices(piece)?;
-                    let values = values.of(&read);
-                    let finite = values.iter().copied().filter(|value| value.is_finite());
-                    let range = finite.map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
-                    let scope = Scope { bounds: box_of(&read.positions), range };
+                    let values = kind.of(&read);
+                    let known = (box_of(&read.positions), Spread::of(&values, kind));
                     let triangles = if keep { triangles_of(mesh, piece, vertices)? } else { Vec::new() };
-                    Ok((read, values, scope, triangles))
+                    Ok((read, values, known, triangles))
                 })
                 .collect::<io::Result<_>>()?;
-            for (read, values, of_piece, triangles) in pieces {
-                scope = scope.joined(of_piece);
+            let first = firsts[firsts.len() - 1] as usize;
+            for (read, _, (of_piece, of_values), _) in &pieces {
+                scope.bounds = [scope.bounds, *of_piece].into_iter().flatten().reduce(joined);
+                spread.join(of_values);
                 firsts.push(firsts[firsts.len() - 1] + read.positions.len() as u32);
-                if keep {
-                    if borrowed.is_none() {
-                        kept.places.to_mut().extend_from_slice(&read.positions);
-                    }
-                    kept.normals.extend_from_slice(&read.normals);
-                    kept.values.extend(values);
-                    kept.triangles.extend(triangles);
+            }
+            if keep {
+                if borrowed.is_none() {
+                    put(kept.places.to_mut(), first, &pieces, |(read, ..)| &read.positions);
                 }
+                if outline.normals {
+                    put(&mut kept.normals, first, &pieces, |(read, ..)| &read.normals);
+                }
+                if kind.any() {
+                    put(&mut kept.values, first, &pieces, |(_, values, ..)| values);
+                }
+                put_triangles = put(&mut kept.triangles, put_triangles, &pieces, |(.., triangles)| triangles);
             }
         }
-        scope.range = scope.range.map(|range| values.range(range));
+        (scope.range, scope.beyond) = spread.range();
         let batch = match *memory {
             Memory::Whole => 0,
             Memory::Batches(bytes) => ((bytes / BATCH_BYTES).max(LEAST_BATCH) - LEAST_BATCH / 2) as usize,
@@ -230,10 +236,36 @@ impl<'a> Shape<'a> {
     }
 }
 
+/// Puts what pieces have one after the other, on several threads, into a whole from a place on; returns the place behind.
+fn put<P: Sync, T: Copy + Send + Sync>(
+    into: &mut [T],
+    first: usize,
+    pieces: &[P],
+    of: impl Fn(&P) -> &[T],
+) -> usize {
+    let mut rest = &mut into[first..];
+    let mut parts = Vec::with_capacity(pieces.len());
+    let mut end = first;
+    for from in pieces.iter().map(of) {
+        let (own, others) = rest.split_at_mut(from.len());
+        parts.push((own, from));
+        rest = others;
+        end += from.len();
+    }
+    parts.into_par_iter().for_each(|(own, from)| own.copy_from_slice(from));
+    end
+}
+
 /// The box around what can be seen.
 fn box_of(places: &[[f64; 3]]) -> Option<Bounds> {
-    let sound = places.iter().filter(|place| place.iter().all(|x| x.abs() <= FARTHEST));
-    sound.map(|&place| [place; 2]).reduce(joined)
+    let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+    // Without branches: what cannot be seen counts as none.
+    let found = places.iter().fold(none, |[lo, hi], place| {
+        let sound = place.iter().fold(true, |sound, x| sound & (x.abs() <= FARTHEST));
+        let place = |none: f64| place.map(|x| if sound { x } else { none });
+        joined([lo, hi], [place(f64::INFINITY), place(f64::NEG_INFINITY)])
+    });
+    (found[0][0] <= found[1][0]).then_some(found)
 }
 
 /// Triangles of a piece; those that name vertices which there are not have no area.

@@ -34,7 +34,9 @@ impl Sun {
     }
 
     /// Tells how far light gets, now that the fluid is drawn.
-    pub(super) fn light(self) -> Sunlight {
+    ///
+    /// Shadows are blurred over `blurred` samples along an edge.
+    pub(super) fn light(self, blurred: usize) -> Sunlight {
         let Self { camera, raster, radii } = self;
         let of_sample = |n: usize| match raster.sample(n) {
             None => (f32::INFINITY, 1.0),
@@ -46,7 +48,7 @@ impl Sun {
         let samples = raster.width;
         let (distances, below) =
             (0..samples * samples).into_par_iter().with_min_len(samples).map(of_sample).unzip();
-        Sunlight { camera, samples, radii, distances, below }
+        Sunlight { camera, samples, blurred, radii, distances, below }
     }
 }
 
@@ -55,6 +57,8 @@ pub(super) struct Sunlight {
     camera: Camera,
     /// Samples along an edge of its view.
     samples: usize,
+    /// Samples along an edge that a shadow is blurred over.
+    blurred: usize,
     radii: f32,
     /// For each sample the distance of the surface, in units of the camera's; infinite where there is none.
     distances: Vec<f32>,
@@ -81,7 +85,7 @@ impl Sunlight {
         self.mean(place, &self.below, |share, _| share)
     }
 
-    /// The mean of what nine samples around a place say of its distance.
+    /// The mean of what the samples around a place say of its distance.
     fn mean(&self, place: DVec3, of: &[f32], share: impl Fn(f32, f32) -> f32) -> f32 {
         let [x, y, distance] = self.camera.seen(place);
         let side = self.samples as f64;
@@ -90,8 +94,9 @@ impl Sunlight {
             return 1.0;
         }
         let distance = (distance / self.camera.distance()) as f32;
-        let [column, row] = at.map(|at| at as usize);
-        let rows = (row - 1..=row + 1).map(|row| &of[row * self.samples + column - 1..][..3]);
-        rows.flatten().fold(0.0, |sum, &of| sum + share(of, distance)) / 9.0
+        let blurred = self.blurred;
+        let [column, row] = at.map(|at| (at - 0.5 * (blurred as f64 - 1.0)) as usize);
+        let rows = (row..row + blurred).map(|row| &of[row * self.samples + column..][..blurred]);
+        rows.flatten().fold(0.0, |sum, &of| sum + share(of, distance)) / (blurred * blurred) as f32
     }
 }

@@ -72,7 +72,7 @@ impl Visible {
         let mut corners: Vec<[u32; 3]> = Vec::with_capacity(triangles.len());
         shape.triangles(|first, all| {
             let own = first..first + all.len() as u32;
-            corners.extend(triangles.map(own, |number| Some(all[(number - first) as usize])));
+            corners.extend(triangles.map(own, |number| all[(number - first) as usize]));
             Ok(())
         })?;
         let vertices = Entered::none_of(0..shape.vertices());
@@ -90,15 +90,13 @@ impl Visible {
             values: Vec::new(),
         };
         let add_up = !shape.mesh.has_normals();
+        let numbers = vertices.map(0..shape.vertices(), |vertex| vertex);
         shape.batches(|batch| {
-            let found = vertices.map(0..shape.vertices(), |vertex| {
-                let place = batch.places[batch.find(vertex)?];
-                Some((
-                    rank(&vertices, vertex),
-                    camera.seen(place.into()).map(|x| (x / camera.distance()) as f32),
-                ))
+            visible.seen.par_iter_mut().zip(&numbers).with_min_len(TASK).for_each(|(seen, &vertex)| {
+                if let Some(at) = batch.find(vertex) {
+                    *seen = camera.seen(batch.places[at].into()).map(|x| (x / camera.distance()) as f32);
+                }
             });
-            found.into_iter().for_each(|(rank, seen)| visible.seen[rank as usize] = seen);
             if add_up {
                 add_normals(batch, &vertices, camera.distance(), &mut visible.normals);
             }
@@ -118,10 +116,10 @@ impl Visible {
         }
         if let (Some(kept_normals), Some(kept_values)) = (shape.kept_normals(), shape.kept_values()) {
             if normals {
-                self.normals = vertices.map(all.clone(), |n| Some(Vec3::from(kept_normals[n as usize])));
+                self.normals = vertices.map(all.clone(), |n| Vec3::from(kept_normals[n as usize]));
             }
             if valued {
-                self.values = vertices.map(all, |n| Some(kept_values[n as usize]));
+                self.values = vertices.map(all, |n| kept_values[n as usize]);
             }
             return Ok(());
         }
@@ -149,10 +147,11 @@ impl Visible {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let sum: f32 = shares.iter().sum();
-        let shares = shares.map(|share| (share / sum).max(0.0));
+        let [a, b, c] = shares;
+        let shares = [(a / sum).max(0.0), (b / sum).max(0.0), (c / sum).max(0.0)];
         let sum: f32 = shares.iter().sum();
-        let shares =
-            if sum.is_finite() && sum > 0.0 { shares.map(|share| share / sum) } else { [1.0 / 3.0; 3] };
+        let [a, b, c] = shares;
+        let shares = if sum.is_finite() && sum > 0.0 { [a / sum, b / sum, c / sum] } else { [1.0 / 3.0; 3] };
         let weighted = |n: usize| self.normals[corners[n]] * shares[n];
         let value = match &self.values[..] {
             [] => 0.0,
@@ -175,10 +174,12 @@ impl Visible {
 
     /// The corners of a triangle, their distances, and how far they are from a line of sight at those.
     fn around(&self, triangle: u32, towards: Vec2) -> ([usize; 3], [f32; 3], [Vec2; 3]) {
-        let corners = self.corners[rank(&self.triangles, triangle) as usize].map(|corner| corner as usize);
-        let seen = corners.map(|corner| self.seen[corner]);
-        let from_line = seen.map(|[x, y, distance]| Vec2::new(x, y) - distance * towards);
-        (corners, seen.map(|[_, _, distance]| distance), from_line)
+        let [a, b, c] = self.corners[rank(&self.triangles, triangle) as usize];
+        let corners = [a as usize, b as usize, c as usize];
+        let seen = |n: usize| self.seen[corners[n]];
+        let from_line = |[x, y, distance]: [f32; 3]| Vec2::new(x, y) - distance * towards;
+        let [a, b, c] = [seen(0), seen(1), seen(2)];
+        (corners, [a[2], b[2], c[2]], [from_line(a), from_line(b), from_line(c)])
     }
 }
 
@@ -196,13 +197,17 @@ fn add_normals(batch: &Batch<'_>, vertices: &Ranked, unit: f64, normals: &mut [V
         .map(|triangles| {
             let mut additions: [Vec<_>; SHARES] = Default::default();
             for &[a, b, c] in triangles {
-                let ranks = [a, b, c].map(|corner| vertices.rank(corner).unwrap_or(UNSEEN));
-                if ranks == [UNSEEN; 3] {
+                // Most triangles of a fine mesh are not near any that is seen.
+                if !(vertices.contains(a) | vertices.contains(b) | vertices.contains(c)) {
                     continue;
                 }
-                let [a, b, c] = [a, b, c].map(|corner| DVec3::from(batch.places[batch.index(corner)]));
+                let rank = |corner: u32| vertices.rank(corner).unwrap_or(UNSEEN);
+                let ranks = [rank(a), rank(b), rank(c)];
+                let place = |corner: u32| DVec3::from(batch.places[batch.index(corner)]);
+                let [a, b, c] = [place(a), place(b), place(c)];
                 let normal = ((b - a) * scale).cross((c - a) * scale).as_vec3();
-                let shares = ranks.map(|rank| rank as usize / share);
+                let shares =
+                    [ranks[0] as usize / share, ranks[1] as usize / share, ranks[2] as usize / share];
                 for (n, of) in shares.into_iter().enumerate() {
                     if ranks[n] != UNSEEN && !shares[..n].contains(&of) {
                         additions[of].push((ranks, normal));

@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,13 @@ import meniscus  # noqa: E402  (of the extension)
 
 FLUID = str(DAM / "ParticleData_Fluid_1.bgeo")
 made: list[str] = []
+checks: list[Callable[[], None]] = []
+
+
+def check(sentence: Callable[[], None]) -> Callable[[], None]:
+    """Has a function run, whose name is what it finds true."""
+    checks.append(sentence)
+    return sentence
 
 
 def count_making() -> None:
@@ -50,6 +58,7 @@ def shows(mesh: bpy.types.Mesh, library: Any) -> bool:
     return np.array_equal(positions(mesh), library.vertices.astype(np.float32)) and len(mesh.polygons) == len(library.triangles)
 
 
+@check
 def a_new_surface_is_the_librarys_and_stands_upright() -> None:
     shown = dam()
     settings = shown.data.meniscus
@@ -61,6 +70,7 @@ def a_new_surface_is_the_librarys_and_stands_upright() -> None:
     assert np.array_equal(velocity.reshape(-1, 3), expected(1).attributes["velocity"])
 
 
+@check
 def frames_are_made_once_and_shown_by_their_numbers() -> None:
     shown, scene = dam(), bpy.context.scene
     for frame, number in [(10, 10), (20, 20), (15, 10), (25, 20), (1, 1), (10, 10), (20, 20)]:
@@ -71,6 +81,7 @@ def frames_are_made_once_and_shown_by_their_numbers() -> None:
     assert [Path(path).stem.rsplit("_", 1)[1] for path in made] == ["10", "20"], made
 
 
+@check
 def a_frame_is_made_again_where_its_file_has_changed() -> None:
     folder = options.folder / "changing"
     shutil.rmtree(folder, ignore_errors=True)
@@ -93,6 +104,7 @@ def a_frame_is_made_again_where_its_file_has_changed() -> None:
     assert sizes(shown.data) == before and not live.status_of(shown.data).error
 
 
+@check
 def other_settings_make_another_surface_and_the_same_none() -> None:
     shown = dam()
     bpy.context.scene.frame_set(20)
@@ -125,6 +137,7 @@ def other_settings_make_another_surface_and_the_same_none() -> None:
     assert sizes(shown.data) == (0, 0)
 
 
+@check
 def undo_brings_the_surface_back() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.frame_set(20)
@@ -143,6 +156,7 @@ def undo_brings_the_surface_back() -> None:
     assert made == [], made
 
 
+@check
 def a_file_that_is_saved_and_opened_again_goes_on() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.frame_set(20)
@@ -160,6 +174,7 @@ def a_file_that_is_saved_and_opened_again_goes_on() -> None:
     assert shows(shown.data, expected(10, smooth=2.0))
 
 
+@check
 def packed_frames_take_filters_and_no_particles() -> None:
     folder = options.folder / "packed"
     shutil.rmtree(folder, ignore_errors=True)
@@ -187,6 +202,7 @@ def object_of(points: np.ndarray, scene: bpy.types.Scene) -> bpy.types.Object:
     return added
 
 
+@check
 def vertices_of_an_object_are_particles() -> None:
     scene = emptied()
     live._state.reset()
@@ -219,6 +235,7 @@ def vertices_of_an_object_are_particles() -> None:
     assert "No object" in live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
 
 
+@check
 def a_point_cloud_of_geometry_nodes_is_particles() -> None:
     scene = emptied()
     live._state.reset()
@@ -239,6 +256,7 @@ def a_point_cloud_of_geometry_nodes_is_particles() -> None:
     assert shows(shown.data, meniscus.reconstruct(points, spacing=0.1, cell=1.0)), live.status_of(shown.data)
 
 
+@check
 def what_is_wrong_is_a_sentence() -> None:
     def refused(shown: bpy.types.Object, *words: str) -> None:
         error = live.status_of(shown.data).error
@@ -280,6 +298,7 @@ def what_is_wrong_is_a_sentence() -> None:
     refused(shown)
 
 
+@check
 def an_edited_mesh_is_left_alone() -> None:
     shown = dam()
     bpy.ops.object.mode_set(mode="EDIT")
@@ -314,6 +333,7 @@ def picture_of(path: Path) -> Any:
     return values
 
 
+@check
 def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
     shown = dam()
     scene = prepared_for_pictures(shown)
@@ -350,6 +370,7 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
     bpy.app.handlers.render_post.clear()
 
 
+@check
 def vertices_are_rendered_in_fine_cells_too() -> None:
     scene = emptied()
     live._state.reset()
@@ -386,6 +407,7 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
     assert "is hidden in the viewport" in live.status_of(shown.data).error, live.status_of(shown.data)
 
 
+@check
 def a_conversion_is_played_as_a_sequence_cache() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.render.fps = 25
@@ -440,6 +462,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     assert "nowhere_" in wrong.error
 
 
+@check
 def the_extension_goes_without_a_trace() -> None:
     dam()
     before = sum(map(len, (getattr(bpy.app.handlers, name) for name in ("frame_change_pre", "frame_change_post", "undo_post", "render_init"))))
@@ -454,17 +477,16 @@ def the_extension_goes_without_a_trace() -> None:
 
 
 count_making()
-checks = [each for name, each in list(globals().items()) if callable(each) and getattr(each, "__module__", "") == "__main__" and "_" in name and name not in ("count_making", "picture_of", "prepared_for_pictures")]
 failed = 0
-for check in checks:
+for sentence in checks:
     try:
-        check()
-        print(f"ok: {check.__name__.replace('_', ' ')}", flush=True)
+        sentence()
+        print(f"ok: {sentence.__name__.replace('_', ' ')}", flush=True)
     except Exception:
         failed += 1
         import traceback
 
         traceback.print_exc()
-        print(f"FAILED: {check.__name__.replace('_', ' ')}", flush=True)
+        print(f"FAILED: {sentence.__name__.replace('_', ' ')}", flush=True)
 print(f"{len(checks) - failed} passed, {failed} failed")
 sys.exit(failed > 0)
