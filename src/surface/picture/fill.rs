@@ -151,7 +151,7 @@ mod tests {
     use crate::surface::picture::memory::Memory;
     use crate::surface::picture::shape::Shape;
 
-    /// What is seen at all samples.
+    /// Lists what is seen, sample by sample.
     fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
         let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
         samples.map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()])).collect()
