@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,15 @@ def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
     assert time.process_time() - begin < whole / 2
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Python's own handling of interrupts, which what a shell starts in the background begins without."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_the_work(long: Any) -> None:
     begin = time.process_time()
     meniscus.reconstruct(**long)
