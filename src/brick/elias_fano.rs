@@ -7,7 +7,7 @@
 //!
 //! P. Elias: *Efficient storage and retrieval by content and address of static files* (1974).
 
-use std::iter;
+use crate::system::bits::ones;
 
 const WORD: usize = u64::BITS as usize;
 
@@ -88,18 +88,10 @@ impl EliasFano {
     }
 }
 
-/// Places of the bits that are set.
-fn ones(word: u64) -> impl Iterator<Item = usize> {
-    let mut left = word;
-    iter::from_fn(move || {
-        let bit = (left != 0).then_some(left.trailing_zeros() as usize)?;
-        left &= left - 1;
-        Some(bit)
-    })
-}
-
 #[cfg(test)]
 mod tests {
+    use std::iter;
+
     use super::*;
 
     #[test]

@@ -101,7 +101,7 @@ impl Folder {
     /// does so at the same time waits for the end of [`turn`], or where there are no locks goes on, and the last one's folder stays.
     ///
     /// # Errors
-    /// Those of the system, and [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be replaced.
+    /// [`io::ErrorKind::AlreadyExists`] for a name that was taken meanwhile and may not be replaced, and the system's own.
     pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
         if !replaceable && named.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());

@@ -64,11 +64,15 @@ impl Naming {
             Self::Pattern(pattern) => (pattern.prefix.clone(), &*pattern.suffix),
             Self::Folder(_) => (stem(first), IN_FOLDER),
         };
-        let stem = match stem.trim_end_matches(['_', '-', '.', ' ']) {
-            "" => "frames",
-            stem => stem,
-        };
-        self.folder().join(format!("{stem}{suffix}"))
+        self.folder().join(format!("{}{suffix}", without_number(&stem)))
+    }
+}
+
+/// The name of all frames, by what stands before their number.
+pub(super) fn without_number(stem: &str) -> &str {
+    match stem.trim_end_matches(['_', '-', '.', ' ']) {
+        "" => "frames",
+        stem => stem,
     }
 }
 

@@ -9,6 +9,7 @@ use crate::reconstruction::usual_up;
 use crate::surface::picture::Picture;
 
 use super::builder::Simulation;
+use super::naming::without_number;
 use super::pictures::{PictureFile, Pictures};
 
 /// A picture of a simulation's frames, which is drawn of their meshes once they are there.
@@ -61,10 +62,7 @@ fn beside(output: &Path) -> PathBuf {
     let is_folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
     let stem = if is_folder { None } else { output.file_stem() };
     let stem = stem.map(|stem| stem.to_string_lossy().split('{').next().unwrap_or("").to_owned());
-    let name = match stem.unwrap_or_default().trim_end_matches(['_', '-', '.', ' ']) {
-        "" => "frames.png".to_owned(),
-        stem => format!("{stem}.png"),
-    };
+    let name = format!("{}.png", without_number(&stem.unwrap_or_default()));
     let folder = if is_folder { output } else { output.parent().unwrap_or(Path::new("")) };
     folder.join(name)
 }

@@ -1,5 +1,6 @@
-//! Resources of the machine: memory and its budget, scratch files, time, and an early end.
+//! Resources of the machine: memory and its budget, scratch files, time, an early end, and bits of its words.
 
+pub(crate) mod bits;
 pub mod cancel;
 pub mod control;
 pub mod memory;

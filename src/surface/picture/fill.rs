@@ -8,6 +8,8 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::system::bits::ones;
+
 use super::canvas::{Canvas, Corners, VIEWS};
 use super::raster::{Corner, Raster};
 use super::shape::Batch;
@@ -52,15 +54,6 @@ impl Held {
     fn members(&self) -> impl Iterator<Item = usize> + '_ {
         self.members.iter().enumerate().flat_map(|(n, &word)| ones(word).map(move |bit| n * WORD + bit))
     }
-}
-
-/// The numbers of the bits that are set.
-fn ones(mut word: u64) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let bit = (word != 0).then(|| word.trailing_zeros())?;
-        word &= word - 1;
-        Some(bit as usize)
-    })
 }
 
 /// Draws triangles on rasters.

@@ -6,6 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use bytemuck::allocation::zeroed_vec;
 use rayon::prelude::*;
 
+use crate::system::bits::ones;
+
 /// Numbers of a task.
 const NUMBERS: u32 = 1 << 13;
 
@@ -85,14 +87,7 @@ impl Ranked {
     pub(super) fn within(&self, range: Range<u32>) -> impl Iterator<Item = u32> + '_ {
         let [start, end] = [range.start, range.end].map(|number| number.saturating_sub(self.first));
         let words = start as usize / 64..(end as usize).div_ceil(64).min(self.words.len());
-        let all = words.flat_map(|n| {
-            let mut word = self.words[n];
-            std::iter::from_fn(move || {
-                let bit = (word != 0).then(|| word.trailing_zeros())?;
-                word &= word - 1;
-                Some((n * 64) as u32 + bit)
-            })
-        });
+        let all = words.flat_map(|n| ones(self.words[n]).map(move |bit| (n * 64 + bit) as u32));
         all.filter(move |at| (start..end).contains(at)).map(|at| at + self.first)
     }
 
