@@ -323,8 +323,7 @@ impl<'a> BinPlan<'a> {
             } else {
                 let mut latest = Latest::of(particles.len());
                 let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
-                    placed.clear();
-                    placed.extend(addresses.iter().map(|&address| table.place(address, &mut latest)));
+                    table.place_all(addresses, &mut latest, &mut placed);
                     put(first, &placed);
                     Ok::<_, Infallible>(())
                 });
@@ -424,17 +423,16 @@ impl Counter<'_> {
         let mut first_invalid = None;
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
+        let mut placed = Vec::with_capacity(CHUNK);
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
-            for (i, address) in addresses.iter().enumerate() {
-                let (rank, record) = table.place(*address, &mut latest);
-                table.add(rank);
-                if kept {
-                    places.push(pack_place((rank, record)));
-                }
-                if rank != NOWHERE || self.placer.wanted.is_some() {
-                    continue;
-                }
+            table.place_all(addresses, &mut latest, &mut placed);
+            placed.iter().for_each(|&(rank, _)| table.add(rank));
+            if kept {
+                places.extend(placed.iter().copied().map(pack_place));
+            }
+            let nowhere = placed.iter().enumerate().filter(|&(_, &(rank, _))| rank == NOWHERE);
+            for (i, _) in nowhere.filter(|_| self.placer.wanted.is_none()) {
                 if let Err(fault) = self.placer.place(positions[i]) {
                     match fault {
                         Unplaced::NotFinite => census.not_finite += 1,

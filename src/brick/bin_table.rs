@@ -103,10 +103,14 @@ impl BinTable {
         }
     }
 
-    /// The rank of a particle's bin, and its place there.
-    #[inline(always)]
-    pub(super) fn place(&mut self, address: Address, latest: &mut Latest) -> Placed {
-        if address.is_somewhere() { (self.rank(address.bin, latest), address.record) } else { (NOWHERE, 0) }
+    /// For each particle the rank of its bin, and its place there. Whoever has these of many at once reads what belongs to their bins in a
+    /// short loop: it waits for several lines of the cache at the same time.
+    pub(super) fn place_all(&mut self, addresses: &[Address], latest: &mut Latest, placed: &mut Vec<Placed>) {
+        placed.clear();
+        placed.extend(addresses.iter().map(|address| match address.is_somewhere() {
+            true => (self.rank(address.bin, latest), address.record),
+            false => (NOWHERE, 0),
+        }));
     }
 
     /// How many ranks there are, whether their bins hold particles or not.

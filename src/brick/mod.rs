@@ -17,6 +17,7 @@ mod place;
 mod runs;
 mod samples;
 mod shape;
+mod slabs;
 mod slots;
 mod spill;
 mod store;

@@ -11,6 +11,7 @@ use crate::particles::{Particles, Unread};
 use super::bin::{BinPlan, RangePlan, Tuples, components};
 use super::bin_table::{Latest, NOWHERE};
 use super::bins::{FREE_BITS, tuple_bytes};
+use super::place::CHUNK;
 use super::spill::SpilledBins;
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
@@ -79,21 +80,25 @@ impl BinPlan<'_> {
             let expected = |(&left, bin)| Expected { at: *at_of_bin.get(bin as usize).unwrap_or(&0), left };
             let mut expected: Vec<Expected> = counts.map(expected).collect();
             let mut unexpected = false;
+            let (mut placed, mut found) = (Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK));
             placer.for_each_chunk(particles, range, |chunk_first, _, addresses| {
                 let attributes =
                     Tuples::read(particles, carried, &spilled.components, chunk_first, addresses.len());
-                for (i, address) in addresses.iter().enumerate() {
-                    let (rank, record) = table.place(*address, &mut latest);
-                    if rank == NOWHERE {
-                        continue;
+                table.place_all(addresses, &mut latest, &mut placed);
+                found.clear();
+                found.extend(placed.iter().map(|&(rank, _)| {
+                    let bin = expected.get_mut(rank as usize).filter(|bin| bin.left > 0);
+                    unexpected |= bin.is_none() && rank != NOWHERE;
+                    bin.map(|bin| {
+                        bin.left -= 1;
+                        bin.at
+                    })
+                }));
+                for (i, (at, &(_, record))) in found.iter().zip(&placed).enumerate() {
+                    if let Some(at) = at {
+                        let (run, in_run) = ((at >> RUN_BITS) as usize, *at as usize % RUN_BINS);
+                        buffers.push(run, in_run, record, attributes.tuple(i))?;
                     }
-                    let Some(bin) = expected.get_mut(rank as usize).filter(|bin| bin.left > 0) else {
-                        unexpected = true;
-                        continue;
-                    };
-                    bin.left -= 1;
-                    let (run, in_run) = ((bin.at >> RUN_BITS) as usize, bin.at as usize % RUN_BINS);
-                    buffers.push(run, in_run, record, attributes.tuple(i))?;
                 }
                 Ok::<_, io::Error>(())
             })?;

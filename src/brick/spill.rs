@@ -5,6 +5,7 @@
 //! in pieces, each the Elias-Fano code of packed particles whose free upper bits name their bins in the run,
 //! and behind it their attributes in the same order. Coded, more of them fit into memory than sorted.
 
+use std::borrow::Cow;
 use std::io;
 use std::ops::Range;
 use std::path::Path;
@@ -19,6 +20,7 @@ use crate::system::scratch::Scratch;
 
 use super::bins::{Bins, RECORD_BITS, Store, tuple_bytes};
 use super::elias_fano::EliasFano;
+use super::slabs::Slabs;
 use super::slots::{Record, Slots};
 
 /// Bytes of a piece before it is coded, at the most: small enough to be sorted in a second-level cache.
@@ -38,9 +40,16 @@ pub struct SpilledBins {
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
-    /// The pieces of every run.
-    pieces: Vec<Mutex<Vec<Piece>>>,
+    held: Vec<Mutex<Held>>,
     memory: Room,
+}
+
+/// The particles of a run.
+#[derive(Debug)]
+struct Held {
+    /// Those in memory in the order of their places there.
+    pieces: Vec<Piece>,
+    memory: Slabs,
 }
 
 /// The memory that pieces may take.
@@ -75,27 +84,14 @@ struct Piece {
     at: Place,
 }
 
-/// Where a piece is.
+/// Where the words of a piece begin: the code of its packed particles, and all components of all attributes of one particle after the
+/// other.
 #[derive(Debug)]
 enum Place {
-    Memory(Coded),
-    /// From there on in the scratch file.
+    /// In the memory of its run.
+    Memory(usize),
+    /// In the scratch file.
     File(u64),
-}
-
-/// The particles of a piece.
-#[derive(Debug)]
-struct Coded {
-    /// The code of the packed particles.
-    words: Box<[u64]>,
-    /// All components of all attributes of one particle after the other.
-    values: Box<[f32]>,
-}
-
-impl Coded {
-    fn bytes(&self) -> u64 {
-        (size_of_val(&*self.words) + size_of_val(&*self.values)) as u64
-    }
 }
 
 /// Bytes that coding leaves of a packed particle, at the least.
@@ -116,13 +112,15 @@ impl SpilledBins {
         folder: &Path,
         memory_bytes: u64,
     ) -> io::Result<Self> {
-        let pieces = runs.iter().map(|_| Mutex::default()).collect();
+        let slab = Slabs::slab_bytes(memory_bytes / runs.len().max(1) as u64);
+        let held = || Held { pieces: Vec::new(), memory: Slabs::new(slab) };
+        let held = runs.iter().map(|_| held().into()).collect();
         let memory = Room { most: memory_bytes, taken: AtomicU64::new(0) };
-        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, pieces, memory })
+        Ok(Self { keys, first, components, runs, scratch: Scratch::in_folder(folder)?, held, memory })
     }
 
-    fn pieces(&self, run: usize) -> MutexGuard<'_, Vec<Piece>> {
-        self.pieces[run].lock().unwrap_or_else(PoisonError::into_inner)
+    fn held(&self, run: usize) -> MutexGuard<'_, Held> {
+        self.held[run].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The runs, as ranges of bins.
@@ -140,6 +138,12 @@ impl SpilledBins {
     fn code(&self, run: usize, particles: usize) -> EliasFano {
         let last_bin = self.runs[run].len() as Record - 1;
         EliasFano::new(particles, last_bin << RECORD_BITS | RECORD_MASK)
+    }
+
+    /// Words of a piece of run number `run` with so many particles.
+    fn words(&self, run: usize, particles: usize) -> usize {
+        let values = size_of::<f32>() * self.width() * particles;
+        self.code(run, particles).words() + values.div_ceil(size_of::<u64>())
     }
 
     /// Buffers for one of so many threads, which take `bytes` together.
@@ -160,7 +164,7 @@ impl SpilledBins {
     ///
     /// # Errors
     /// Where `take` fails, or the scratch file cannot be read or written.
-    pub fn visit(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
+    pub fn visit(self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
             // Runs are alike, so the next adds about as much as those before did; some add more.
@@ -173,43 +177,57 @@ impl SpilledBins {
     /// Moves pieces to the scratch file until those in memory take no more than `bytes`: those first that are wanted last.
     fn keep_within(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
-            for piece in &mut *self.pieces(run) {
+            let Held { pieces, memory } = &mut *self.held(run);
+            for piece in pieces.iter_mut().rev() {
                 if self.memory.taken() <= bytes {
                     return Ok(());
                 }
-                if let Place::Memory(coded) = &piece.at {
-                    let at = self.write(coded)?;
-                    self.memory.give_back(coded.bytes());
-                    piece.at = Place::File(at);
+                if let Place::Memory(at) = piece.at {
+                    let words = memory.get(at..at + self.words(run, piece.particles));
+                    let in_file = self.scratch.append(cast_slice(&words))?;
+                    piece.at = Place::File(in_file);
+                    self.memory.give_back(memory.truncate(at));
                 }
             }
         }
         Ok(())
     }
 
-    /// Writes a piece to the scratch file, and returns where it is.
-    fn write(&self, Coded { words, values }: &Coded) -> io::Result<u64> {
-        let [words, values]: [&[u8]; 2] = [cast_slice(words), cast_slice(values)];
-        let at = self.scratch.reserve((words.len() + values.len()) as u64);
-        self.scratch.write_at(at, words)?;
-        self.scratch.write_at(at + words.len() as u64, values)?;
-        Ok(at)
+    /// Adds a piece of run number `run`, of so many particles: to its memory while there is room.
+    fn keep(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
+        if !self.keep_in_memory(run, particles, words) {
+            let at = Place::File(self.scratch.append(cast_slice(words))?);
+            self.held(run).pieces.push(Piece { particles, at });
+        }
+        Ok(())
     }
 
-    /// The particles of a piece of a run; one in memory is no longer there.
-    fn read(&self, run: usize, piece: Piece) -> io::Result<Coded> {
-        let at = match piece.at {
-            Place::File(at) => at,
-            Place::Memory(coded) => {
-                self.memory.give_back(coded.bytes());
-                return Ok(coded);
+    /// Whether there was room for a piece, and the system gave it.
+    fn keep_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
+        let Held { pieces, memory } = &mut *self.held(run);
+        let more = memory.bytes_for(words.len());
+        if !self.memory.take(more) {
+            return false;
+        }
+        let added = memory.push(words);
+        match added {
+            Ok(at) => pieces.push(Piece { particles, at: Place::Memory(at) }),
+            Err(_) => self.memory.give_back(more),
+        }
+        added.is_ok()
+    }
+
+    /// The words of a piece of run number `run`, whose memory is at hand.
+    fn read<'a>(&self, run: usize, piece: &Piece, memory: &'a Slabs) -> io::Result<Cow<'a, [u64]>> {
+        let len = self.words(run, piece.particles);
+        match piece.at {
+            Place::Memory(at) => Ok(memory.get(at..at + len)),
+            Place::File(at) => {
+                let mut words = vec![0; len];
+                self.scratch.read_at(at, cast_slice_mut(&mut words))?;
+                Ok(words.into())
             }
-        };
-        let mut words = vec![0_u64; self.code(run, piece.particles).words()].into_boxed_slice();
-        self.scratch.read_at(at, cast_slice_mut(&mut words))?;
-        let mut values = vec![0_f32; self.width() * piece.particles].into_boxed_slice();
-        self.scratch.read_at(at + size_of_val(&*words) as u64, cast_slice_mut(&mut values))?;
-        Ok(Coded { words, values })
+        }
     }
 
     /// Takes run number `run` piece by piece, and puts each particle into its bin's place.
@@ -220,13 +238,15 @@ impl SpilledBins {
         let next: Vec<AtomicUsize> =
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
         let width = self.width();
-        let pieces = std::mem::take(&mut *self.pieces(run));
-        pieces.into_par_iter().try_for_each(|piece| {
+        let mut held = self.held(run);
+        let Held { pieces, memory } = &mut *held;
+        pieces.par_iter().try_for_each(|piece| {
             let code = self.code(run, piece.particles);
             let mut records = Vec::with_capacity(piece.particles);
-            let Coded { words, values } = self.read(run, piece)?;
-            records.extend(code.decode(&words));
-            let mut values = values.chunks_exact(width.max(1));
+            let words = self.read(run, piece, memory)?;
+            let (words, values) = words.split_at(code.words());
+            records.extend(code.decode(words));
+            let mut values = cast_slice(values).chunks_exact(width.max(1));
             for bin in records.chunk_by(|a, b| a >> RECORD_BITS == b >> RECORD_BITS) {
                 let slot = next[(bin[0] >> RECORD_BITS) as usize].fetch_add(bin.len(), Ordering::Relaxed);
                 for (slot, record) in (slot..).zip(bin) {
@@ -237,6 +257,9 @@ impl SpilledBins {
             }
             Ok::<_, io::Error>(())
         })?;
+        pieces.clear();
+        self.memory.give_back(memory.truncate(0));
+        drop(held);
         let first = self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect();
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
     }
@@ -337,17 +360,14 @@ impl RunBuffers<'_> {
         }
         let code = spilled.code(run, records.len());
         let order = code.order(records);
-        let words = code.encode(order.iter().map(|&i| records[i as usize]));
+        let mut words = code.encode(order.iter().map(|&i| records[i as usize]));
+        words.resize(spilled.words(run, records.len()), 0);
         let width = spilled.width();
-        let tuple = |&i: &u32| &values[i as usize * width..][..width];
-        let mut sorted = Vec::with_capacity(values.len());
-        sorted.extend(order.iter().flat_map(tuple).copied());
-        let coded = Coded { words: words.into(), values: sorted.into() };
-        let at = match spilled.memory.take(coded.bytes()) {
-            true => Place::Memory(coded),
-            false => Place::File(spilled.write(&coded)?),
-        };
-        spilled.pieces(run).push(Piece { particles: records.len(), at });
+        let behind: &mut [f32] = cast_slice_mut(&mut words[code.words()..]);
+        for (tuple, &i) in behind.chunks_exact_mut(width.max(1)).zip(&order) {
+            tuple.copy_from_slice(&values[i as usize * width..][..width]);
+        }
+        spilled.keep(run, records.len(), &words)?;
         records.clear();
         values.clear();
         Ok(())

@@ -18,8 +18,9 @@ use super::bytes::{ByteStore, Bytes};
 const LARGE: usize = 1 << 18;
 /// Bytes that are read at once anywhere else.
 const SMALL: usize = 1 << 14;
-/// Bytes that the system is told to read ahead of a thread.
-const AHEAD: u64 = 1 << 22;
+/// Bytes that the system is told to read ahead of a thread, at the least; it looks for each of them in what it has already, so it is
+/// told only once.
+const AHEAD: usize = 1 << 22;
 
 /// Bytes that are handed out by windows.
 pub trait Windows: Sync + Debug {
@@ -165,6 +166,8 @@ struct Window {
     file: u64,
     at: usize,
     bytes: Vec<u8>,
+    /// Where that ends which the system was told to read.
+    told: usize,
 }
 
 impl Window {
@@ -201,7 +204,7 @@ impl Shelf {
         // What it holds is of another place.
         let mut bytes = window.bytes;
         bytes.clear();
-        Window { file, at: 0, bytes }
+        Window { file, at: 0, bytes, told: 0 }
     }
 
     fn put(&self, window: Window) {
@@ -228,8 +231,11 @@ impl FileWindows {
 
     fn read(&self, window: &mut Window, goes_on: bool) -> Result<(), Lost> {
         let file = self.file.file()?;
-        if goes_on {
-            will_read(&file, window.end() as u64, AHEAD);
+        let end = window.end();
+        if goes_on && window.told < end + AHEAD {
+            let from = end.max(window.told);
+            window.told = end + 2 * AHEAD;
+            will_read(&file, from as u64, (window.told - from) as u64);
         }
         Ok(read_exact_at(&file, window.at as u64, &mut window.bytes)?)
     }

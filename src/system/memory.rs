@@ -1,9 +1,11 @@
 //! How much memory this process may take, and has taken.
 
 use std::fs::read_to_string;
+use std::io;
 
 use bytemuck::Zeroable;
 use bytemuck::allocation::zeroed_vec;
+use memmap2::MmapMut;
 
 use crate::grid::units::MemoryBudget;
 
@@ -69,6 +71,16 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     let mut empty = Vec::with_capacity(capacity);
     advise_huge_pages(empty.spare_capacity_mut());
     empty
+}
+
+/// So many bytes of zeros of a mapping of their own, in huge pages where the system has them and they fill some.
+///
+/// # Errors
+/// Where the system has no memory left.
+pub(crate) fn mapped_in_huge_pages(bytes: usize) -> io::Result<MmapMut> {
+    let zeros = MmapMut::map_anon(bytes)?;
+    advise_huge_pages(&zeros);
+    Ok(zeros)
 }
 
 /// Before anything is written: what has its pages keeps them.
