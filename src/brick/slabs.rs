@@ -39,6 +39,12 @@ impl Slabs {
         Self { slab: slab_bytes / size_of::<u64>(), slabs: Vec::new(), len: 0 }
     }
 
+    /// All words; none are left.
+    pub(super) fn take(&mut self) -> Self {
+        let none = Self { slab: self.slab, slabs: Vec::new(), len: 0 };
+        std::mem::replace(self, none)
+    }
+
     /// Bytes that it takes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes_of(self.slabs.len())

@@ -5,8 +5,9 @@ use std::io::{self, BufWriter, Write};
 
 use crc32fast::Hasher;
 
-/// Bytes that are given to the system at once, where they come in pieces.
-const BUFFER: usize = 256 << 10;
+/// Bytes that are given to the system at once: of small pieces as many, and of large ones no more, for which it would look for memory that
+/// no program has used lately.
+const AT_ONCE: usize = 256 << 10;
 
 /// How many bytes `content` writes to `file`, and what sums them up, if anything does.
 pub(super) fn counted(
@@ -15,7 +16,7 @@ pub(super) fn counted(
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<(u64, Option<Hasher>)> {
     let out = Counted { out: file, bytes: 0, crc };
-    let mut out = BufWriter::with_capacity(BUFFER, out);
+    let mut out = BufWriter::with_capacity(AT_ONCE, out);
     content(&mut out)?;
     out.flush()?;
     let Counted { bytes, crc, .. } = out.into_inner().map_err(|fault| fault.into_error())?;
@@ -30,7 +31,7 @@ struct Counted<W> {
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(buffer)?;
+        let written = self.out.write(&buffer[..buffer.len().min(AT_ONCE)])?;
         self.bytes += written as u64;
         self.crc.iter_mut().for_each(|crc| crc.update(&buffer[..written]));
         Ok(written)
