@@ -59,6 +59,14 @@ pub trait MeshSource: Sync {
         None
     }
 
+    /// Makes the positions of all vertices, and all triangles, where that is less work at once than piece by piece.
+    ///
+    /// # Errors
+    /// Where pieces are kept in a file that cannot be read.
+    fn at_once(&self) -> io::Result<Option<(Vec<[f64; 3]>, Vec<[u32; 3]>)>> {
+        Ok(None)
+    }
+
     /// Vertices of all pieces.
     fn vertex_count(&self) -> u64 {
         self.outline().vertices

@@ -84,24 +84,30 @@ impl Stitched {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
         }
-        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let (positions, triangles) = self.positions_and_triangles()?;
         let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
         let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
             let values =
                 self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
             Ok(VertexAttribute { name: name.clone(), components: *components, values })
         };
-        let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
-        split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
-            .into_par_iter()
-            .enumerate()
-            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
         Ok(Mesh {
             positions,
             triangles,
             normals: self.has_normals().then(normals).transpose()?,
             attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
         })
+    }
+
+    /// The positions of all vertices, and all triangles, whose vertices 32 bits can number.
+    fn positions_and_triangles(&self) -> io::Result<(Vec<[f64; 3]>, Vec<[u32; 3]>)> {
+        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
+        split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
+        Ok((positions, triangles))
     }
 
     /// Collects `width` numbers of every vertex; `put` writes them block by block.
@@ -314,6 +320,10 @@ impl MeshSource for Stitched {
                 attributes: block.attributes.into_iter().map(Into::into).collect(),
             },
         })
+    }
+
+    fn at_once(&self) -> io::Result<Option<(Vec<[f64; 3]>, Vec<[u32; 3]>)>> {
+        u32::try_from(self.vertex_count()).is_ok().then(|| self.positions_and_triangles()).transpose()
     }
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
