@@ -23,6 +23,9 @@ use super::sketch::Sketch;
 use super::sun::{Sun, Sunlight};
 use super::visible::Visible;
 
+/// Vertices for each pixel from which on a draft is drawn of a coarser mesh.
+const COARSENED: u64 = 2;
+
 impl Picture {
     /// Draws a mesh.
     ///
@@ -33,6 +36,11 @@ impl Picture {
     pub fn draw(&self, mesh: &dyn MeshSource) -> Result<Image, PictureError> {
         self.check()?;
         let values = Values::new(&self.colour, mesh)?;
+        let [width, height] = self.pixels();
+        let fine = mesh.vertex_count() > COARSENED * (width * height) as u64;
+        let coarsened = self.effort == Effort::Draft && fine && !values.any() && !self.wireframe;
+        let coarser = if coarsened { mesh.coarser()? } else { None };
+        let mesh = coarser.as_deref().unwrap_or(mesh);
         let (memory, budget) = self.memory_for(mesh)?;
         draw(self, &Shape::read(mesh, &values, &memory)?, &values, &budget)
     }
@@ -105,7 +113,7 @@ fn draw(
         Effort::Full => bytes([width, height], |x, y| scene.pixel(x, y)),
         Effort::Draft => {
             let empty = Sketch::new(width, height, |x, y| scene.empty(x, y));
-            bytes([width, height], |x, y| scene.sketched(x, y).unwrap_or_else(|| empty.at(x, y)))
+            bytes([width, height], |x, y| scene.sketched(x, y, empty.at(x, y)))
         }
     };
     let mut image = Image::new(width, height, rgb);

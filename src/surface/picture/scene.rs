@@ -104,11 +104,11 @@ impl<'a> Scene<'a> {
             let sum = surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
             let half = 0.5 * finer as f32;
             let middle = self.at((finer * x) as f32 + half, (finer * y) as f32 + half);
-            return self.light(&sum, middle, f32::exp);
+            return self.light_exactly(&sum, middle);
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
             // Samples are averaged as they will be shown, so that a glint does not eat the edge beside it.
-            Some(_) => self.light(&surface, towards, f32::exp).min(Vec3::ONE),
+            Some(_) => self.light_exactly(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });
         lights.sum::<Vec3>() * share
@@ -142,11 +142,11 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The light of a pixel of one sample, drawn quickly; `None` where there is no fluid.
-    pub(super) fn sketched(&self, x: usize, y: usize) -> Option<Vec3> {
-        let sample = self.raster.sample(y * self.raster.width + x)?;
+    /// The light of a pixel of one sample, drawn quickly: of light from behind the fluid, which is not bent in it.
+    pub(super) fn sketched(&self, x: usize, y: usize, behind: Vec3) -> Vec3 {
+        let Some(sample) = self.raster.sample(y * self.raster.width + x) else { return behind };
         let towards = self.at(x as f32 + 0.5, y as f32 + 0.5);
-        Some(self.light(&self.surface(sample, towards), towards, quick_exp))
+        self.light(&self.surface(sample, towards), towards, quick_exp, |_, _| behind)
     }
 
     /// The light of a pixel as it is without the fluid.
@@ -162,8 +162,20 @@ impl<'a> Scene<'a> {
         Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
     }
 
-    /// The light of a surface, on a line of sight; `exp` is the exponential function.
-    fn light(&self, surface: &Surface, towards: Vec2, exp: impl Fn(f32) -> f32 + Copy) -> Vec3 {
+    /// The light of a surface, on a line of sight, with all that is bent in it.
+    fn light_exactly(&self, surface: &Surface, towards: Vec2) -> Vec3 {
+        self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
+    }
+
+    /// The light of a surface, on a line of sight; `exp` is the exponential function, and `behind` the light from behind the fluid, to a
+    /// place from a direction.
+    fn light(
+        &self,
+        surface: &Surface,
+        towards: Vec2,
+        exp: impl Fn(f32) -> f32 + Copy,
+        behind: impl Fn(DVec3, Vec3) -> Vec3,
+    ) -> Vec3 {
         let line = self.camera.towards(towards.x.into(), towards.y.into());
         let shown = (self.world.transpose() * line).as_vec3();
         let direction = shown.normalize();
@@ -175,7 +187,7 @@ impl<'a> Scene<'a> {
         let light = match (&self.picture.colour, &self.palette) {
             (Colour::Solid(colour), _) => solid(linear(*colour), seen),
             (_, Some(palette)) => solid(palette.of(surface.value), seen),
-            _ => water(seen, exp, |bent| self.behind(place, bent)),
+            _ => water(seen, exp, |bent| behind(place, bent)),
         };
         if surface.inked > 0.0 { wire(light, surface.inked) } else { light }
     }

@@ -29,3 +29,20 @@ impl Sketch {
         row(first).lerp(row(first + self.columns), share(y))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_changes_evenly_is_what_it_is_at_every_pixel() {
+        let light = |x: usize, y: usize| Vec3::new(x as f32, y as f32, 2.0 * x as f32 - 3.0 * y as f32 + 7.0);
+        for [width, height] in [[1, 1], [9, 8], [13, 31]] {
+            let sketch = Sketch::new(width, height, light);
+            for n in 0..width * height {
+                let [x, y] = [n % width, n / width];
+                assert!(sketch.at(x, y).distance(light(x, y)) < 1e-3, "{x}, {y} of {width} x {height}");
+            }
+        }
+    }
+}
