@@ -97,7 +97,7 @@ pub mod mesh {
     pub use crate::surface::mesh::check::{Found, Report as CheckReport, Topology, check};
     pub use crate::surface::mesh::compare::{Comparison, Distances, Side, compare};
     pub use crate::surface::mesh::measure::{Measures, Quality, measure};
-    pub use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
+    pub use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 

@@ -8,6 +8,7 @@ mod common {
     pub mod shapes;
 }
 
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::fs::{self, File};
 use std::io::BufReader;
@@ -20,7 +21,7 @@ use meniscus::files::Replace;
 use meniscus::mesh::MeshSource;
 use meniscus::mesh::{Mesh, VertexAttribute};
 use meniscus::picture::{Colour, Effort, Image, Picture, PictureError, Pictures, Reference, Scope, View};
-use meniscus::{Cancel, Cause, Error, UpAxis};
+use meniscus::{Cancel, Cause, Error, Reconstruction, Surface, UpAxis};
 use rayon::ThreadPoolBuilder;
 use tempfile::TempDir;
 
@@ -251,6 +252,84 @@ fn a_draft_shows_what_the_full_picture_shows_with_fewer_samples() {
     // Edges alone differ: whatever is drawn elsewhere, or from elsewhere, differs on most of the body.
     let far = differences.iter().filter(|&&difference| difference > 24).count();
     assert!(100 * far < differences.len(), "{far} of {} channels", differences.len());
+}
+
+/// The surface of a dam break that splashes, as it is made.
+fn splash(request: &Reconstruction) -> Surface {
+    let file =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small/ParticleData_Fluid_20.bgeo");
+    request.run_file(file).unwrap()
+}
+
+#[test]
+fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_picture_does() {
+    let surface = splash(&Reconstruction::new());
+    let picture = small().size(120, 90).ground(true);
+    let draft = picture.clone().effort(Effort::Draft);
+    assert!(surface.mesh().vertex_count() > 2 * 120 * 90);
+    let drawn = draft.draw(surface.mesh()).unwrap();
+    let coarser = surface.mesh().coarser().unwrap().unwrap();
+    let of_all = draft.draw(&surface.to_mesh().unwrap()).unwrap();
+    assert_eq!(drawn, draft.draw(&*coarser).unwrap());
+    assert_ne!(drawn, of_all);
+    let [far, near] = [24, 8]
+        .map(|limit| drawn.rgb().iter().zip(of_all.rgb()).filter(|(a, b)| a.abs_diff(**b) > limit).count());
+    let channels = drawn.rgb().len();
+    assert!(100 * far < 2 * channels && 100 * near < 6 * channels, "{far} and {near} of {channels}");
+    // What shows triangles, or what vertices carry, is drawn of all of them, and so is a full picture.
+    let by_velocity = Colour::Attribute { name: "velocity".into(), map: "viridis".parse().unwrap() };
+    for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
+        assert_eq!(picture.draw(surface.mesh()).unwrap(), picture.draw(&surface.to_mesh().unwrap()).unwrap());
+    }
+    let dressed = splash(&Reconstruction::new().normals());
+    assert_eq!(picture.draw(dressed.mesh()).unwrap(), picture.draw(&dressed.to_mesh().unwrap()).unwrap());
+}
+
+#[test]
+fn a_coarser_mesh_is_left_as_often_as_it_is_entered_and_is_the_same_in_pieces() {
+    let surface = splash(&Reconstruction::new());
+    let fine = surface.mesh();
+    let mesh = fine.coarser().unwrap().unwrap();
+    let (positions, triangles) = mesh.at_once().unwrap().unwrap();
+    assert_eq!(positions.len() as u64, mesh.vertex_count());
+    assert!(4 * positions.len() as u64 <= 2 * fine.vertex_count(), "{}", positions.len());
+    assert!(2 * triangles.len() as u64 <= fine.triangle_count(), "{}", triangles.len());
+    let mut edges = BTreeMap::new();
+    for triangle in &triangles {
+        for n in 0..3 {
+            let [from, to] = [triangle[n], triangle[(n + 1) % 3]];
+            assert_ne!(from, to);
+            let turned = if from < to { 1 } else { -1 };
+            *edges.entry([from.min(to), from.max(to)]).or_insert(0) += turned;
+        }
+    }
+    assert!(edges.values().all(|&sum| sum == 0), "each edge is passed as often one way as the other");
+    let mut pieced = (Vec::new(), Vec::new());
+    for piece in 0..mesh.pieces() {
+        pieced.0.extend(mesh.vertices(piece).unwrap().positions.iter().copied());
+        pieced.1.extend(mesh.triangles(piece).unwrap().iter().map(|t| t.map(|vertex| vertex as u32)));
+    }
+    assert!(pieced == (positions, triangles));
+    // No vertex is farther from the surface than two cells.
+    let all = fine.at_once().unwrap().unwrap();
+    let whole = surface.to_mesh().unwrap();
+    assert!(all == (whole.positions.clone(), whole.triangles.clone()));
+    let coarse = Mesh { positions: pieced.0, triangles: pieced.1, ..Mesh::default() };
+    let from = Colour::Distance { from: Reference::new(&whole).unwrap(), map: "turbo".parse().unwrap() };
+    let range = small().colour(from).scope_of(&coarse).unwrap().range.unwrap();
+    let cell = 0.5 * 0.05;
+    assert!(range.iter().all(|distance| distance.abs() < 2.0 * cell), "{range:?}");
+}
+
+#[test]
+fn a_draft_has_the_same_bytes_for_any_number_of_threads_and_any_memory() {
+    let surface = splash(&Reconstruction::new().cell(0.25));
+    let draft = small().ground(true).effort(Effort::Draft);
+    let draw = |threads| on_threads(threads, || draft.draw(surface.mesh()).unwrap());
+    let one = draw(1);
+    assert!([2, 3, 7].into_iter().all(|threads| draw(threads) == one));
+    // Less than the mesh takes if all of it is seen.
+    assert_eq!(draft.clone().memory(28 << 20).draw(surface.mesh()).unwrap(), one);
 }
 
 #[test]

@@ -36,6 +36,9 @@ pub struct Outline {
     pub pieces: usize,
 }
 
+/// The positions of all vertices, and all triangles as indices into them.
+pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
+
 /// A mesh in pieces. The vertices of all pieces in order are the mesh's vertices, and likewise the triangles;
 /// a piece can be asked for as often as one likes, by several threads.
 pub trait MeshSource: Sync {
@@ -57,6 +60,23 @@ pub trait MeshSource: Sync {
     /// The positions of all vertices, where they are in memory side by side.
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         None
+    }
+
+    /// Makes the positions of all vertices, and all triangles, where that is less work at once than piece by piece.
+    ///
+    /// # Errors
+    /// Where pieces are kept in a file that cannot be read.
+    fn at_once(&self) -> io::Result<Option<Indexed>> {
+        Ok(None)
+    }
+
+    /// A mesh that looks like it from afar, of about a quarter of its triangles, where that costs little. It may have fewer triangles than
+    /// its outline says.
+    ///
+    /// # Errors
+    /// Where pieces are kept in a file that cannot be read.
+    fn coarser(&self) -> io::Result<Option<Box<dyn MeshSource + '_>>> {
+        Ok(None)
     }
 
     /// Vertices of all pieces.

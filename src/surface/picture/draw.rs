@@ -1,5 +1,6 @@
 //! A mesh to an image: its box, what is seen of it, and light on every pixel.
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::surface::mesh::source::MeshSource;
@@ -15,11 +16,15 @@ use super::light::byte;
 use super::memory::{Budget, Memory};
 use super::ranked::Entered;
 use super::raster::Raster;
-use super::request::{Picture, Scope};
+use super::request::{Effort, Picture, Scope};
 use super::scene::{Samples, Scene};
 use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
+use super::sketch::Sketch;
 use super::sun::{Sun, Sunlight};
 use super::visible::Visible;
+
+/// Vertices for each pixel from which on a draft is drawn of a coarser mesh.
+const COARSENED: u64 = 2;
 
 impl Picture {
     /// Draws a mesh.
@@ -31,6 +36,11 @@ impl Picture {
     pub fn draw(&self, mesh: &dyn MeshSource) -> Result<Image, PictureError> {
         self.check()?;
         let values = Values::new(&self.colour, mesh)?;
+        let [width, height] = self.pixels();
+        let fine = mesh.vertex_count() > COARSENED * (width * height) as u64;
+        let coarsened = self.effort == Effort::Draft && fine && !values.any() && !self.wireframe;
+        let coarser = if coarsened { mesh.coarser()? } else { None };
+        let mesh = coarser.as_deref().unwrap_or(mesh);
         let (memory, budget) = self.memory_for(mesh)?;
         draw(self, &Shape::read(mesh, &values, &memory)?, &values, &budget)
     }
@@ -99,15 +109,27 @@ fn draw(
     let legended = picture.colour.legend();
     let palette = legended.as_ref().map(|(_, map)| Palette::new(*map, range));
     let scene = Scene::new(picture, bounds, (&camera, &raster), &visible, &sun, palette);
-    let mut rgb = vec![0; 3 * width * height];
-    rgb.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
-        for (x, pixel) in row.chunks_mut(3).enumerate() {
-            pixel.copy_from_slice(&scene.pixel(x, y).to_array().map(byte));
+    let rgb = match picture.effort {
+        Effort::Full => bytes([width, height], |x, y| scene.pixel(x, y)),
+        Effort::Draft => {
+            let empty = Sketch::new(width, height, |x, y| scene.empty(x, y));
+            bytes([width, height], |x, y| scene.sketched(x, y, empty.at(x, y)))
         }
-    });
+    };
     let mut image = Image::new(width, height, rgb);
     if let Some((name, map)) = legended {
         legend(&mut image, name, map, range, scope.beyond);
     }
     Ok(image)
+}
+
+/// The bytes of all pixels by their light.
+fn bytes([width, height]: [usize; 2], light: impl Fn(usize, usize) -> Vec3 + Sync) -> Vec<u8> {
+    let mut rgb = vec![0; 3 * width * height];
+    rgb.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
+        for (x, pixel) in row.chunks_mut(3).enumerate() {
+            pixel.copy_from_slice(&light(x, y).to_array().map(byte));
+        }
+    });
+    rgb
 }

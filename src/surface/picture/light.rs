@@ -82,8 +82,8 @@ pub(super) fn solid(colour: Vec3, seen: Seen) -> Vec3 {
     colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
 }
 
-/// Water, in front of what `behind` says of a direction.
-pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
+/// Water, in front of what `behind` says of a direction; `exp` is the exponential function.
+pub(super) fn water(seen: Seen, exp: impl Fn(f32) -> f32, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     let Seen { towards, normal, through, lit } = seen;
     let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
     let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
@@ -91,8 +91,8 @@ pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     // Through the surface by Snell's law; what comes out on the other side goes on as it went in.
     let along = towards + facing * normal;
     let bent = towards.lerp((towards - along * (1.0 - REFRACTION)).normalize(), 0.7).normalize();
-    let left = Vec3::new((-TAKEN.x * through).exp(), (-TAKEN.y * through).exp(), (-TAKEN.z * through).exp());
-    let cloud = 1.0 - (-CLOUDED * through).exp();
+    let left = Vec3::new(exp(-TAKEN.x * through), exp(-TAKEN.y * through), exp(-TAKEN.z * through));
+    let cloud = 1.0 - exp(-CLOUDED * through);
     let light = fallen(normal, lit);
     let inside = behind(bent) * left + GIVEN * cloud * (0.35 + 0.65 * light);
     let [film, deep] = MILK;
@@ -102,6 +102,18 @@ pub(super) fn water(seen: Seen, behind: impl Fn(Vec3) -> Vec3) -> Vec3 {
     let glint = normal.dot(half).max(0.0).powi(240);
     body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
 }
+
+/// The exponential of what is not positive, nearly: off by less than a thousandth, which no byte shows, in a fraction of the time.
+#[inline]
+pub(super) fn quick_exp(x: f32) -> f32 {
+    let power = (x * std::f32::consts::LOG2_E + EXPONENT_BIAS).max(0.0);
+    let whole = power as u32;
+    let part = power - whole as f32;
+    // A cubic that is 1 at 0 and 2 at 1.
+    let of_part = 1.0 + part * (0.695_56 + part * (0.226_17 + part * 0.078_27));
+    f32::from_bits(whole << (f32::MANTISSA_DIGITS - 1)) * of_part
+}
+const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
 /// A wire of dark ink that covers a share of a surface.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
@@ -134,4 +146,18 @@ pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
         if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
     };
     Vec3::new(light(r), light(g), light(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quick_exponential_is_that_of_the_library_to_a_thousandth() {
+        for n in 0..100_000 {
+            let x = -1e-3 * n as f32;
+            assert!((quick_exp(x) - x.exp()).abs() <= 1e-3 * x.exp() + 1e-37, "{x}: {}", quick_exp(x));
+        }
+        assert_eq!(quick_exp(f32::NEG_INFINITY), 0.0);
+    }
 }

@@ -21,6 +21,7 @@ mod raster;
 mod request;
 mod scene;
 mod shape;
+mod sketch;
 mod sun;
 mod visible;
 

@@ -150,7 +150,10 @@ impl Raster {
             return Some(top..bottom + 1);
         }
         self.fill(around, number, corners, |sample, key, way| {
-            self.nearest[sample].fetch_max(key, Ordering::Relaxed);
+            // Read first: much is behind what is there, and reading is cheaper.
+            if self.nearest[sample].load(Ordering::Relaxed) < key {
+                self.nearest[sample].fetch_max(key, Ordering::Relaxed);
+            }
             self.through[sample].fetch_add(way, Ordering::Relaxed);
         });
         None

@@ -43,7 +43,8 @@ pub enum Effort {
     /// Four samples a pixel.
     #[default]
     Full,
-    /// One sample a pixel, and a shadow half as sharp: for a glance, in little more than half of the time.
+    /// For a glance, in about half of the time: one sample a pixel, a shadow half as sharp, and light that goes straight through the fluid. A
+    /// surface that was just made and has more than two vertices a pixel is drawn of fewer and larger triangles.
     Draft,
 }
 

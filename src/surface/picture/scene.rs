@@ -6,7 +6,7 @@ use crate::surface::mesh::bounds::Bounds;
 
 use super::camera::{Camera, ball};
 use super::colour::{Colour, Palette};
-use super::light::{Seen, backdrop, ground, linear, solid, water, wire};
+use super::light::{Seen, backdrop, ground, linear, quick_exp, solid, water, wire};
 use super::raster::{Raster, Sample};
 use super::request::{Effort, Picture};
 use super::sun::Sunlight;
@@ -82,12 +82,10 @@ impl<'a> Scene<'a> {
 
     /// The light of a pixel: the mean of its samples'.
     pub(super) fn pixel(&self, x: usize, y: usize) -> Vec3 {
-        let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
-        let at = |x: f32, y: f32| Vec2::new((x - width / 2.0) / height, 0.5 - y / height);
         let finer = self.finer;
         let of_sample = |i: usize| {
             let [x, y] = [finer * x + i % finer, finer * y + i / finer];
-            (self.raster.sample(y * self.raster.width + x), at(x as f32 + 0.5, y as f32 + 0.5))
+            (self.raster.sample(y * self.raster.width + x), self.at(x as f32 + 0.5, y as f32 + 0.5))
         };
         let mut all = [(None, Vec2::ZERO); FINEST * FINEST];
         let samples = &mut all[..finer * finer];
@@ -95,10 +93,8 @@ impl<'a> Scene<'a> {
         let near = |&(sample, _): &(Option<Sample>, Vec2)| sample.map_or(0.0, |sample| sample.near);
         let first = near(&samples[0]);
         let one = samples.iter().all(|sample| (near(sample) - first).abs() <= ONE_DISTANCE * first);
-        let half = 0.5 * finer as f32;
-        let middle = at((finer * x) as f32 + half, (finer * y) as f32 + half);
         if samples.iter().all(|(sample, _)| sample.is_none()) {
-            return self.behind(self.camera.eye, self.direction(middle));
+            return self.empty(x, y);
         }
         let share = 1.0 / samples.len() as f32;
         let surfaces = samples.iter().map(|&(sample, towards)| {
@@ -106,11 +102,13 @@ impl<'a> Scene<'a> {
         });
         if one {
             let sum = surfaces.fold(Surface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
-            return self.light(&sum, middle);
+            let half = 0.5 * finer as f32;
+            let middle = self.at((finer * x) as f32 + half, (finer * y) as f32 + half);
+            return self.light_exactly(&sum, middle);
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
             // Samples are averaged as they will be shown, so that a glint does not eat the edge beside it.
-            Some(_) => self.light(&surface, towards).min(Vec3::ONE),
+            Some(_) => self.light_exactly(&surface, towards).min(Vec3::ONE),
             None => self.behind(self.camera.eye, self.direction(towards)),
         });
         lights.sum::<Vec3>() * share
@@ -144,8 +142,40 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// The light of a surface, on a line of sight.
-    fn light(&self, surface: &Surface, towards: Vec2) -> Vec3 {
+    /// The light of a pixel of one sample, drawn quickly: of light from behind the fluid, which is not bent in it.
+    pub(super) fn sketched(&self, x: usize, y: usize, behind: Vec3) -> Vec3 {
+        let Some(sample) = self.raster.sample(y * self.raster.width + x) else { return behind };
+        let towards = self.at(x as f32 + 0.5, y as f32 + 0.5);
+        self.light(&self.surface(sample, towards), towards, quick_exp, |_, _| behind)
+    }
+
+    /// The light of a pixel as it is without the fluid.
+    pub(super) fn empty(&self, x: usize, y: usize) -> Vec3 {
+        let half = 0.5 * self.finer as f32;
+        let middle = self.at((self.finer * x) as f32 + half, (self.finer * y) as f32 + half);
+        self.behind(self.camera.eye, self.direction(middle))
+    }
+
+    /// The place of a sample on the picture: to the right and up in heights from the middle.
+    fn at(&self, x: f32, y: f32) -> Vec2 {
+        let [width, height] = [self.raster.width, self.raster.height].map(|samples| samples as f32);
+        Vec2::new((x - width / 2.0) / height, 0.5 - y / height)
+    }
+
+    /// The light of a surface, on a line of sight, with all that is bent in it.
+    fn light_exactly(&self, surface: &Surface, towards: Vec2) -> Vec3 {
+        self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
+    }
+
+    /// The light of a surface, on a line of sight; `exp` is the exponential function, and `behind` the light from behind the fluid, to a
+    /// place from a direction.
+    fn light(
+        &self,
+        surface: &Surface,
+        towards: Vec2,
+        exp: impl Fn(f32) -> f32 + Copy,
+        behind: impl Fn(DVec3, Vec3) -> Vec3,
+    ) -> Vec3 {
         let line = self.camera.towards(towards.x.into(), towards.y.into());
         let shown = (self.world.transpose() * line).as_vec3();
         let direction = shown.normalize();
@@ -153,11 +183,11 @@ impl<'a> Scene<'a> {
         let normal = (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         let through = (surface.through * shown.length() * self.radii).max(0.0);
-        let seen = Seen { towards: direction, normal, through, lit: self.sun.within(place) };
+        let seen = Seen { towards: direction, normal, through, lit: self.sun.within(place, exp) };
         let light = match (&self.picture.colour, &self.palette) {
             (Colour::Solid(colour), _) => solid(linear(*colour), seen),
             (_, Some(palette)) => solid(palette.of(surface.value), seen),
-            _ => water(seen, |bent| self.behind(place, bent)),
+            _ => water(seen, exp, |bent| behind(place, bent)),
         };
         if surface.inked > 0.0 { wire(light, surface.inked) } else { light }
     }

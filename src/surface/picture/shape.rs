@@ -30,6 +30,9 @@ pub(super) const LEAST_BATCH_BYTES: u64 = LEAST_BATCH * BATCH_BYTES;
 /// Pieces that each thread reads before they are put together.
 const PIECES: usize = 16;
 
+/// Places of a task.
+const PLACES: usize = 1 << 12;
+
 /// A mesh, its box and the range of its values.
 pub(super) struct Shape<'a> {
     pub(super) mesh: &'a dyn MeshSource,
@@ -91,6 +94,17 @@ impl<'a> Shape<'a> {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, what).into());
         }
         let keep = matches!(memory, Memory::Whole);
+        if keep
+            && !outline.normals
+            && !kind.any()
+            && let Some((places, triangles)) = mesh.at_once()?
+        {
+            let bounds = places.par_chunks(PLACES).filter_map(box_of).reduce_with(joined);
+            let places = Cow::Owned(places);
+            let kept = Kept { places, normals: Vec::new(), values: Vec::new(), triangles };
+            let scope = Scope { bounds, ..Scope::default() };
+            return Ok(Self { mesh, scope, firsts: vec![0, vertices as u32], kept: Some(kept), batch: 0 });
+        }
         let borrowed = mesh.whole_positions().filter(|_| keep);
         let room = |wanted: bool, count: u64| if keep && wanted { count as usize } else { 0 };
         let mut kept = Kept {

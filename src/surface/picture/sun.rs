@@ -72,11 +72,11 @@ impl Sunlight {
         (samples * samples * 2 * size_of::<f32>()) as u64
     }
 
-    /// The share of the sun's light that gets to a place in the fluid.
-    pub(super) fn within(&self, place: DVec3) -> f32 {
+    /// The share of the sun's light that gets to a place in the fluid; `exp` is the exponential function.
+    pub(super) fn within(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
         self.mean(place, &self.distances, |surface, distance| {
             let water = (distance - surface) * self.radii - SKIN;
-            if water > 0.0 { (-SUN_TAKEN * water).exp() } else { 1.0 }
+            if water > 0.0 { exp(-SUN_TAKEN * water) } else { 1.0 }
         })
     }
 

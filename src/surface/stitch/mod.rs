@@ -4,7 +4,9 @@
 //! from their order. Nothing is searched for by position and nothing depends on distance. Order is that of tiles along the
 //! Morton curve. Positions and triangles are made when they are asked for, block by block, and never kept.
 
+mod coarse;
 mod numbers;
+mod source;
 pub mod vulkan;
 
 use std::borrow::Cow;
@@ -19,7 +21,7 @@ use thiserror::Error;
 use crate::grid::{BLOCK, CellBox, Domain, Grid};
 use crate::particles::AttributeInfo;
 use crate::surface::dual_mc::Crossings;
-use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
+use crate::surface::mesh::source::{Indexed, MeshSource};
 use crate::surface::mesh::spool::Spool;
 use crate::surface::mesh::{BlockMesh, Mesh, Tile, VertexAttribute, bits, cell_of_bit};
 use crate::system::memory::zeroed_in_huge_pages;
@@ -84,24 +86,30 @@ impl Stitched {
         if u32::try_from(self.vertex_count()).is_err() {
             return Err(WholeMeshError::TooManyVertices(self.vertex_count()));
         }
-        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let (positions, triangles) = self.positions_and_triangles()?;
         let normals = || self.of_vertices(1, |block, to| to.copy_from_slice(&block.normals));
         let attribute = |(i, AttributeInfo { name, components }): (usize, &AttributeInfo)| {
             let values =
                 self.of_vertices(*components, |block, to| to.copy_from_slice(&block.attributes[i]))?;
             Ok(VertexAttribute { name: name.clone(), components: *components, values })
         };
-        let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
-        split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
-            .into_par_iter()
-            .enumerate()
-            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
         Ok(Mesh {
             positions,
             triangles,
             normals: self.has_normals().then(normals).transpose()?,
             attributes: self.attributes.iter().enumerate().map(attribute).collect::<io::Result<_>>()?,
         })
+    }
+
+    /// The positions of all vertices, and all triangles, whose vertices 32 bits can number.
+    fn positions_and_triangles(&self) -> io::Result<Indexed> {
+        let positions = self.of_vertices(1, |block, to| self.place(block, to))?;
+        let mut triangles = zeroed_in_huge_pages(self.triangle_count() as usize);
+        split(&mut triangles, (0..self.pieces()).map(|i| self.spool.counts(i)[1]))
+            .into_par_iter()
+            .enumerate()
+            .try_for_each(|(i, to)| self.emit(i, |n, _, t| to[n] = t.map(|v| v as u32)))?;
+        Ok((positions, triangles))
     }
 
     /// Collects `width` numbers of every vertex; `put` writes them block by block.
@@ -262,9 +270,31 @@ impl Stitched {
         positions
     }
 
+    /// How many triangles a piece has.
+    fn piece_triangles(&self, piece: usize) -> usize {
+        self.spool.counts(piece)[1]
+    }
+
     /// Calls `put` with the rank, the dual cell and the vertices of each triangle of block number `i`: they refer to
     /// the block's own vertices and to those of its neighbours further up along the axes.
-    fn emit(&self, i: usize, mut put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
+    fn emit(&self, i: usize, put: impl FnMut(usize, IVec3, [u64; 3])) -> io::Result<()> {
+        let numbered = |found: usize, tile: &Tile| {
+            let mut next = self.spool.first_vertex(found) + u64::from(tile.first_vertex);
+            move |_| {
+                next += 1;
+                next - 1
+            }
+        };
+        self.emit_by(i, numbered, put)
+    }
+
+    /// Does so with vertices by other numbers: of a block's tiles, one after the other, what numbers their vertices by their bits.
+    fn emit_by<N: FnMut(u32) -> u64>(
+        &self,
+        i: usize,
+        mut numbered: impl FnMut(usize, &Tile) -> N,
+        mut put: impl FnMut(usize, IVec3, [u64; 3]),
+    ) -> io::Result<()> {
         thread_local! {
             static NUMBERS: Cell<Option<Numbers>> = const { Cell::new(None) };
         }
@@ -273,53 +303,14 @@ impl Stitched {
         for neighbour in 0..8 {
             let coord = block + IVec3::new(neighbour & 1, neighbour >> 1 & 1, neighbour >> 2);
             let Some(found) = self.spool.find(coord) else { continue };
-            let first = self.spool.first_vertex(found);
             let tiles = if found == i { Cow::Borrowed(&*own) } else { self.spool.tiles(found)? };
             for tile in tiles.iter() {
-                let corner = tile.corner(coord) - block * BLOCK;
-                if corner.max_element() <= BLOCK {
-                    numbers.enter(tile, corner, first + u64::from(tile.first_vertex));
-                }
+                numbers.enter(tile, tile.corner(coord) - block * BLOCK, numbered(found, tile));
             }
         }
         numbers.triangles(block, &own, &mut put);
         NUMBERS.set(Some(numbers));
         Ok(())
-    }
-}
-
-impl MeshSource for Stitched {
-    fn outline(&self) -> Outline {
-        Outline {
-            vertices: self.spool.vertices(),
-            triangles: self.spool.triangles(),
-            normals: self.spool.has_normals(),
-            attributes: self.attributes.clone(),
-            pieces: self.spool.len(),
-        }
-    }
-
-    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
-        let block = self.spool.get(piece)?;
-        let positions = self.positions(&block).into();
-        Ok(match block {
-            Cow::Borrowed(block) => Vertices {
-                positions,
-                normals: (&block.normals).into(),
-                attributes: block.attributes.iter().map(Into::into).collect(),
-            },
-            Cow::Owned(block) => Vertices {
-                positions,
-                normals: block.normals.into(),
-                attributes: block.attributes.into_iter().map(Into::into).collect(),
-            },
-        })
-    }
-
-    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
-        let mut triangles = Vec::with_capacity(self.spool.counts(piece)[1]);
-        self.emit(piece, |_, _, triangle| triangles.push(triangle))?;
-        Ok(triangles)
     }
 }
 

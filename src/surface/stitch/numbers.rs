@@ -35,16 +35,19 @@ impl Numbers {
         Self { numbers: vec![0; 3 * EDGE.pow(3)] }
     }
 
-    /// Enters the vertices of tiles whose lowest cells are at `corner`, counted from the block's, and the tile's first
-    /// vertex has this number.
-    pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: u64) {
+    /// Enters the vertices of a tile whose lowest cell is at `corner`, counted from the block's; `number` is called with the bit of each in
+    /// their order.
+    #[inline]
+    pub(super) fn enter(&mut self, tile: &Tile, corner: IVec3, mut number: impl FnMut(u32) -> u64) {
+        if corner.max_element() >= EDGE as i32 {
+            return;
+        }
         for axis in 0..3 {
             for bit in bits(tile.crossed(axis)) {
-                let cell = corner + cell_of_bit(bit);
+                let (cell, number) = (corner + cell_of_bit(bit), number(bit));
                 if cell.max_element() < EDGE as i32 {
                     self.numbers[index(cell) + axis] = number;
                 }
-                number += 1;
             }
         }
     }

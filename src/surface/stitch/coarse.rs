@@ -1,0 +1,138 @@
+//! A mesh of fewer triangles for a glance: vertices that are near to each other drawn together (Rossignac and Borrel 1993).
+//!
+//! The vertices of 2 x 2 x 2 cells become one in their middle, and triangles that have two corners in one are left out. What is left of a
+//! closed surface is closed in the sense that matters to pictures: a line of sight leaves it as often as it enters it.
+
+use std::io;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
+use crate::surface::mesh::{BlockMesh, Tile, TileMask, bits};
+use crate::system::memory::zeroed_in_huge_pages;
+
+use super::{Stitched, split};
+
+/// The lowest of 2 x 2 x 2 cells, as bits of a tile and as a mask of a bit's number.
+const LOWEST: TileMask = 0x0505_0000_0505;
+const LOWEST_OF: u32 = 0b10_1010;
+
+/// A mesh whose vertices are drawn together.
+pub(super) struct Coarse<'a> {
+    fine: &'a Stitched,
+    /// The number of the first vertex of each piece, and of all vertices.
+    firsts: Vec<u64>,
+}
+
+/// The groups of 2 x 2 x 2 cells of a tile that have vertices, by their lowest cells.
+fn groups(tile: &Tile) -> TileMask {
+    let crossed = tile.crossed(0) | tile.crossed(1) | tile.crossed(2);
+    let along_x = crossed | crossed >> 1;
+    let along_y = along_x | along_x >> 4;
+    (along_y | along_y >> 16) & LOWEST
+}
+
+/// The number of a cell's group among those of its tile.
+fn rank(groups: TileMask, bit: u32) -> usize {
+    (groups & ((1 << (bit & LOWEST_OF)) - 1)).count_ones() as usize
+}
+
+impl<'a> Coarse<'a> {
+    /// Counts the vertices that are left.
+    pub(super) fn new(fine: &'a Stitched) -> io::Result<Self> {
+        let count = |piece: usize| -> io::Result<u64> {
+            Ok(fine.tiles(piece)?.iter().map(|tile| u64::from(groups(tile).count_ones())).sum())
+        };
+        let counts: Vec<u64> = (0..fine.pieces()).into_par_iter().map(count).collect::<io::Result<_>>()?;
+        let mut firsts = vec![0];
+        firsts.extend(counts.iter().scan(0, |sum, count| {
+            *sum += count;
+            Some(*sum)
+        }));
+        Ok(Self { fine, firsts })
+    }
+
+    fn vertices_of(&self, piece: usize) -> usize {
+        (self.firsts[piece + 1] - self.firsts[piece]) as usize
+    }
+
+    /// Puts the vertices of a block where they are wanted.
+    fn place(&self, block: &BlockMesh, to: &mut [[f64; 3]]) {
+        let places = self.fine.positions(block);
+        let (mut places, mut rest) = (places.iter(), to);
+        for tile in &block.tiles {
+            let groups = groups(tile);
+            let mut sums = [(DVec3::ZERO, 0.0); 8];
+            for bit in (0..3).flat_map(|axis| bits(tile.crossed(axis))) {
+                let (sum, count) = &mut sums[rank(groups, bit)];
+                *sum += DVec3::from(*places.next().expect("a place for every edge"));
+                *count += 1.0;
+            }
+            let (own, others) = rest.split_at_mut(groups.count_ones() as usize);
+            own.iter_mut().zip(sums).for_each(|(to, (sum, count))| *to = (sum / count).to_array());
+            rest = others;
+        }
+    }
+
+    /// Collects the triangles of a piece that are left.
+    fn triangles_left<T>(&self, piece: usize, of: impl Fn(u64) -> T + Copy) -> io::Result<Vec<[T; 3]>> {
+        let mut triangles = Vec::with_capacity(self.fine.piece_triangles(piece) / 2);
+        let mut next = 0;
+        self.fine.emit_by(
+            piece,
+            |found, tile| {
+                // The first tile of a block has its first vertex.
+                next = if tile.first_vertex == 0 { self.firsts[found] } else { next };
+                let (groups, first) = (groups(tile), next);
+                next += u64::from(groups.count_ones());
+                move |bit| first + rank(groups, bit) as u64
+            },
+            |_, _, [a, b, c]| {
+                if a != b && b != c && c != a {
+                    triangles.push([a, b, c].map(of));
+                }
+            },
+        )?;
+        Ok(triangles)
+    }
+}
+
+impl MeshSource for Coarse<'_> {
+    /// Returns a summary that counts all triangles, of which not all are left.
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.firsts[self.fine.pieces()],
+            triangles: self.fine.triangle_count(),
+            pieces: self.fine.pieces(),
+            ..Outline::default()
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let mut positions = vec![[0.0; 3]; self.vertices_of(piece)];
+        self.place(&*self.fine.spool.get(piece)?, &mut positions);
+        Ok(Vertices { positions: positions.into(), ..Vertices::default() })
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.triangles_left(piece, |vertex| vertex)
+    }
+
+    fn at_once(&self) -> io::Result<Option<Indexed>> {
+        if u32::try_from(self.vertex_count()).is_err() {
+            return Ok(None);
+        }
+        let pieces = self.fine.pieces();
+        let mut positions = zeroed_in_huge_pages(self.vertex_count() as usize);
+        let left: Vec<_> = split(&mut positions, (0..pieces).map(|piece| self.vertices_of(piece)))
+            .into_par_iter()
+            .enumerate()
+            .map(|(piece, to)| {
+                self.place(&*self.fine.spool.get(piece)?, to);
+                self.triangles_left(piece, |vertex| vertex as u32)
+            })
+            .collect::<io::Result<_>>()?;
+        Ok(Some((positions, left.concat())))
+    }
+}
