@@ -16,8 +16,8 @@ use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
-/// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
-const PIECE: u64 = 16 << 20;
+/// Bytes of the pieces in which memory is taken from the driver; larger buffers have pieces of their own.
+pub const PIECE: u64 = 16 << 20;
 
 /// Options of an open device: what it may take, keep and use.
 #[derive(Debug, Clone, Default)]

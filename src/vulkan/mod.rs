@@ -13,7 +13,7 @@ mod shader;
 
 pub use batch::{Batch, Moment, Ticket};
 pub use buffer::{Buffer, Place, View};
-pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
+pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, PIECE, Queue, Queues, Timing};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
 pub(crate) use shader::push_block;
