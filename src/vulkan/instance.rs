@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use ash::{ext, khr, vk};
 
-use super::VulkanError;
+use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -322,11 +322,15 @@ pub(super) fn lacks(
         () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
         () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
         () if !families.iter().any(computes) => Some("it has no queue for compute"),
-        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]) < 256 => {
+        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0])
+            < MOST_THREADS =>
+        {
             Some("its work groups are too small")
         }
-        () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
-        () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
+        () if limits.max_compute_shared_memory_size < MOST_SHARED => Some("its shared memory is too small"),
+        () if limits.max_per_stage_descriptor_storage_buffers < MOST_BUFFERS => {
+            Some("it binds too few buffers")
+        }
         () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
         () => None,
     }
