@@ -118,6 +118,21 @@ fn blurred_on(
     (block, unsafe { to.read(0, padded.samples().len()) })
 }
 
+#[test]
+fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
+    if !Instance::connect(true).is_ok_and(|instance| instance.sees_shaders()) {
+        return;
+    }
+    let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
+    let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+    let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
+    // Of the three that blur along an axis each, the second no longer waits for the first.
+    device.faults().barrier.store(2, Ordering::Relaxed);
+    blurred_on(&device, &pipeline, &random_block(CellBox::cube(IVec3::ZERO, 16), 1), &weights, None);
+    let messages = log.messages();
+    assert!(messages.iter().any(|message| message.to_lowercase().contains("hazard")), "{messages:?}");
+}
+
 /// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
 fn crowds() -> Vec<[f64; 3]> {
     let mut random = Random::new(5);
