@@ -475,19 +475,26 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
     let data = common::files::data("");
     validated(|device| {
         let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
-        for file in ["dambreak_small/ParticleData_Fluid_20.bgeo"] {
+        for (file, spacing) in [
+            ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
+            ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
+        ] {
             let scratch = std::env::temp_dir();
             let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
-            let file = open_particles(&data.join(file), unpacking).unwrap();
-            let grid = Grid::new(glam::DVec3::ZERO, 0.05).unwrap();
-            for indicator in INDICATORS {
-                for detail in DETAILS {
+            let particles = open_particles(&data.join(file), unpacking).unwrap().particles;
+            for (indicator, detail) in
+                INDICATORS.iter().flat_map(|&indicator| DETAILS.map(|detail| (indicator, detail)))
+            {
+                for cell in [spacing, spacing / 2.0] {
+                    let grid = Grid::new(glam::DVec3::ZERO, cell).unwrap();
                     let mut sampling = Sampling { field: indicator.into(), grid, ..sampling() };
-                    let surfacing = Surfacing { detail, ..surfacing() };
-                    let (_, expected) = reconstruct(&file.particles, &sampling, &surfacing);
+                    sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
+                    let surfacing = Surfacing { detail, normals: Normals::Gradient, ..surfacing() };
+                    let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
                     sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
-                    let (_, surface) = reconstruct(&file.particles, &sampling, &surfacing);
-                    assert!(surface.mesh == expected.mesh, "{indicator:?}, {detail:?}");
+                    let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
+                    let what = format!("{file}, {indicator:?}, {detail:?}, cells of {cell}");
+                    assert!(surface.mesh == expected.mesh, "{what}");
                 }
             }
         }
