@@ -293,14 +293,16 @@ fn frames_after_the_first_take_no_more_memory_and_give_back_what_they_keep() {
 
 #[test]
 fn a_program_with_a_device_of_its_own_gets_the_mesh_of_the_cpu() {
-    if open().is_none() {
-        return;
-    }
+    let number = match device::chosen() {
+        Ok((_, info)) => info.index,
+        Err(why) => return device::skip(why),
+    };
     let particles: Vec<[f32; 3]> = splashes(37).iter().map(|p| p.map(|x| x as f32)).collect();
     // The program takes its particles to be a cell apart.
     let sampling = Sampling { spacing: Some(1.0), ..sampling() };
     let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
-    assert!(example::surface_of(&particles, 1.0).unwrap() == rounded(&expected.mesh));
+    assert!(example::surface_of(number, &particles, 1.0).unwrap() == rounded(&expected.mesh));
+    assert!(example::surface_of(99, &particles, 1.0).is_err(), "another device is taken");
 }
 
 #[test]

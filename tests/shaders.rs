@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 
 use compile::{folder, parsed, source};
 use meniscus::internals::backend::shaders::SHADERS;
-use meniscus::internals::vulkan::Shader;
+use meniscus::internals::vulkan::{MOST_BUFFERS, MOST_PUSH, MOST_SHARED, MOST_THREADS, Shader};
 use naga::{AddressSpace, TypeInner};
 
 #[test]
@@ -53,11 +53,14 @@ fn bindings_push_blocks_and_groups_are_what_rust_believes() {
         assert_eq!((entry.name.as_str(), entry.workgroup_size), (shader.name, shader.group));
         let mut bound: Vec<(u32, &str)> = Vec::new();
         let mut push = Vec::new();
+        let mut shared = 0;
         for (_, variable) in module.global_variables.iter() {
             if let Some(binding) = &variable.binding {
                 assert_eq!(binding.group, 0, "{}", shader.name);
                 assert!(matches!(variable.space, AddressSpace::Storage { .. }), "{}", shader.name);
                 bound.push((binding.binding, variable.name.as_deref().unwrap()));
+            } else if variable.space == AddressSpace::WorkGroup {
+                shared += module.types[variable.ty].inner.size(module.to_ctx()).next_multiple_of(16);
             } else if variable.space == AddressSpace::Immediate {
                 let TypeInner::Struct { members, .. } = &module.types[variable.ty].inner else {
                     panic!("{}: the push block is a structure", shader.name)
@@ -76,7 +79,16 @@ fn bindings_push_blocks_and_groups_are_what_rust_believes() {
         assert_eq!(bound, believed, "{}", shader.name);
         let believed: Vec<_> = shader.push.iter().map(|f| (f.name, f.offset, f.bytes)).collect();
         assert_eq!(push, believed, "{}", shader.name);
-        assert!(shader.push_bytes() <= 128, "{}", shader.name);
+        let [width, height, depth] = shader.group;
+        assert_eq!((height, depth), (1, 1), "{}", shader.name);
+        for (used, most) in [
+            (shader.push_bytes(), MOST_PUSH),
+            (shader.buffers.len() as u32, MOST_BUFFERS),
+            (width, MOST_THREADS),
+            (shared, MOST_SHARED),
+        ] {
+            assert!(used <= most, "{}: {used} of {most}", shader.name);
+        }
     }
 }
 

@@ -118,6 +118,21 @@ fn blurred_on(
     (block, unsafe { to.read(0, padded.samples().len()) })
 }
 
+#[test]
+fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
+    if !Instance::connect(true).is_ok_and(|instance| instance.sees_shaders()) {
+        return;
+    }
+    let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
+    let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+    let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
+    // Of the three that blur along an axis each, the second no longer waits for the first.
+    device.faults().barrier.store(2, Ordering::Relaxed);
+    blurred_on(&device, &pipeline, &random_block(CellBox::cube(IVec3::ZERO, 16), 1), &weights, None);
+    let messages = log.messages();
+    assert!(messages.iter().any(|message| message.to_lowercase().contains("hazard")), "{messages:?}");
+}
+
 /// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
 fn crowds() -> Vec<[f64; 3]> {
     let mut random = Random::new(5);
@@ -460,19 +475,26 @@ fn the_shared_frames_have_the_same_surfaces_on_the_device() {
     let data = common::files::data("");
     validated(|device| {
         let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
-        for file in ["dambreak_small/ParticleData_Fluid_20.bgeo"] {
+        for (file, spacing) in [
+            ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
+            ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
+        ] {
             let scratch = std::env::temp_dir();
             let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
-            let file = open_particles(&data.join(file), unpacking).unwrap();
-            let grid = Grid::new(glam::DVec3::ZERO, 0.05).unwrap();
-            for indicator in INDICATORS {
-                for detail in DETAILS {
+            let particles = open_particles(&data.join(file), unpacking).unwrap().particles;
+            for (indicator, detail) in
+                INDICATORS.iter().flat_map(|&indicator| DETAILS.map(|detail| (indicator, detail)))
+            {
+                for cell in [spacing, spacing / 2.0] {
+                    let grid = Grid::new(glam::DVec3::ZERO, cell).unwrap();
                     let mut sampling = Sampling { field: indicator.into(), grid, ..sampling() };
-                    let surfacing = Surfacing { detail, ..surfacing() };
-                    let (_, expected) = reconstruct(&file.particles, &sampling, &surfacing);
+                    sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
+                    let surfacing = Surfacing { detail, normals: Normals::Gradient, ..surfacing() };
+                    let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
                     sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
-                    let (_, surface) = reconstruct(&file.particles, &sampling, &surfacing);
-                    assert!(surface.mesh == expected.mesh, "{indicator:?}, {detail:?}");
+                    let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
+                    let what = format!("{file}, {indicator:?}, {detail:?}, cells of {cell}");
+                    assert!(surface.mesh == expected.mesh, "{what}");
                 }
             }
         }

@@ -87,7 +87,7 @@ fn fast_device(
     if budget < DRIVERS {
         return Err(OnCpu::LittleMemory(DRIVERS.0));
     }
-    if !may_have_gpu() {
+    if !may_have_gpu(Path::new("/dev")) {
         return Err(OnCpu::NoGpu);
     }
     if let Some(bytes) = input_bytes().filter(|&bytes| bytes < SMALL) {
@@ -122,8 +122,24 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
     files.into_iter().map(bytes).sum()
 }
 
-/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor.
-fn may_have_gpu() -> bool {
-    let nodes = ["/dev/dri", "/dev/nvidia0", "/dev/dxg"];
-    !cfg!(target_os = "linux") || nodes.iter().any(|node| Path::new(node).exists())
+/// Whether it is worth while to load Vulkan's drivers, of which some compute on the processor. Containers that are given one GPU of several
+/// may have it under any number.
+fn may_have_gpu(nodes: &Path) -> bool {
+    let known = ["dri", "nvidiactl", "dxg"];
+    !cfg!(target_os = "linux") || known.iter().any(|node| nodes.join(node).exists())
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_gpu_of_a_container_is_looked_for() {
+        let nodes = tempfile::tempdir().expect("a temporary folder can be made");
+        assert!(!may_have_gpu(nodes.path()));
+        for node in ["nvidia3", "nvidiactl"] {
+            std::fs::write(nodes.path().join(node), "").expect("a file can be written");
+        }
+        assert!(may_have_gpu(nodes.path()));
+    }
 }

@@ -16,8 +16,8 @@ use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
-/// Memory is taken from the driver in pieces of this size, or larger ones for larger buffers.
-const PIECE: u64 = 16 << 20;
+/// Bytes of the pieces in which memory is taken from the driver; larger buffers have pieces of their own.
+pub const PIECE: u64 = 16 << 20;
 
 /// Options of an open device: what it may take, keep and use.
 #[derive(Debug, Clone, Default)]
@@ -196,16 +196,8 @@ impl Device {
         let info = instance.choose(choice)?;
         // SAFETY: the device is one of the instance's.
         let families = unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
-        let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
-            let fits = |f: &vk::QueueFamilyProperties| {
-                f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
-            };
-            families.iter().position(fits).map(|i| i as u32)
-        };
-        let (graphics, compute) = (vk::QueueFlags::GRAPHICS, vk::QueueFlags::COMPUTE);
-        let family = find(compute, graphics).or(find(compute, vk::QueueFlags::empty()));
+        let (family, transfer) = families_to_use(&families);
         let family = family.expect("a device without compute is refused");
-        let transfer = find(vk::QueueFlags::TRANSFER, graphics | compute);
         let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
         let queue_infos: Vec<_> = used
@@ -428,6 +420,21 @@ impl Device {
     }
 }
 
+/// The family of queues that computes, apart from graphics where it can be, and one that does nothing but copy, if there is one: those
+/// for videos may copy, too, but are for something else.
+fn families_to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
+    let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
+        let fits = |f: &vk::QueueFamilyProperties| {
+            f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
+        };
+        known.iter().position(fits).map(|i| i as u32)
+    };
+    let (compute, copy) = (vk::QueueFlags::COMPUTE, vk::QueueFlags::TRANSFER);
+    let computes = find(compute, vk::QueueFlags::GRAPHICS).or(find(compute, vk::QueueFlags::empty()));
+    let harmless = vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
+    (computes, find(copy, !(copy | harmless)))
+}
+
 impl Limits {
     fn of(device: &vk::PhysicalDeviceLimits, allocation: u64, options: &DeviceOptions) -> Self {
         let storage_range = u64::from(device.max_storage_buffer_range);
@@ -576,5 +583,32 @@ impl fmt::Debug for Shared {
 impl fmt::Debug for Foreign {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Foreign").field("family", &self.family).finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shaders_run_apart_from_graphics_and_copies_where_nothing_else_is_done() {
+        let [all, shaders, copies, videos, graphics] = [
+            vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
+            vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
+            vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING,
+            vk::QueueFlags::TRANSFER | vk::QueueFlags::VIDEO_DECODE_KHR,
+            vk::QueueFlags::GRAPHICS,
+        ];
+        for (flags, expected) in [
+            (&[all, copies, shaders, videos][..], (Some(2), Some(1))),
+            (&[videos, all, copies], (Some(1), Some(2))),
+            (&[videos, all], (Some(1), None)),
+            (&[shaders], (Some(0), None)),
+            (&[graphics], (None, None)),
+        ] {
+            let family = |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
+            let families: Vec<_> = flags.iter().map(family).collect();
+            assert_eq!(families_to_use(&families), expected, "{flags:?}");
+        }
     }
 }

@@ -11,6 +11,8 @@ pub struct Faults {
     pub submission: AtomicU64,
     /// The submission whose work is never done, though nothing says so.
     pub completion: AtomicU64,
+    /// The barrier that is left out, so that what follows need not see what came before.
+    pub barrier: AtomicU64,
 }
 
 impl Faults {

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use ash::{ext, khr, vk};
 
-use super::VulkanError;
+use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
 
@@ -15,6 +15,7 @@ pub struct Instance {
     entry: ash::Entry,
     pub(super) raw: ash::Instance,
     messenger: Option<(ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    sees_shaders: bool,
     log: ValidationLog,
 }
 
@@ -135,11 +136,23 @@ impl Instance {
         // Devices that are Vulkan but for a few features, such as MoltenVK, are hidden from who does not ask for them.
         let portability = names(&known, khr::portability_enumeration::NAME);
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
+        // Layers of 2024 and later have settings, and look at what shaders read and write only if told to.
+        // SAFETY: no instance is needed to ask.
+        let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
+        let has_settings = names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
         if validation {
-            extensions.extend([ext::debug_utils::NAME.as_ptr(), ext::validation_features::NAME.as_ptr()]);
+            let checked_by =
+                if has_settings { ext::layer_settings::NAME } else { ext::validation_features::NAME };
+            extensions.extend([ext::debug_utils::NAME.as_ptr(), checked_by.as_ptr()]);
         }
         let checks = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
         let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&checks);
+        let on = vk::TRUE.to_ne_bytes();
+        let settings = [c"validate_sync", c"syncval_shader_accesses_heuristic"].map(|name| {
+            let setting = vk::LayerSettingEXT::default().layer_name(VALIDATION).setting_name(name);
+            vk::LayerSettingEXT { value_count: 1, ..setting.ty(vk::LayerSettingTypeEXT::BOOL32).values(&on) }
+        });
+        let mut settings = vk::LayerSettingsCreateInfoEXT::default().settings(&settings);
         let log = ValidationLog::default();
         let mut messages = messenger_info(&log);
         let mut info = vk::InstanceCreateInfo::default()
@@ -149,13 +162,15 @@ impl Instance {
             info = info.flags(vk::InstanceCreateFlags::ENUMERATE_PORTABILITY_KHR);
         }
         if validation {
-            info = info.enabled_layer_names(&layers).push_next(&mut features).push_next(&mut messages);
+            info = info.enabled_layer_names(&layers).push_next(&mut messages);
+            info = if has_settings { info.push_next(&mut settings) } else { info.push_next(&mut features) };
         }
         // SAFETY: everything that the structure points to outlives the call.
         let raw = unsafe { entry.create_instance(&info, None) }
             .map_err(|e| VulkanError::NoLoader(format!("no instance can be made: {e}")))?;
         // From here on what is made is dropped with `instance` if a later step fails.
-        let mut instance = Self { entry, raw, messenger: None, log };
+        let mut instance =
+            Self { entry, raw, messenger: None, sees_shaders: validation && has_settings, log };
         if validation {
             let debug = ext::debug_utils::Instance::new(&instance.entry, &instance.raw);
             // SAFETY: the log that the messenger writes to lives as long as this instance.
@@ -170,6 +185,12 @@ impl Instance {
     #[must_use]
     pub fn log(&self) -> ValidationLog {
         self.log.clone()
+    }
+
+    /// Whether everything goes through a validation layer that sees what shaders read and write: those of 2024 and later do.
+    #[must_use]
+    pub fn sees_shaders(&self) -> bool {
+        self.sees_shaders
     }
 
     /// All devices, in the loader's order.
@@ -322,11 +343,15 @@ pub(super) fn lacks(
         () if vulkan12.timeline_semaphore == vk::FALSE => Some("it has no timeline semaphores"),
         () if vulkan12.host_query_reset == vk::FALSE => Some("its queries cannot be reset"),
         () if !families.iter().any(computes) => Some("it has no queue for compute"),
-        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0]) < 256 => {
+        () if limits.max_compute_work_group_invocations.min(limits.max_compute_work_group_size[0])
+            < MOST_THREADS =>
+        {
             Some("its work groups are too small")
         }
-        () if limits.max_compute_shared_memory_size < 16 << 10 => Some("its shared memory is too small"),
-        () if limits.max_per_stage_descriptor_storage_buffers < 8 => Some("it binds too few buffers"),
+        () if limits.max_compute_shared_memory_size < MOST_SHARED => Some("its shared memory is too small"),
+        () if limits.max_per_stage_descriptor_storage_buffers < MOST_BUFFERS => {
+            Some("it binds too few buffers")
+        }
         () if limits.max_storage_buffer_range < 1 << 27 => Some("its storage buffers are too small"),
         () => None,
     }

@@ -13,7 +13,7 @@ mod shader;
 
 pub use batch::{Batch, Moment, Ticket};
 pub use buffer::{Buffer, Place, View};
-pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, Queue, Queues, Timing};
+pub use device::{Counters, Device, DeviceOptions, Foreign, Limits, PIECE, Queue, Queues, Timing};
 pub use faults::Faults;
 pub use instance::{DeviceChoice, DeviceInfo, DeviceKind, Instance, ValidationLog};
 pub(crate) use shader::push_block;
@@ -24,6 +24,14 @@ use thiserror::Error;
 
 /// Bytes at whose multiples any device lets a part of a buffer begin.
 pub const ALIGNMENT: u64 = 256;
+/// Storage buffers that a shader binds at the most: devices that allow fewer are refused.
+pub const MOST_BUFFERS: u32 = 8;
+/// Threads of a work group at the most: devices that allow fewer are refused.
+pub const MOST_THREADS: u32 = 256;
+/// Bytes that the threads of a work group share at the most: devices that allow fewer are refused.
+pub const MOST_SHARED: u32 = 16 << 10;
+/// Bytes of a push block at the most, which any device allows.
+pub const MOST_PUSH: u32 = 128;
 
 /// An error of a device, its driver or the loader.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]

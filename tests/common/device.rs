@@ -13,7 +13,7 @@ use meniscus::internals::grid::units::MemoryBudget;
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::system::control::{Control, Meter, Stage};
 use meniscus::internals::vulkan::{
-    Device, DeviceChoice, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
+    Device, DeviceChoice, DeviceInfo, DeviceKind, DeviceOptions, Instance, ValidationLog, VulkanError,
 };
 
 /// A device whose frames fail their test if any of their work is not done on the device, or has to be made good.
@@ -105,9 +105,9 @@ pub fn contoured(
     all
 }
 
-/// A device of its own: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the
+/// The device to test: the one that `MENISCUS_TEST_DEVICE` names, or the best. Where `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the
 /// validation layer need not be there, and for `gpu` one that computes on the processor fails the test.
-pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanError> {
+pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
     let [gpu, any] = ["gpu", "any"].map(|kind| demanded == kind);
     let instance = match Instance::connect(true) {
@@ -124,8 +124,14 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
         "a GPU is demanded: {} computes on the processor",
         info.name
     );
-    let log = instance.log();
-    Ok((Device::open(&instance, &choice, options)?, log))
+    Ok((instance, info))
+}
+
+/// Opens the device to test.
+pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanError> {
+    let (instance, info) = chosen()?;
+    let choice = DeviceChoice::Named(info.index.to_string());
+    Ok((Device::open(&instance, &choice, options)?, instance.log()))
 }
 
 /// One for all tests of a file, watched. What validation has found by now fails the test that asks.

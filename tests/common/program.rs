@@ -7,9 +7,12 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+/// The program; tests of a device alone are built without it.
+const MENISCUS: Option<&str> = option_env!("CARGO_BIN_EXE_meniscus");
+
 /// The program in a folder, which is not started yet.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    let mut command = Command::new(MENISCUS.unwrap());
     command.current_dir(folder).args(arguments);
     command
 }
@@ -28,5 +31,5 @@ pub fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
 pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");
-    command.current_dir(folder).args(["-c", &script, env!("CARGO_BIN_EXE_meniscus")]).output().unwrap()
+    command.current_dir(folder).args(["-c", &script, MENISCUS.unwrap()]).output().unwrap()
 }

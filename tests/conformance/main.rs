@@ -50,9 +50,9 @@ macro_rules! at_every_place {
             $(mod $module {
                 $(#[test]
                 fn $test() {
-                    match crate::Place::$place() {
-                        Ok(place) => crate::$module::$test(&place),
-                        Err(why) => crate::common::device::skip(why),
+                    match super::super::Place::$place() {
+                        Ok(place) => super::super::$module::$test(&place),
+                        Err(why) => super::super::common::device::skip(why),
                     }
                 })*
             })*

@@ -1,9 +1,9 @@
 //! The sparse pipeline against the method on one dense array.
 
-use crate::common::dense::{self, Dense, Method};
-use crate::common::distances::{Distances, UNITS, ZERO, away, quantile};
-use crate::common::scene::Random;
-use crate::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing, tank};
+use super::common::dense::{self, Dense, Method};
+use super::common::distances::{Distances, UNITS, ZERO, away, quantile};
+use super::common::scene::Random;
+use super::common::{dif, fill, recipe, reconstruct, shuffle, splashes, surfacing, tank};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
@@ -17,7 +17,7 @@ use meniscus::internals::grid::units::{Isovalue, Sigma, Smooth};
 use meniscus::internals::grid::{BLOCK, CellBox, Domain, Grid};
 use meniscus::internals::system::timings::Timings;
 
-use crate::Place;
+use super::Place;
 
 /// A way to compute a field that the oracle knows, of particles.
 struct Variant {

@@ -11,9 +11,9 @@ use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::system::timings::Timings;
 
-use crate::Place;
-use crate::common::periodic::{Faces, fluid, repeated, triangles_within};
-use crate::common::{INDICATORS, surfacing};
+use super::Place;
+use super::common::periodic::{Faces, fluid, repeated, triangles_within};
+use super::common::{INDICATORS, surfacing};
 
 /// Clouds and others in cells of an edge, with particles 1 apart.
 fn sampling(place: &Place, kind: IndicatorKind, cell: f64) -> Sampling {

@@ -1,7 +1,7 @@
 //! What a part of a large frame tells of all of it.
 
-use crate::common::scene::splash;
-use crate::common::{dif, recipe, surfacing};
+use super::common::scene::splash;
+use super::common::{dif, recipe, surfacing};
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::field;
 use meniscus::internals::field::calibration::{Calibrated, Plateau};
@@ -10,7 +10,7 @@ use meniscus::internals::frame::{Frame, Sampling};
 use meniscus::internals::grid::{BIN, CellBox, Grid};
 use meniscus::internals::system::timings::Timings;
 
-use crate::Place;
+use super::Place;
 
 /// Cells of a spacing.
 const CELLS: f64 = 1.6;

@@ -2,9 +2,9 @@
 
 use std::f64::consts::PI;
 
-use crate::common::attributed::Attributed;
-use crate::common::scene::Random;
-use crate::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
+use super::common::attributed::Attributed;
+use super::common::scene::Random;
+use super::common::{INDICATORS, Reconstructed, dif, fill, reconstruct, sampled, splashes, surfacing, tank};
 use glam::{DVec3, IVec3};
 use meniscus::internals::backend::Surfaces;
 use meniscus::internals::brick::{BrickSide, DifField, PageInfo};
@@ -25,7 +25,7 @@ use meniscus::internals::surface::stitch::Stitched;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 
-use crate::Place;
+use super::Place;
 
 fn assert_watertight(mesh: &Mesh, what: &str) {
     let report = check(mesh);

@@ -45,23 +45,29 @@ const STAGES: [&str; 12] = [
 /// The surfaces that are drawn.
 const KINDS: [IndicatorKind; 2] = [IndicatorKind::Cloud, IndicatorKind::Symmetry];
 
+/// What is measured.
 #[derive(Parser)]
-struct Options {
+pub struct Options {
     /// A device's number or a part of its name.
     #[arg(long)]
-    device: Option<String>,
+    pub device: Option<String>,
     /// Cells along the scene's longest side.
     #[arg(long, value_delimiter = ',', default_value = "256,384,512")]
-    cells: Vec<u32>,
+    pub cells: Vec<u32>,
     /// Particles, in millions.
     #[arg(long, value_delimiter = ',', default_value = "1,10,100")]
-    millions: Vec<f64>,
+    pub millions: Vec<f64>,
+    /// Said by `cargo bench`.
     #[arg(long, hide = true)]
-    bench: bool,
+    pub bench: bool,
 }
 
 fn main() -> Result<ExitCode, Box<dyn Error>> {
-    let options = Options::parse();
+    Ok(if measure(Options::parse())? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Prints the table, and says whether all bytes were the same.
+pub fn measure(options: Options) -> Result<bool, Box<dyn Error>> {
     let choice = options.device.map_or(DeviceChoice::Best, DeviceChoice::Named);
     let instance = Instance::connect(false)?;
     let device = Device::open(&instance, &choice, &DeviceOptions::default())?;
@@ -119,7 +125,7 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
             all_same &= found == expected;
         }
     }
-    Ok(if all_same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(all_same)
 }
 
 fn sampling(cell: f64, kind: IndicatorKind, spacing: Option<f64>) -> Sampling {

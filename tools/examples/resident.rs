@@ -2,7 +2,7 @@
 //! the positions, and what is drawn waits on the device for the surface.
 //!
 //! `cargo run --release --example resident -- OUTPUT.ply` meshes a ball of particles on the first device, which may
-//! be a driver that computes on the processor, such as lavapipe.
+//! be a driver that computes on the processor, such as lavapipe; with a number behind it, as `meniscus devices` lists them, on that one.
 
 use std::error::Error;
 
@@ -19,11 +19,13 @@ pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);
 
 #[allow(dead_code, reason = "a test has the rest")]
 fn main() -> Result<(), Box<dyn Error>> {
-    let path = std::env::args().nth(1).ok_or("usage: resident OUTPUT.ply")?;
+    let mut arguments = std::env::args().skip(1);
+    let path = arguments.next().ok_or("usage: resident OUTPUT.ply [DEVICE]")?;
+    let number = arguments.next().map_or(Ok(0), |number| number.parse())?;
     let steps = || (-40..40).map(|i| i as f32 + 0.5);
     let lattice = steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z])));
     let ball: Vec<[f32; 3]> = lattice.filter(|p| p.iter().map(|c| c * c).sum::<f32>() < 1000.0).collect();
-    let (vertices, triangles) = surface_of(&ball, 1.0)?;
+    let (vertices, triangles) = surface_of(number, &ball, 1.0)?;
     println!("{} particles, {} vertices, {} triangles", ball.len(), vertices.len(), triangles.len());
     let mut ply = format!(
         "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
@@ -125,15 +127,16 @@ impl Program {
     }
 }
 
-/// Does on a device of its own what a simulation and a renderer do on theirs.
-pub fn surface_of(particles: &[[f32; 3]], cell: f64) -> Result<Surface, Box<dyn Error>> {
+/// Does on a device of its own, the loader's one of that number, what a simulation and a renderer do on theirs.
+pub fn surface_of(number: usize, particles: &[[f32; 3]], cell: f64) -> Result<Surface, Box<dyn Error>> {
     // SAFETY: every handle is used while those that it was made from are alive, and destroyed once, in order.
     unsafe {
         let entry = ash::Entry::load()?;
         let application = vk::ApplicationInfo::default().api_version(vk::API_VERSION_1_2);
         let instance =
             entry.create_instance(&vk::InstanceCreateInfo::default().application_info(&application), None)?;
-        let physical = *instance.enumerate_physical_devices()?.first().ok_or("no Vulkan device")?;
+        let devices = instance.enumerate_physical_devices()?;
+        let physical = *devices.get(number).ok_or("no such Vulkan device")?;
         let families = instance.get_physical_device_queue_family_properties(physical);
         let computes = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
         let family = families.iter().position(computes).ok_or("no queue for compute")? as u32;

@@ -14,14 +14,14 @@ use crate::brick::place::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::vulkan::{
-    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, Place, Queue, Shader, View, VulkanError,
-    push_block,
+    ALIGNMENT, Batch, Buffer, ComputePipeline, Device, Limits, PIECE, Place, Queue, Shader, View,
+    VulkanError, push_block,
 };
 
 use super::{DeviceGrid, GROUP, flat_groups};
 
-/// Particles placed at once.
-const CHUNK: usize = 1 << 20;
+/// Particles placed at once: as many as [are kept](Binning::keep) in one piece of memory.
+const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Chunks in a batch, with at most three dispatches and two stages each.
 const BATCH_CHUNKS: usize = 16;
 /// Particles for each slot of the first table that is tried, and how much larger the next one is.
@@ -35,7 +35,9 @@ pub const SETTLED: u32 = u32::MAX;
 pub const NO_BIN: u32 = u32::MAX;
 /// The place of a slot whose bin is of another run.
 pub const ELSEWHERE: u32 = u32::MAX;
+/// Bytes of a packed particle, and of the number of its bin's slot.
 const RECORD_BYTES: u64 = 8;
+const HOME_BYTES: u64 = 4;
 /// Particles of a bin that one work group can sum up before a driver gives up on it, some 16000 times as many as are of use.
 const MOST_IN_BIN: u32 = 1 << 24;
 
@@ -406,7 +408,7 @@ impl Binning<'_> {
     fn keep(&self, chunk: &Chunk) -> Result<Kept, VulkanError> {
         let packed = RECORD_BYTES * u64::from(chunk.count);
         let begin = packed.next_multiple_of(ALIGNMENT);
-        let homes = size_of::<u32>() as u64 * u64::from(chunk.count);
+        let homes = HOME_BYTES * u64::from(chunk.count);
         let buffer = self.device.buffer(Place::Device, begin + homes)?;
         Ok(Kept { packed: buffer.part(0, packed), homes: buffer.part(begin, homes) })
     }
@@ -537,6 +539,13 @@ fn runs_of(first: &[usize], particles: u64) -> Vec<Range<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_chunk_that_is_kept_fills_a_piece_of_memory() {
+        let bytes = CHUNK as u64 * (RECORD_BYTES + HOME_BYTES);
+        assert!((PIECE - PIECE / 1000..=PIECE).contains(&bytes), "{bytes} of {PIECE}");
+        assert!((CHUNK as u64 * RECORD_BYTES).is_multiple_of(ALIGNMENT));
+    }
 
     #[test]
     fn runs_are_cut_by_bins_and_by_particles_but_no_bin_is() {
