@@ -47,7 +47,7 @@ pub struct SpilledBins {
 /// The particles of a run.
 #[derive(Debug)]
 struct Held {
-    /// Those in memory in the order of their places there.
+    /// Where they are; those in memory come in the order of their places there.
     pieces: Vec<Piece>,
     memory: Slabs,
 }

@@ -73,7 +73,7 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
     empty
 }
 
-/// So many bytes of zeros of a mapping of their own, in huge pages where the system has them and they fill some.
+/// Zeros in a mapping of their own, in huge pages where the system has them and so many bytes fill some.
 ///
 /// # Errors
 /// Where the system has no memory left.
