@@ -13,9 +13,9 @@ fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
     let numbers = |file: ParticleFile| (positions(&file), attributes(&file));
     let particles = format.particles(bytes).map(numbers);
     if bytes.len() > 1 {
-        let mut written = NamedTempFile::new().unwrap();
-        written.write_all(bytes).unwrap();
-        let opened = open_bytes(written.path()).unwrap();
+        let mut written = NamedTempFile::new().expect("a file of its own");
+        written.write_all(bytes).expect("a file of its own");
+        let opened = open_bytes(written.path()).expect("a file of its own");
         if !vtk::is_text(opened.view()) {
             let [by_position, in_memory] = [opened.view(), bytes.into()].map(format.has_faces);
             assert_eq!(format!("{by_position:?}"), format!("{in_memory:?}"));
