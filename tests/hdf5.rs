@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use common::files;
 use common::particle_files::{attribute, positions};
 use common::program::command;
-use meniscus::internals::io::bytes::{Bytes, Unpacking};
+use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{open_particles, steps};
 use meniscus::internals::io::wanted::Wanted;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
@@ -77,7 +77,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic() {
         let read = |bytes: Vec<u8>| {
             h5::open_particles(
                 Path::new(name),
-                Bytes::Owned(bytes),
+                bytes.into(),
                 Some(2).filter(|_| name.starts_with("steps")),
                 Wanted::default(),
                 Unpacking::in_memory(),

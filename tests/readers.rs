@@ -11,12 +11,11 @@ mod particle_files;
 
 use std::path::Path;
 
-use meniscus::internals::io::bytes::Bytes;
-use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input;
 use meniscus::internals::io::scene::spacing_beside;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
-use meniscus::internals::particles::{Particles, velocity_attribute};
+use meniscus::internals::particles::{Particles, Unread, velocity_attribute};
 
 use build::{Bi4, VtkXml, gzip, tuples};
 use files::data;
@@ -47,7 +46,7 @@ fn bounds(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
 }
 
 fn read(reader: Reader, bytes: &[u8]) -> Result<ParticleFile, ReadFault> {
-    reader(Bytes::Owned(bytes.to_vec()))
+    reader(bytes.to_vec().into())
 }
 
 fn text(text: &str) -> Result<ParticleFile, ReadFault> {
@@ -271,6 +270,51 @@ fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
     }
 }
 
+/// What a reader makes of a file's first bytes, in words: all numbers, or a fault.
+fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
+    let numbers = |file: ParticleFile| {
+        let values: Vec<_> = attributes(&file).iter().map(|(name, _)| attribute(&file, name)).collect();
+        format!("{:?} {values:?}", positions(&file))
+    };
+    file.map_or_else(|fault| fault.to_string(), numbers)
+}
+
+#[test]
+fn a_file_that_is_read_by_position_is_what_it_is_in_memory_at_every_prefix() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+        // A single byte is read at once.
+        for cut in 2..=bytes.len() {
+            let path = folder.path().join(format!("{number}.{cut}"));
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let opened = open_bytes(&path).unwrap();
+            assert!(matches!(opened, Bytes::File(_)), "{name}");
+            let [by_position, in_memory] = [reader(opened), read(reader, &bytes[..cut])].map(made_of);
+            assert_eq!(by_position, in_memory, "{name} of {cut} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+        for left in (1..bytes.len()).step_by(11) {
+            let path = folder.path().join(format!("{number}.{left}"));
+            std::fs::write(&path, &bytes).unwrap();
+            let opened = open_bytes(&path).unwrap();
+            let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len(left as u64).unwrap();
+            match reader(opened) {
+                Err(ReadFault::Changed) => {}
+                // Of columns that begin where it was cut nothing was read so far.
+                Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed), "{name}"),
+                Err(fault) => panic!("{name}: {fault}"),
+            }
+        }
+    }
+}
+
 #[test]
 fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
     let points = tuples(7);
@@ -482,7 +526,7 @@ fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
     }
     assert_eq!(cases.len(), 2 + 3 * 2 + 2 * 3, "two counts, six shapes, three arrays of either width");
     for (reader, bytes) in cases {
-        let (result, largest) = meter::largest_allocation(|| reader(Bytes::Owned(bytes)));
+        let (result, largest) = meter::largest_allocation(|| reader(bytes.into()));
         let fault = result.expect_err("refused");
         assert!(matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. }), "{fault}");
         assert!(largest < 4096, "{largest} bytes for: {fault}");
@@ -531,7 +575,7 @@ fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() 
         cases.push((NPZ, bytes));
     }
     for (reader, bytes) in cases {
-        let (result, largest) = meter::largest_allocation(|| reader(Bytes::Owned(bytes)));
+        let (result, largest) = meter::largest_allocation(|| reader(bytes.into()));
         let fault = result.expect_err("refused");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }

@@ -21,8 +21,9 @@ const NUMBER: u64 = 4;
 /// [`ReadFault::Unsupported`] for Houdini's newer files and plain strings; [`ReadFault::Malformed`] and
 /// [`ReadFault::Truncated`] for a header that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    refuse_newer_formats(&bytes)?;
-    let mut cursor = Cursor::new(&bytes, 0, Endian::Big);
+    let view = bytes.view();
+    refuse_newer_formats(&view.read(0..view.len().min(5))?)?;
+    let mut cursor = Cursor::new(view, 0, Endian::Big);
     if cursor.take("the magic", 5)? != b"BgeoV" {
         return Err(malformed(0, "not a .bgeo file: it does not begin with \"BgeoV\""));
     }
@@ -68,10 +69,10 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     Ok(ParticleFile::new(particles, "Houdini classic .bgeo"))
 }
 
-fn refuse_newer_formats(bytes: &[u8]) -> Result<(), ReadFault> {
-    let newer = if bytes.starts_with(b"\x7fNSJ") || bytes.starts_with(b"[") {
+fn refuse_newer_formats(start: &[u8]) -> Result<(), ReadFault> {
+    let newer = if start.starts_with(b"\x7fNSJ") || start.starts_with(b"[") {
         "JSON .bgeo of Houdini 12 and later"
-    } else if bytes.starts_with(b"scf1") {
+    } else if start.starts_with(b"scf1") {
         ".bgeo.sc, compressed by blosc"
     } else {
         return Ok(());

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use crate::grid::units::positive_length;
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Unpacking, open_bytes_within};
+use super::bytes::{Bytes, Unpacking, View, open_bytes_within};
 use super::columns::{ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
 use super::vertices::columns;
@@ -18,6 +18,8 @@ use super::wanted::Wanted;
 use super::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 
 const HEAD: usize = 64;
+/// Identifiers that are read at once.
+const IDS: usize = 1 << 15;
 
 /// Reads the part in `path`, whose bytes are the first of its pieces' if it is in several: `Part_p00_0000.bi4` stands
 /// beside `Part_p01_0000.bi4` and so on.
@@ -31,7 +33,7 @@ pub fn open_particles(
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let count = Tree::read(&bytes).map_err(fail)?.case.pieces;
+    let count = Tree::read(bytes.view()).map_err(fail)?.case.pieces;
     if count <= 1 {
         return read_particles(bytes).map_err(fail);
     }
@@ -49,7 +51,7 @@ pub fn open_particles(
         }
         let path = name.path(number);
         let bytes = open_bytes_within(&path, share)?;
-        let piece = Piece::read(&bytes).and_then(|piece| {
+        let piece = Piece::read(bytes.view()).and_then(|piece| {
             let said = (piece.case.piece, piece.case.pieces);
             let expected = (Some(number), count);
             if said == expected { Ok(piece) } else { Err(misplaced(said, expected)) }
@@ -120,7 +122,7 @@ impl<'a> PieceName<'a> {
 /// [`ReadFault::Unsupported`] for the simulator's other files and for a piece of a part;
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for a tree that does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let piece = Piece::read(&bytes)?;
+    let piece = Piece::read(bytes.view())?;
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
         let what = format!("one of {pieces} pieces of a part; all are read together, from their files");
@@ -159,7 +161,7 @@ impl Piece {
         ColumnStore::new(bytes, fluid.rows, position, attributes)
     }
 
-    fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
+    fn read(bytes: View) -> Result<Self, ReadFault> {
         let Tree { case, mut arrays, endian } = Tree::read(bytes)?;
         let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
             let array = arrays.iter().find(|array| names.contains(&array.name.as_str()));
@@ -179,9 +181,7 @@ impl Piece {
             let what = format!("{} positions for {} particles", position.count, ids.count);
             return Err(malformed(position.offset, what));
         }
-        let width = ids.shape.0.size();
-        let id_bytes = &bytes[ids.offset..][..ids.count * width];
-        let fluid = Fluid::pick(id_bytes.chunks_exact(width), case.boundary()?, endian)?;
+        let fluid = Fluid::pick(bytes, ids, case.boundary()?, endian)?;
         let (count, offset, name) = (ids.count, position.offset, position.name.clone());
         arrays.retain(|array| array.count == count && (array.name != name || array.offset == offset));
         let position = arrays.iter().position(|array| array.name == name).expect("found above");
@@ -196,24 +196,33 @@ struct Fluid {
 }
 
 impl Fluid {
-    fn pick<'a>(
-        ids: impl Iterator<Item = &'a [u8]> + Clone,
-        boundary: u64,
-        endian: Endian,
-    ) -> Result<Self, ReadFault> {
-        let fluid = ids.enumerate().filter(|(_, id)| number(id, endian) >= boundary).map(|(row, _)| row);
+    fn pick(bytes: View, ids: &Array, boundary: u64, endian: Endian) -> Result<Self, ReadFault> {
+        let each = |visit: &mut dyn FnMut(usize)| {
+            let width = ids.shape.0.size();
+            for first in (0..ids.count).step_by(IDS) {
+                let rows = first..ids.count.min(first + IDS);
+                let piece = bytes.read(ids.offset + rows.start * width..ids.offset + rows.end * width)?;
+                let fluid =
+                    rows.zip(piece.chunks_exact(width)).filter(|(_, id)| number(id, endian) >= boundary);
+                fluid.for_each(|(row, _)| visit(row));
+            }
+            Ok::<_, ReadFault>(())
+        };
         let (mut first, mut last, mut count) = (0, 0, 0);
-        for row in fluid.clone() {
+        each(&mut |row| {
             first = if count == 0 { row } else { first };
             last = row;
             count += 1;
-        }
+        })?;
         if count == 0 || last - first + 1 == count {
             return Ok(Self { first, rows: Rows::All(count) });
         }
-        let rows = fluid.map(u32::try_from).collect::<Result<_, _>>().map_err(|_| {
-            ReadFault::Unsupported("more than 2^32 particles, fluid and boundary mixed".into())
-        })?;
+        if u32::try_from(last).is_err() {
+            let what = "more than 2^32 particles, fluid and boundary mixed";
+            return Err(ReadFault::Unsupported(what.into()));
+        }
+        let mut rows = Vec::with_capacity(count);
+        each(&mut |row| rows.push(row as u32))?;
         Ok(Self { first: 0, rows: Rows::Chosen(rows) })
     }
 }
@@ -318,8 +327,9 @@ struct Tree {
 }
 
 impl Tree {
-    fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
-        let head = Cursor::new(bytes, 0, Endian::Little).take("the file head", HEAD as u64)?;
+    fn read(bytes: View) -> Result<Self, ReadFault> {
+        let mut cursor = Cursor::new(bytes, 0, Endian::Little);
+        let head = cursor.take("the file head", HEAD as u64)?;
         let code = head[..58].strip_prefix(b"#FileJBD ".as_slice()).map(<[u8]>::trim_ascii_end);
         match code {
             Some(b"JPartDataBi4") => {}
@@ -370,13 +380,13 @@ impl Tree {
     fn values(&mut self, cursor: &mut Cursor) -> Result<(), ReadFault> {
         tag(cursor, b"\nVALUES")?;
         for _ in 0..cursor.u32("the number of values")? {
-            let name = text(cursor, "a value's name")?;
+            let name = text(cursor, "a value's name")?.to_vec();
             let kind = Kind::read(cursor)?;
             let value = match kind.size {
                 Some(size) => cursor.take("a value", size)?,
                 None => text(cursor, "a text")?,
             };
-            self.case.note(name, kind, value, self.endian);
+            self.case.note(&name, kind, value, self.endian);
         }
         Ok(())
     }
@@ -409,7 +419,7 @@ impl Array {
 }
 
 /// Bytes after their number.
-fn text<'a>(cursor: &mut Cursor<'a>, what: &str) -> Result<&'a [u8], ReadFault> {
+fn text<'c>(cursor: &'c mut Cursor, what: &str) -> Result<&'c [u8], ReadFault> {
     let length = cursor.u32(what)?;
     cursor.take(what, length.into())
 }

@@ -1,7 +1,7 @@
-//! The bytes of an input file: mapped while the header of a binary one is parsed; read, unpacked or decoded where they do not stay where
-//! they are, into memory or a scratch file.
+//! The bytes of an input file: read by position where it lies on disk as it is; read whole, unpacked or decoded where they do not stay
+//! where they are, into memory or a scratch file.
 
-use std::fmt::Debug;
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::{Deref, Range};
@@ -35,45 +35,40 @@ const ALWAYS_UNPACKED: u64 = 64 << 20;
 /// A file's bytes, read-only.
 #[derive(Debug)]
 pub enum Bytes {
-    /// A file that lies on disk as it is.
-    Mapped(MappedFile),
+    /// In a file that lies on disk as it is: read by position, and never mapped.
+    File(ReopenedFile),
+    /// Unpacked or read already.
+    Kept(Kept),
+}
+
+/// Bytes that no other program changes.
+#[derive(Debug)]
+pub enum Kept {
     /// A mapped scratch file; pages come and go with their use.
     Scratch(Mmap),
     /// In memory.
     Owned(Vec<u8>),
 }
 
-/// A file whose pages come and go with their use, and the way to read it otherwise.
-#[derive(Debug)]
-pub struct MappedFile {
-    map: Mmap,
-    pub(super) file: ReopenedFile,
-}
-
 impl Bytes {
-    /// Maps all of `file`, which is at `path`.
-    ///
-    /// # Errors
-    /// Where the system refuses.
-    fn map(path: &Path, file: File) -> io::Result<Self> {
-        Ok(Self::Mapped(MappedFile { map: map(&file)?, file: ReopenedFile::new(path, file)? }))
-    }
-
     /// All of it, read from the file if that is where it is: into memory, or into a scratch file. What is decoded at length is decoded
     /// from there, where no other program changes it meanwhile.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that cannot be read as it was when it was opened, and
     /// [`ReadFault::Scratch`].
-    pub fn read_whole(self, unpacking: Unpacking) -> Result<Self, ReadFault> {
-        let Self::Mapped(MappedFile { file, .. }) = self else { return Ok(self) };
+    pub fn read_whole(self, unpacking: Unpacking) -> Result<Kept, ReadFault> {
+        let file = match self {
+            Self::File(file) => file,
+            Self::Kept(kept) => return Ok(kept),
+        };
         let len = file.stamp().bytes;
         let read = if len <= unpacking.in_memory {
             let mut whole = vec![0; len as usize];
             let read = |(number, piece): (usize, &mut [u8])| {
                 file.read_exact_at((number * WINDOW as usize) as u64, piece)
             };
-            whole.par_chunks_mut(WINDOW as usize).enumerate().try_for_each(read).map(|()| Self::Owned(whole))
+            whole.par_chunks_mut(WINDOW as usize).enumerate().try_for_each(read).map(|()| Kept::Owned(whole))
         } else {
             let mut copied = Unpacked::new(unpacking);
             let mut piece = vec![0; WINDOW as usize];
@@ -90,12 +85,31 @@ impl Bytes {
         Ok(read?)
     }
 
-    /// Maps all of a file that nobody else can reach.
+    /// Looks at them without reading all.
+    #[must_use]
+    pub fn view(&self) -> View<'_> {
+        match self {
+            Self::File(file) => View::File(file),
+            Self::Kept(kept) => kept.view(),
+        }
+    }
+}
+
+impl From<Vec<u8>> for Bytes {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self::Kept(Kept::Owned(bytes))
+    }
+}
+
+impl Kept {
+    /// Maps all of a file that nobody else can reach, or that is trusted not to be shortened.
     ///
     /// # Errors
     /// Where the system refuses.
-    pub fn of_own(file: &File) -> io::Result<Self> {
-        map(file).map(Self::Scratch)
+    pub fn map(file: &File) -> io::Result<Self> {
+        // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end the
+        // run by a signal, as it can for every mapping reader.
+        unsafe { Mmap::map(file) }.map(Self::Scratch)
     }
 
     /// Bytes of scratch files.
@@ -103,43 +117,69 @@ impl Bytes {
     pub fn scratch_bytes(&self) -> u64 {
         match self {
             Self::Scratch(map) => map.len() as u64,
-            Self::Mapped(_) | Self::Owned(_) => 0,
+            Self::Owned(_) => 0,
         }
     }
-}
 
-fn map(file: &File) -> io::Result<Mmap> {
-    // SAFETY: the map is never written through. Another program that shortens the file meanwhile can end the
-    // run by a signal, as it can for every mapping reader.
-    unsafe { Mmap::map(file) }
-}
-
-/// Bytes that may give memory back.
-pub trait ByteStore: Deref<Target = [u8]> + Sync + Debug {
     /// Bytes of memory that cannot be given back.
-    fn resident_bytes(&self) -> u64 {
-        0
-    }
-
-    /// Gives the memory of a range back; reading it again brings it back.
-    fn release(&self, range: Range<usize>) {
-        let _ = range;
-    }
-}
-
-impl ByteStore for &[u8] {}
-
-impl ByteStore for Bytes {
-    fn resident_bytes(&self) -> u64 {
+    #[must_use]
+    pub fn resident_bytes(&self) -> u64 {
         match self {
-            Self::Mapped(_) | Self::Scratch(_) => 0,
+            Self::Scratch(_) => 0,
             Self::Owned(vec) => vec.len() as u64,
         }
     }
 
-    fn release(&self, range: Range<usize>) {
+    /// Gives the memory of a range back; reading it again brings it back.
+    pub fn release(&self, range: Range<usize>) {
+        self.slice().release(range);
+    }
+
+    /// The bytes, with the map that gives their memory back.
+    #[must_use]
+    pub fn slice(&self) -> Slice<'_> {
+        match self {
+            Self::Scratch(map) => Slice { bytes: map, map: Some(map) },
+            Self::Owned(vec) => vec[..].into(),
+        }
+    }
+
+    /// The bytes, as those of an input are looked at.
+    #[must_use]
+    pub fn view(&self) -> View<'_> {
+        View::Kept(self.slice())
+    }
+}
+
+impl Deref for Kept {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Scratch(map) => map,
+            Self::Owned(vec) => vec,
+        }
+    }
+}
+
+/// Bytes in memory, or in a map that can give it back.
+#[derive(Debug, Clone, Copy)]
+pub struct Slice<'a> {
+    bytes: &'a [u8],
+    map: Option<&'a Mmap>,
+}
+
+impl<'a> Slice<'a> {
+    /// The bytes, for as long as they are there.
+    #[must_use]
+    pub fn bytes(self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// Gives the memory of a range back; reading it again brings it back.
+    pub fn release(self, range: Range<usize>) {
         #[cfg(unix)]
-        if let Self::Mapped(MappedFile { map, .. }) | Self::Scratch(map) = self {
+        if let Some(map) = self.map {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
             // SAFETY: the map is of a file and never written: pages that are dropped are read again.
@@ -151,20 +191,101 @@ impl ByteStore for Bytes {
     }
 }
 
-impl AsRef<[u8]> for Bytes {
-    fn as_ref(&self) -> &[u8] {
-        self
+impl<'a> From<&'a [u8]> for Slice<'a> {
+    fn from(bytes: &'a [u8]) -> Self {
+        Self { bytes, map: None }
     }
 }
 
-impl Deref for Bytes {
+impl Deref for Slice<'_> {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
+        self.bytes
+    }
+}
+
+/// Bytes that are looked at here and there: kept, or read from their file by position.
+#[derive(Debug, Clone, Copy)]
+pub enum View<'a> {
+    /// In a file.
+    File(&'a ReopenedFile),
+    /// In memory, or mapped.
+    Kept(Slice<'a>),
+}
+
+impl<'a> View<'a> {
+    /// The number of bytes.
+    #[must_use]
+    pub fn len(self) -> usize {
         match self {
-            Self::Mapped(MappedFile { map, .. }) | Self::Scratch(map) => map,
-            Self::Owned(vec) => vec,
+            Self::File(file) => file.stamp().bytes as usize,
+            Self::Kept(slice) => slice.len(),
         }
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    /// The bytes of a range.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where the file cannot be read as it was.
+    ///
+    /// # Panics
+    /// If the range exceeds them.
+    pub fn read(self, range: Range<usize>) -> Result<Cow<'a, [u8]>, ReadFault> {
+        match self {
+            Self::File(file) => {
+                assert!(range.end <= self.len(), "bytes to {} of {}", range.end, self.len());
+                let mut bytes = vec![0; range.len()];
+                if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
+                    // What ends too early has changed.
+                    file.check()?;
+                    return Err(lost.into());
+                }
+                Ok(Cow::Owned(bytes))
+            }
+            Self::Kept(slice) => Ok(Cow::Borrowed(&slice.bytes()[range])),
+        }
+    }
+
+    /// The bytes of a text, which was read as a whole.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] where they are in a file: it was no text when that was asked.
+    pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
+        match self {
+            Self::File(_) => Err(ReadFault::Changed),
+            Self::Kept(slice) => Ok(slice),
+        }
+    }
+
+    /// Gives the memory of a range back; reading it again brings it back.
+    pub fn release(self, range: Range<usize>) {
+        if let Self::Kept(slice) = self {
+            slice.release(range);
+        }
+    }
+
+    /// Makes sure that all that was read is of one file.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] where it was written to since it was opened.
+    pub fn check(self) -> Result<(), ReadFault> {
+        match self {
+            Self::File(file) => Ok(file.check()?),
+            Self::Kept(_) => Ok(()),
+        }
+    }
+}
+
+impl<'a> From<&'a [u8]> for View<'a> {
+    fn from(bytes: &'a [u8]) -> Self {
+        Self::Kept(bytes.into())
     }
 }
 
@@ -174,17 +295,17 @@ const WINDOW: u64 = 1 << 20;
 /// Reads bytes as a file is read, and gives back the memory of what was read.
 #[derive(Debug)]
 pub struct Passing<'a> {
-    bytes: &'a Bytes,
+    bytes: View<'a>,
     at: u64,
     /// From where on memory was not given back yet.
     held_from: u64,
 }
 
 impl<'a> Passing<'a> {
-    /// From the first byte on.
+    /// From byte `at` on.
     #[must_use]
-    pub fn new(bytes: &'a Bytes) -> Self {
-        Self { bytes, at: 0, held_from: 0 }
+    pub fn new(bytes: View<'a>, at: usize) -> Self {
+        Self { bytes, at: at as u64, held_from: at as u64 }
     }
 
     fn give_back(&mut self) {
@@ -202,9 +323,9 @@ impl Read for Passing<'_> {
         let read = left.min(buffer.len() as u64) as usize;
         let buffer = &mut buffer[..read];
         match self.bytes {
-            Bytes::Mapped(mapped) => mapped.file.read_exact_at(self.at, buffer)?,
-            kept if read > 0 => buffer.copy_from_slice(&kept[self.at as usize..][..read]),
-            _ => {}
+            View::File(file) => file.read_exact_at(self.at, buffer)?,
+            View::Kept(slice) if read > 0 => buffer.copy_from_slice(&slice[self.at as usize..][..read]),
+            View::Kept(_) => {}
         }
         self.at += read as u64;
         if self.at - self.held_from >= WINDOW {
@@ -310,15 +431,15 @@ impl<'a> Unpacked<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Scratch`] where the scratch file cannot be mapped.
-    pub fn finish(self) -> Result<Bytes, ReadFault> {
+    pub fn finish(self) -> Result<Kept, ReadFault> {
         match self.file {
-            Some(file) => Bytes::of_own(&file).map_err(ReadFault::Scratch),
-            None => Ok(Bytes::Owned(self.memory)),
+            Some(file) => Kept::map(&file).map_err(ReadFault::Scratch),
+            None => Ok(Kept::Owned(self.memory)),
         }
     }
 }
 
-/// Opens `path`: mapped, or unpacked into memory when it is gzipped, whatever its extension says.
+/// Opens `path`: to be read by position, or unpacked into memory when it is gzipped, whatever its extension says.
 ///
 /// # Errors
 /// [`ReadFault::Io`] where the system refuses, [`ReadFault::Empty`] for no bytes at all, and
@@ -331,7 +452,7 @@ pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
 ///
 /// # Errors
 /// As [`open_bytes`], and [`ReadFault::Changed`].
-pub fn open_whole(path: &Path) -> Result<Bytes, ReadError> {
+pub fn open_whole(path: &Path) -> Result<Kept, ReadError> {
     let unpacking = Unpacking::in_memory();
     open_bytes_within(path, unpacking)?.read_whole(unpacking).map_err(|fault| ReadError::new(path, fault))
 }
@@ -352,7 +473,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     let packed = if is_in_place && metadata.len() >= magic.len() as u64 {
         read_exact_at(&file, 0, &mut magic).map_err(|e| fail(e.into()))?;
         if magic != GZIP {
-            return Bytes::map(path, file).map_err(|e| fail(e.into()));
+            return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         }
         // Read from the file, it never counts as this process's memory.
         if metadata.len() <= ALWAYS_UNPACKED {
@@ -366,20 +487,22 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
     let limit = unpacked_limit(packed.as_ref().map_or(metadata.len(), |packed| packed.len() as u64));
     match packed {
         Some(packed) if packed.is_empty() => Err(fail(ReadFault::Empty)),
-        Some(packed) if !packed.starts_with(&GZIP) => Ok(packed),
+        Some(packed) if !packed.starts_with(&GZIP) => Ok(Bytes::Kept(packed)),
         Some(packed) => match unpack_at_once(&packed, unpacking.in_memory) {
-            Some(unpacked) => Ok(Bytes::Owned(unpacked)),
-            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking).map_err(fail),
+            Some(unpacked) => Ok(unpacked.into()),
+            None => unpack(MultiGzDecoder::new(&packed[..]), limit, unpacking).map(Bytes::Kept).map_err(fail),
         },
-        None => unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking).map_err(fail),
+        None => {
+            unpack(MultiGzDecoder::new(BufReader::new(file)), limit, unpacking).map(Bytes::Kept).map_err(fail)
+        }
     }
 }
 
 /// Reads so many bytes of a file into memory.
-fn file_bytes(file: &File, count: u64) -> Result<Bytes, ReadFault> {
+fn file_bytes(file: &File, count: u64) -> Result<Kept, ReadFault> {
     let mut bytes = vec![0; count as usize];
     read_exact_at(file, 0, &mut bytes)?;
-    Ok(Bytes::Owned(bytes))
+    Ok(Kept::Owned(bytes))
 }
 
 /// Returns the most bytes that a file of `packed` bytes may unpack to.
@@ -404,7 +527,7 @@ fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
 }
 
 /// Unpacks up to `limit` bytes.
-fn unpack(packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+fn unpack(packed: impl Read, limit: u64, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let damaged = |e: io::Error| ReadFault::Compression(e.to_string());
     collect(packed, unpacking, damaged, |total| {
         let what = || format!("it unpacks to more than {GREATEST_RATIO} times its size");
@@ -418,7 +541,7 @@ fn collect(
     unpacking: Unpacking,
     fault: impl Fn(io::Error) -> ReadFault,
     check: impl Fn(u64) -> Result<(), ReadFault>,
-) -> Result<Bytes, ReadFault> {
+) -> Result<Kept, ReadFault> {
     let mut unpacked = Unpacked::new(unpacking);
     let mut chunk = Vec::new();
     loop {

@@ -1,21 +1,34 @@
 //! Reading a binary header: every step is checked against the bytes that are there.
 
+use std::borrow::Cow;
+
+use super::bytes::View;
 use super::columns::Endian;
 use super::{ReadFault, malformed};
+
+/// Bytes that are read from a file at once.
+const WINDOW: usize = 16 << 10;
 
 /// A position in the bytes of a file, which every read moves on.
 #[derive(Debug, Clone)]
 pub struct Cursor<'a> {
-    bytes: &'a [u8],
+    bytes: View<'a>,
     at: usize,
     endian: Endian,
+    /// The bytes from `window_at` on that were read last.
+    window: Cow<'a, [u8]>,
+    window_at: usize,
 }
 
 impl<'a> Cursor<'a> {
     /// At byte `at` of `bytes`.
     #[must_use]
-    pub fn new(bytes: &'a [u8], at: usize, endian: Endian) -> Self {
-        Self { bytes, at, endian }
+    pub fn new(bytes: View<'a>, at: usize, endian: Endian) -> Self {
+        let window = match bytes {
+            View::File(_) => Cow::Owned(Vec::new()),
+            View::Kept(slice) => Cow::Borrowed(slice.bytes()),
+        };
+        Self { bytes, at, endian, window, window_at: 0 }
     }
 
     /// Bytes from the start of the file.
@@ -42,10 +55,14 @@ impl<'a> Cursor<'a> {
     /// The next `count` bytes.
     ///
     /// # Errors
-    /// [`ReadFault::Truncated`], as in all that follow.
-    pub fn take(&mut self, what: &str, count: u64) -> Result<&'a [u8], ReadFault> {
+    /// [`ReadFault::Truncated`], and where the file cannot be read [`ReadFault::Changed`] or [`ReadFault::Io`], as in all that follow.
+    pub fn take(&mut self, what: &str, count: u64) -> Result<&[u8], ReadFault> {
         let start = self.skip(what, count, 1)?;
-        Ok(&self.bytes[start..self.at])
+        if start < self.window_at || self.window_at + self.window.len() < self.at {
+            self.window = self.bytes.read(start..self.at.max(start + WINDOW).min(self.bytes.len()))?;
+            self.window_at = start;
+        }
+        Ok(&self.window[start - self.window_at..][..count as usize])
     }
 
     fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], ReadFault> {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within};
+use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
 use super::wanted::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
@@ -96,7 +96,8 @@ pub fn is_known(path: &Path) -> bool {
 /// [`ReadError`] where a file that may be either cannot be read.
 pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let extension = extension(path);
-    let has_faces = match extension.as_deref() {
+    type HasFaces = fn(View) -> Result<bool, ReadFault>;
+    let has_faces: HasFaces = match extension.as_deref() {
         Some("glb" | "obj" | "stl" | "usd" | "usdc") => return Ok(true),
         Some("ply") => ply::has_faces,
         Some("vtk") => vtk::has_faces,
@@ -109,14 +110,13 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
         _ => return Ok(false),
     };
     let bytes = open_bytes(path)?;
-    let is_text = match extension.as_deref() {
-        Some("vtk") => vtk::is_text(&bytes),
-        Some("vtp") => vtp::is_text(&bytes),
+    let bytes = match extension.as_deref() {
+        Some("vtk") => vtk::unless_text(bytes, Unpacking::in_memory()),
+        Some("vtp") => vtp::unless_text(bytes),
         // Of a .ply the header alone is looked at.
-        _ => false,
+        _ => Ok(bytes),
     };
-    let bytes = if is_text { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
-    bytes.and_then(|bytes| has_faces(&bytes)).map_err(|fault| ReadError::new(path, fault))
+    bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))
 }
 
 /// In lower case, without `.gz`.

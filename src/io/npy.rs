@@ -3,7 +3,7 @@
 //! The header is a Python dictionary. It is read by the few rules that NumPy's own writer follows, since a
 //! general parser of literals can be made to run for hours by a kilobyte of brackets.
 
-use super::bytes::Bytes;
+use super::bytes::{Bytes, View};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::cursor::Cursor;
 use super::{ParticleFile, ReadFault, malformed};
@@ -14,13 +14,13 @@ use super::{ParticleFile, ReadFault, malformed};
 /// [`ReadFault::Unsupported`] for any other shape or element, [`ReadFault::Malformed`] and
 /// [`ReadFault::Truncated`] for a header that does not parse or does not fit the file.
 pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
-    let header = Header::read(&bytes)?;
+    let header = Header::read(bytes.view())?;
     header.expect_position()?;
     let [rows, 3] = header.shape[..] else {
         let shape = shown(&header.shape);
         return Err(ReadFault::Unsupported(format!("an array of shape {shape}; particles are (N, 3)")));
     };
-    let mut cursor = Cursor::new(&bytes, header.start, Endian::Little);
+    let mut cursor = Cursor::new(bytes.view(), header.start, Endian::Little);
     cursor.skip("the array", rows, 3 * header.element_bytes())?;
     let position = [0, 1, 2].map(|axis| header.column(header.start, axis));
     let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, Vec::new());
@@ -41,7 +41,7 @@ pub(super) struct Header {
 
 impl Header {
     /// Reads the header that `bytes` begin with.
-    pub fn read(bytes: &[u8]) -> Result<Self, ReadFault> {
+    pub fn read(bytes: View) -> Result<Self, ReadFault> {
         let mut cursor = Cursor::new(bytes, 0, Endian::Little);
         if cursor.take("the magic", 6)? != b"\x93NUMPY" {
             return Err(malformed(0, "not a .npy file: it does not begin with \"\\x93NUMPY\""));
@@ -56,10 +56,10 @@ impl Header {
             }
         };
         let at = cursor.at();
-        let header = cursor.take("the header", length)?;
-        let header = std::str::from_utf8(header).map_err(|_| malformed(at, "the header is not text"))?;
+        let header = cursor.take("the header", length)?.to_vec();
+        let header = String::from_utf8(header).map_err(|_| malformed(at, "the header is not text"))?;
         let value = |key: &str| {
-            value_of(header, key).ok_or_else(|| malformed(at, format!("the header has no '{key}'")))
+            value_of(&header, key).ok_or_else(|| malformed(at, format!("the header has no '{key}'")))
         };
         let descr = descr(value("descr")?).to_owned();
         let fortran = match value("fortran_order")? {

@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipArchive};
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Passing, Unpacked, Unpacking, unpacked_limit};
+use super::bytes::{Bytes, Kept, Passing, Unpacked, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Rows};
 use super::names::{Quantity, quantities};
 use super::npy::{Header, shown};
@@ -34,7 +34,7 @@ const MOST_COMPONENTS: u64 = 64;
 /// [`ReadFault::Malformed`] for arrays that do not parse or fit; [`ReadFault::Scratch`] where they are unpacked
 /// into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let arrays = arrays(&bytes)?;
+    let arrays = unless_changed(&bytes, arrays(&bytes))?;
     let (position, others) = position_among(&arrays)?;
     let rows = arrays[position.columns[0].array].header.shape[0];
     let fits = |place: &Place| arrays[place.array].header.shape[0] == rows;
@@ -50,7 +50,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     for place in position.columns.iter().chain(attributes.iter().flat_map(|q| &q.columns)) {
         needed[place.array] = true;
     }
-    let (unpacked, starts) = unpack(&bytes, &arrays, &needed, unpacking)?;
+    let (unpacked, starts) = unless_changed(&bytes, unpack(&bytes, &arrays, &needed, unpacking))?;
     let column = |place: &Place| {
         let header = &arrays[place.array].header;
         header.column(starts[place.array] + header.start, place.component)
@@ -62,7 +62,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
         (AttributeInfo { name: found.name.clone(), components: columns.len() }, columns)
     });
     let attributes = attributes.collect();
-    let bytes = unpacked.unwrap_or(bytes);
+    let bytes = unpacked.map_or(bytes, Bytes::Kept);
     let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows as usize), position, attributes);
     Ok(ParticleFile::new(particles, "NumPy .npz"))
 }
@@ -95,7 +95,15 @@ struct Found {
 type Archive<'a> = ZipArchive<Passing<'a>>;
 
 fn archive(bytes: &Bytes) -> Result<Archive<'_>, ReadFault> {
-    ZipArchive::new(Passing::new(bytes)).map_err(fault)
+    ZipArchive::new(Passing::new(bytes.view(), 0)).map_err(fault)
+}
+
+/// Passes on what was read or found wrong, unless the file has changed meanwhile.
+fn unless_changed<T>(bytes: &Bytes, read: Result<T, ReadFault>) -> Result<T, ReadFault> {
+    read.or_else(|fault| {
+        bytes.view().check()?;
+        Err(fault)
+    })
 }
 
 fn fault(error: ZipError) -> ReadFault {
@@ -118,7 +126,7 @@ fn arrays(bytes: &Bytes) -> Result<Vec<Array>, ReadFault> {
         let mut head = Vec::new();
         let damaged = |e: std::io::Error| ReadFault::Compression(format!("array {name}: {e}"));
         file.by_ref().take(LONGEST_HEADER).read_to_end(&mut head).map_err(damaged)?;
-        let header = Header::read(&head).map_err(|fault| match fault {
+        let header = Header::read(head[..].into()).map_err(|fault| match fault {
             // Of the array, where else a byte is the file's.
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
@@ -182,11 +190,11 @@ fn unpack(
     arrays: &[Array],
     needed: &[bool],
     unpacking: Unpacking,
-) -> Result<(Option<Bytes>, Vec<usize>), ReadFault> {
+) -> Result<(Option<Kept>, Vec<usize>), ReadFault> {
     let needed = || arrays.iter().enumerate().filter(|(index, _)| needed[*index]);
     let in_place = needed().all(|(_, array)| array.stored_at.is_some());
     let total = needed().fold(0u64, |sum, (_, array)| sum.saturating_add(array.bytes));
-    if !in_place && total > unpacked_limit(bytes.len() as u64) {
+    if !in_place && total > unpacked_limit(bytes.view().len() as u64) {
         return Err(ReadFault::Compression(format!("it unpacks to {total} bytes, more than is reasonable")));
     }
     let mut archive = archive(bytes)?;

@@ -200,7 +200,7 @@ impl MeshFormat {
             Self::Vtk => vtk::read_mesh(bytes),
             Self::Vtp => vtp::read_mesh(bytes),
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
-            Self::VtkHdf => read_hdf(Bytes::Owned(bytes.to_vec())),
+            Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
             Self::Usdc(_) => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
             Self::Glb(_) => {
@@ -256,7 +256,7 @@ pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
     let large = std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
     if large && MeshFormat::of(path) == Some(MeshFormat::Ply) {
         let bytes = open_bytes(path)?;
-        if let Bytes::Mapped(_) = &bytes {
+        if let Bytes::File(_) = &bytes {
             let streamed = ply::StreamedMesh::open(bytes, open_bytes(path)?);
             if let Some(mesh) = streamed.map_err(|fault| ReadError::new(path, fault))? {
                 return Ok(OpenedMesh::Streamed(Box::new(mesh)));

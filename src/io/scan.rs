@@ -1,12 +1,15 @@
 //! Lines, words and numbers of a file that is text, at least where we look.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
-use super::bytes::ByteStore;
+use super::bytes::{Slice, View};
 use super::{ReadFault, malformed};
 
 /// No line of a header is longer, so that binary data taken for text is found out early.
 const LONGEST_LINE: usize = 64 << 10;
+/// Bytes in which a line's end is looked for first.
+const SHORT_LINE: usize = 1 << 8;
 /// Bytes that are passed before their memory is given back.
 const PASSED: usize = 1 << 20;
 
@@ -16,7 +19,7 @@ pub struct Scanner<'a> {
     bytes: &'a [u8],
     at: usize,
     /// The store that gives memory back, and the offset from which on it has not done so.
-    store: Option<&'a dyn ByteStore>,
+    store: Option<Slice<'a>>,
     held: usize,
 }
 
@@ -30,14 +33,14 @@ impl<'a> Scanner<'a> {
 
     /// Starts at byte `at` of `store`, and gives the memory of passed lines and words back.
     #[must_use]
-    pub fn releasing(store: &'a dyn ByteStore, at: usize) -> Self {
-        Self { store: Some(store), ..Self::new(store, at) }
+    pub fn releasing(store: Slice<'a>, at: usize) -> Self {
+        Self { store: Some(store), ..Self::new(store.bytes(), at) }
     }
 
     /// Reads a range of `store`, and gives the memory of passed lines and words back.
     #[must_use]
-    pub fn releasing_to(store: &'a dyn ByteStore, range: Range<usize>) -> Self {
-        Self { store: Some(store), ..Self::new(&store[..range.end], range.start) }
+    pub fn releasing_to(store: Slice<'a>, range: Range<usize>) -> Self {
+        Self { store: Some(store), ..Self::new(&store.bytes()[..range.end], range.start) }
     }
 
     fn pass(&mut self, count: usize) {
@@ -95,22 +98,6 @@ impl<'a> Scanner<'a> {
         self.at += self.rest().iter().take_while(|b| matches!(b, b' ' | b'\t')).count();
     }
 
-    /// The rest of this line, passing its end (LF or CR LF); nothing at the end of the file.
-    ///
-    /// # Errors
-    /// [`ReadFault::Malformed`] if that is no text, or longer than any header's line.
-    pub fn line(&mut self) -> Result<Option<&'a str>, ReadFault> {
-        let (start, rest) = (self.at, self.rest());
-        if !self.skip_line() {
-            return Ok(None);
-        }
-        let line = &rest[..self.at - start];
-        match std::str::from_utf8(&line[..line.len().min(LONGEST_LINE)]) {
-            Ok(text) if line.len() <= LONGEST_LINE => Ok(Some(text.trim_end_matches(['\r', '\n']))),
-            _ => Err(malformed(start, "expected a line of text")),
-        }
-    }
-
     /// Passes a word, if one starts here.
     pub fn word(&mut self) -> &'a [u8] {
         let rest = self.rest();
@@ -148,7 +135,119 @@ impl<'a> Scanner<'a> {
     /// A fault of the line that byte `at` is in.
     #[must_use]
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
-        let line = 1 + self.bytes[..at].iter().filter(|&&b| b == b'\n').count() as u64;
-        ReadFault::Line { line, what }
+        ReadFault::Line { line: 1 + ends(&self.bytes[..at]), what }
+    }
+}
+
+/// The number of line ends.
+fn ends(text: &[u8]) -> u64 {
+    text.iter().filter(|&&b| b == b'\n').count() as u64
+}
+
+/// A place in a file of lines between blocks of binary data, or before them, moving forward.
+#[derive(Debug, Clone)]
+pub struct Lines<'a> {
+    bytes: View<'a>,
+    at: usize,
+}
+
+impl<'a> Lines<'a> {
+    /// Starts at byte `at` of `bytes`, or at their end.
+    #[must_use]
+    pub fn new(bytes: View<'a>, at: usize) -> Self {
+        Self { bytes, at: at.min(bytes.len()) }
+    }
+
+    /// The place in bytes from the start of the file.
+    #[must_use]
+    pub fn at(&self) -> usize {
+        self.at
+    }
+
+    /// The bytes that lie ahead: `count` of them, or as many as there are.
+    ///
+    /// # Errors
+    /// [`ReadFault::Changed`] and [`ReadFault::Io`] where they cannot be read, as in all that follow.
+    pub fn ahead(&self, count: usize) -> Result<Cow<'a, [u8]>, ReadFault> {
+        self.bytes.read(self.at..self.bytes.len().min(self.at.saturating_add(count)))
+    }
+
+    /// Passes `count` bytes that hold `what`.
+    ///
+    /// # Errors
+    /// [`ReadFault::Truncated`] where there are fewer.
+    pub fn skip(&mut self, count: usize, what: &str) -> Result<(), ReadFault> {
+        let have = self.bytes.len();
+        if count > have - self.at {
+            return Err(ReadFault::Truncated {
+                what: what.to_owned(),
+                needed: (self.at as u64).saturating_add(count as u64),
+                have: have as u64,
+            });
+        }
+        self.at += count;
+        Ok(())
+    }
+
+    /// Passes what is before the first byte that `stops`; false at the end of the file.
+    fn skip_to(&mut self, stops: impl Fn(u8) -> bool) -> Result<bool, ReadFault> {
+        let mut count = SHORT_LINE;
+        loop {
+            let ahead = self.ahead(count)?;
+            let found = ahead.iter().position(|&byte| stops(byte));
+            self.at += found.unwrap_or(ahead.len());
+            if found.is_some() || ahead.is_empty() {
+                return Ok(found.is_some());
+            }
+            count = LONGEST_LINE;
+        }
+    }
+
+    /// Passes the rest of this line and its end; false at the end of the file.
+    ///
+    /// # Errors
+    /// As [`ahead`](Self::ahead).
+    pub fn skip_line(&mut self) -> Result<bool, ReadFault> {
+        let start = self.at;
+        self.at += usize::from(self.skip_to(|byte| byte == b'\n')?);
+        Ok(self.at > start)
+    }
+
+    /// Passes spaces, tabs and line ends.
+    ///
+    /// # Errors
+    /// As [`ahead`](Self::ahead).
+    pub fn skip_whitespace(&mut self) -> Result<(), ReadFault> {
+        self.skip_to(|byte| !byte.is_ascii_whitespace()).map(|_| ())
+    }
+
+    /// The rest of this line, passing its end (LF or CR LF); nothing at the end of the file.
+    ///
+    /// # Errors
+    /// [`ReadFault::Malformed`] if that is no text, or longer than any header's line; and as [`ahead`](Self::ahead).
+    pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
+        for looked_at in [SHORT_LINE, LONGEST_LINE] {
+            let ahead = self.ahead(looked_at)?;
+            let length = match ahead.iter().position(|&byte| byte == b'\n') {
+                Some(end) => end + 1,
+                None if self.at + ahead.len() == self.bytes.len() => ahead.len(),
+                None => continue,
+            };
+            if length == 0 {
+                return Ok(None);
+            }
+            let Ok(text) = std::str::from_utf8(&ahead[..length]) else { break };
+            self.at += length;
+            return Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()));
+        }
+        Err(malformed(self.at, "expected a line of text"))
+    }
+
+    /// A fault of the line that byte `at` is in, or one of reading the file up to there.
+    #[must_use]
+    pub fn fault(&self, at: usize, what: String) -> ReadFault {
+        let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
+        let counted = pieces.map(|piece| Ok(ends(&self.bytes.read(piece)?))).sum::<Result<u64, ReadFault>>();
+        counted.map_or_else(|fault| fault, |ends| ReadFault::Line { line: 1 + ends, what })
     }
 }

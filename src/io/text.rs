@@ -5,7 +5,7 @@ use std::ops::{ControlFlow, Range};
 use rayon::prelude::*;
 
 use super::ReadFault;
-use super::bytes::{ByteStore, Unpacked};
+use super::bytes::{Slice, Unpacked};
 use super::scan::Scanner;
 use super::windows::{Source, Windows};
 
@@ -22,7 +22,7 @@ const PIECES: usize = 4;
 /// # Errors
 /// Those of `take`.
 pub(super) fn decode_pieces<T: Send>(
-    source: &dyn ByteStore,
+    source: Slice,
     range: Range<usize>,
     is_end: fn(u8) -> bool,
     decode: impl Fn(Range<usize>) -> T + Sync,
@@ -93,11 +93,7 @@ fn in_pieces<T: Send>(
 ///
 /// # Errors
 /// [`ReadFault::Line`] for what is no number, and those of [`Unpacked::push`].
-pub(super) fn decode_numbers(
-    source: &dyn ByteStore,
-    text: Range<usize>,
-    out: &mut Unpacked,
-) -> Result<(), ReadFault> {
+pub(super) fn decode_numbers(source: Slice, text: Range<usize>, out: &mut Unpacked) -> Result<(), ReadFault> {
     let decode = |words: Range<usize>| {
         let mut scan = Scanner::new(&source[..words.end], words.start);
         let mut numbers = Vec::new();

@@ -4,14 +4,14 @@
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 use crate::surface::mesh::{Mesh, VertexAttribute};
 
-use super::bytes::Bytes;
+use super::bytes::{Bytes, Kept};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// The vertices of a file, found and checked against its size.
 pub(super) struct Vertices {
     /// Columns of little-endian f64, in place of the file's bytes where those are text.
-    pub decoded: Option<Bytes>,
+    pub decoded: Option<Kept>,
     pub count: usize,
     pub position: [Column; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Column>)>,
@@ -22,7 +22,7 @@ pub(super) struct Vertices {
 impl Vertices {
     /// Each vertex a particle.
     pub fn into_particles(self, bytes: Bytes, format: &'static str) -> ParticleFile {
-        let bytes = self.decoded.unwrap_or(bytes);
+        let bytes = self.decoded.map_or(bytes, Bytes::Kept);
         let particles: ColumnStore =
             ColumnStore::new(bytes, Rows::All(self.count), self.position, self.attributes);
         ParticleFile::new(particles, format)

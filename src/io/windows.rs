@@ -1,6 +1,6 @@
 //! The bytes that columns lie in, window by window: in memory, in a mapped scratch file, or in the input itself.
 //!
-//! The input is read by position into buffers, each thread in its own, and never mapped while its numbers are read: a file that
+//! The input is read by position into buffers, each thread in its own, and never mapped: a file that
 //! another program shortens or rewrites meanwhile is an error of that frame, where a map would end the process by a signal. All files
 //! of an input have their buffers in common.
 
@@ -12,7 +12,7 @@ use crate::particles::Unread;
 use crate::system::positioned::{read_exact_at, will_read};
 use crate::system::reopened::{Lost, ReopenedFile};
 
-use super::bytes::{ByteStore, Bytes};
+use super::bytes::{Bytes, Kept};
 
 /// Bytes that are read at once where a thread goes on where it was.
 const LARGE: usize = 1 << 18;
@@ -66,7 +66,7 @@ impl Windows for &[u8] {
 #[derive(Debug)]
 pub enum Source {
     /// Kept in memory or in a scratch file.
-    Kept(Bytes),
+    Kept(Kept),
     /// In the input's file.
     File(FileWindows),
 }
@@ -99,12 +99,17 @@ impl Source {
 }
 
 impl From<Bytes> for Source {
-    /// An input that was mapped is read by windows from now on.
     fn from(bytes: Bytes) -> Self {
         match bytes {
-            Bytes::Mapped(mapped) => Self::File(FileWindows::new(mapped.file)),
-            kept => Self::Kept(kept),
+            Bytes::File(file) => Self::File(FileWindows::new(file)),
+            Bytes::Kept(kept) => Self::Kept(kept),
         }
+    }
+}
+
+impl From<Kept> for Source {
+    fn from(kept: Kept) -> Self {
+        Self::Kept(kept)
     }
 }
 

@@ -11,7 +11,7 @@ use std::ops::ControlFlow;
 
 use crate::particles::AttributeInfo;
 
-use super::bytes::{Bytes, Unpacked, Unpacking};
+use super::bytes::{Bytes, Kept, Unpacked, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use super::names::{Quantity, quantities};
 use super::text::decode_windows;
@@ -194,7 +194,7 @@ impl Table {
     }
 
     /// Decodes all rows, in their order.
-    fn rows(&self, source: &Source, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    fn rows(&self, source: &Source, unpacking: Unpacking) -> Result<Kept, ReadFault> {
         let mut rows = Unpacked::new(unpacking);
         let mut lines_above = self.lines_above;
         decode_windows(

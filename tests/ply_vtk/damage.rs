@@ -1,16 +1,30 @@
 //! Damaged and lying files of either format.
 
-use meniscus::internals::io::ReadFault;
+use std::io::Write;
+
+use meniscus::internals::io::bytes::open_bytes;
+use meniscus::internals::io::{ParticleFile, ReadFault, vtk};
+use tempfile::NamedTempFile;
 
 use super::{ENCODINGS, Format, PLY, VTK, attributes, dual, ply_with_face, positions, splish, toolkit};
 
 /// All three readers, and every number of what they accept.
 fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
-    let particles = format.particles(bytes).map(|file| {
-        positions(&file);
-        attributes(&file);
-    });
-    [particles, (format.read_mesh)(bytes).map(|_| ()), (format.has_faces)(bytes).map(|_| ())]
+    let numbers = |file: ParticleFile| (positions(&file), attributes(&file));
+    let particles = format.particles(bytes).map(numbers);
+    if bytes.len() > 1 {
+        let mut written = NamedTempFile::new().expect("a file of its own");
+        written.write_all(bytes).expect("a file of its own");
+        let opened = open_bytes(written.path()).expect("a file of its own");
+        if !vtk::is_text(opened.view()) {
+            let [by_position, in_memory] = [opened.view(), bytes.into()].map(format.has_faces);
+            assert_eq!(format!("{by_position:?}"), format!("{in_memory:?}"));
+        }
+        let by_position = (format.read_particles)(opened).map(numbers);
+        assert_eq!(format!("{by_position:?}"), format!("{particles:?}"), "read by position, and in memory");
+    }
+    let particles = particles.map(|_| ());
+    [particles, (format.read_mesh)(bytes).map(|_| ()), (format.has_faces)(bytes.into()).map(|_| ())]
 }
 
 #[test]

@@ -11,7 +11,7 @@ mod vtk_particles;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::{self, Write};
 
-use meniscus::internals::io::bytes::{Bytes, Unpacking};
+use meniscus::internals::io::bytes::{Bytes, Unpacking, View};
 use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, ply, vtk};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::surface::mesh::source::MeshSource;
@@ -41,7 +41,7 @@ unsafe impl GlobalAlloc for Modest {
 struct Format {
     read_particles: fn(Bytes) -> Result<ParticleFile, ReadFault>,
     read_mesh: fn(&[u8]) -> Result<Mesh, ReadFault>,
-    has_faces: fn(&[u8]) -> Result<bool, ReadFault>,
+    has_faces: fn(View) -> Result<bool, ReadFault>,
     write_mesh: fn(&mut dyn Write, &dyn MeshSource, CoordinateWidth) -> io::Result<()>,
 }
 
@@ -61,7 +61,7 @@ const VTK: Format = Format {
 
 impl Format {
     fn particles(self, bytes: &[u8]) -> Result<ParticleFile, ReadFault> {
-        (self.read_particles)(Bytes::Owned(bytes.to_vec()))
+        (self.read_particles)(bytes.to_vec().into())
     }
 
     fn written(self, mesh: &Mesh, width: CoordinateWidth) -> Vec<u8> {

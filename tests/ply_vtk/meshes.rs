@@ -9,7 +9,7 @@ use super::{ENCODINGS, PLY, PlyBuilder, VTK, VtkBuilder, ply_with_face, some_mes
 #[test]
 fn a_real_mesh_reads_closed() {
     let bytes = std::fs::read("tests/data/spot.ply").unwrap();
-    assert!(ply::has_faces(&bytes).unwrap());
+    assert!(ply::has_faces(bytes[..].into()).unwrap());
     let mesh = ply::read_mesh(&bytes).unwrap();
     assert_eq!((mesh.positions.len(), mesh.triangles.len()), (2930, 5856));
     let mut edges: Vec<_> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
@@ -65,7 +65,7 @@ fn polygons_are_fanned_and_cells_without_area_ignored() {
             let mesh = vtk::read_mesh(&file.bytes).unwrap();
             let wanted = [[0, 1, 2], [0, 2, 3], [3, 2, 1], [0, 1, 2], [2, 1, 3]];
             assert_eq!(mesh.triangles, wanted, "{number}, ascii {ascii}");
-            assert!(vtk::has_faces(&file.bytes).unwrap());
+            assert!(vtk::has_faces(file.bytes[..].into()).unwrap());
         }
         let typed = |types: [f64; 5]| {
             let cells = [1., 3., 2., 0., 1., 4., 0., 1., 2., 3., 3., 3., 2., 1., 4., 0., 1., 2., 3.];
@@ -76,9 +76,9 @@ fn polygons_are_fanned_and_cells_without_area_ignored() {
         assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [3, 2, 1], [0, 1, 2], [2, 1, 3]], "ascii {ascii}");
         let mesh = vtk::read_mesh(&typed([1.0, 3.0, 8.0, 7.0, 4.0])).unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 3], [0, 3, 2], [3, 2, 1]], "ascii {ascii}");
-        assert!(!vtk::has_faces(&typed([1.0, 3.0, 4.0, 2.0, 0.0])).unwrap());
+        assert!(!vtk::has_faces(typed([1.0, 3.0, 4.0, 2.0, 0.0])[..].into()).unwrap());
         let solid = typed([1.0, 3.0, 10.0, 5.0, 6.0]);
-        assert!(vtk::has_faces(&solid).unwrap());
+        assert!(vtk::has_faces(solid[..].into()).unwrap());
         assert!(matches!(vtk::read_mesh(&solid), Err(ReadFault::Unsupported(_))));
     }
 }
@@ -135,7 +135,7 @@ fn a_written_mesh_reads_back_the_same() {
             assert_eq!((format.read_mesh)(&double).unwrap(), mesh);
             let single = format.written(&mesh, CoordinateWidth::F32);
             assert_eq!((format.read_mesh)(&single).unwrap(), rounded(mesh.clone()));
-            assert_eq!((format.has_faces)(&single).unwrap(), !mesh.triangles.is_empty());
+            assert_eq!((format.has_faces)(single[..].into()).unwrap(), !mesh.triangles.is_empty());
             assert_eq!(format.particles(&double).unwrap().particles.len(), mesh.positions.len());
         }
     }

@@ -154,7 +154,7 @@ fn ply_files_that_we_do_not_read_are_refused_with_the_reason() {
     let strips = header(&format!(
         "element vertex 0\n{xyz}element tristrips 1\nproperty list int int vertex_indices\n"
     ));
-    assert!(matches!(ply::has_faces(strips.as_bytes()), Err(ReadFault::Unsupported(_))));
+    assert!(matches!(ply::has_faces(strips.as_bytes().into()), Err(ReadFault::Unsupported(_))));
     let plain = header(&format!("element vertex 0\n{xyz}element face 1\nproperty int a\n"));
-    assert!(matches!(ply::has_faces(plain.as_bytes()), Err(ReadFault::Malformed { .. })));
+    assert!(matches!(ply::has_faces(plain.as_bytes().into()), Err(ReadFault::Malformed { .. })));
 }

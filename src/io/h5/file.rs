@@ -9,7 +9,7 @@ use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{Dataset, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
-use crate::io::bytes::{ByteStore, Bytes, Unpacking, unpacked_limit};
+use crate::io::bytes::{Bytes, Unpacking, unpacked_limit};
 use crate::io::{ReadFault, malformed};
 
 /// Names under which the time of a step or a file may be stored.
@@ -30,7 +30,7 @@ pub(super) struct File<'a> {
 
 impl<'a> File<'a> {
     pub fn open(bytes: Bytes, unpacking: Unpacking<'a>) -> Result<Self, ReadFault> {
-        let limit = unpacked_limit(bytes.len() as u64);
+        let limit = unpacked_limit(bytes.view().len() as u64);
         let most = usize::try_from(limit).unwrap_or(usize::MAX);
         let options = OpenOptions::default()
             .with_chunk_cache_bytes((unpacking.in_memory / 4).min(CHUNKS) as usize)
@@ -39,7 +39,7 @@ impl<'a> File<'a> {
         let bytes = Arc::new(bytes);
         let storage = Arc::new(Ranges(Arc::clone(&bytes)));
         let hdf = checked(Hdf5File::from_storage_with_options(storage, options))?;
-        let (needed, have) = (hdf.superblock().eof_address, bytes.len() as u64);
+        let (needed, have) = (hdf.superblock().eof_address, bytes.view().len() as u64);
         if needed > have && needed < u64::MAX {
             return Err(ReadFault::Truncated { what: "HDF5".to_owned(), needed, have });
         }
@@ -59,10 +59,7 @@ impl<'a> File<'a> {
     /// # Errors
     /// [`ReadFault::Changed`] where it was written to since it was opened.
     pub fn check(&self) -> Result<(), ReadFault> {
-        match &*self.bytes {
-            Bytes::Mapped(mapped) => Ok(mapped.file.check()?),
-            _ => Ok(()),
-        }
+        self.bytes.view().check()
     }
 
     /// The file's bytes, for columns that lie in it as they are.
@@ -85,7 +82,7 @@ impl<'a> File<'a> {
             _ => None,
         })?;
         let at = address.checked_add(self.hdf.superblock().base_address)?;
-        let within = at.checked_add(bytes).is_some_and(|end| end <= self.bytes.len() as u64);
+        let within = at.checked_add(bytes).is_some_and(|end| end <= self.bytes.view().len() as u64);
         (within && !header.messages.iter().any(elsewhere)).then_some(at)
     }
 }
@@ -126,23 +123,23 @@ struct Ranges(Arc<Bytes>);
 
 impl Storage for Ranges {
     fn len(&self) -> u64 {
-        self.0.len() as u64
+        self.0.view().len() as u64
     }
 
     fn read_range(&self, offset: u64, len: usize) -> Parsed<StorageBuffer> {
         let start = usize::try_from(offset).unwrap_or(usize::MAX);
         let range = start..start.saturating_add(len);
-        if range.end > self.0.len() {
+        if range.end > self.0.view().len() {
             let available = Storage::len(self).saturating_sub(offset);
             return Err(Error::UnexpectedEof { offset, needed: len as u64, available });
         }
         let read = match &*self.0 {
-            Bytes::Mapped(mapped) => {
+            Bytes::File(file) => {
                 let mut read = vec![0; len];
-                mapped.file.read_exact_at(offset, &mut read).map_err(io::Error::from)?;
+                file.read_exact_at(offset, &mut read).map_err(io::Error::from)?;
                 read
             }
-            kept => {
+            Bytes::Kept(kept) => {
                 let read = kept[range.clone()].to_vec();
                 if len >= LARGE {
                     kept.release(range);

@@ -6,7 +6,7 @@ use bytemuck::NoUninit;
 use hdf5_reader::group::Group;
 use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
 
-use crate::io::bytes::Unpacked;
+use crate::io::bytes::{Bytes, Unpacked};
 use crate::io::columns::{Column, ColumnStore, Endian, Rows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::vertices::{columns, integer};
@@ -332,7 +332,7 @@ impl Table {
         let attributes = attributes.collect();
         drop(arrays);
         file.check()?;
-        let bytes = if in_file { file.into_bytes() } else { decoded.finish()? };
+        let bytes = if in_file { file.into_bytes() } else { Bytes::Kept(decoded.finish()?) };
         let particles: ColumnStore = ColumnStore::new(bytes, Rows::All(rows), position, attributes);
         Ok(ParticleFile { unread, ..ParticleFile::new(particles, format) })
     }

@@ -14,7 +14,7 @@ use crate::field::calibration::refuse_finest;
 use crate::field::indicator::{Amount, Indicator, SampledDif};
 use crate::grid::units::{MeanCount, positive_length};
 use crate::grid::{BIN, CELL_LIMIT, CellBox, Domain, Grid, MortonKey, Periodic};
-use crate::io::bytes::{ByteStore, Bytes, open_bytes};
+use crate::io::bytes::{Bytes, Kept, open_bytes};
 use crate::io::columns::Endian;
 use crate::io::cursor::Cursor;
 use crate::io::{ReadError, ReadFault, malformed};
@@ -42,7 +42,11 @@ const CHUNK: usize = 1 << 20;
 /// for what is no frame, or a damaged one, and [`ReadFault::Unsupported`] for a frame of another version.
 pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
-    let Index { facts, indicator, infos, pages } = read_index(open_bytes(path)?).map_err(fail)?;
+    let kept = match open_bytes(path)? {
+        Bytes::File(file) => file.file().map_err(ReadFault::from).and_then(|file| Ok(Kept::map(&file)?)),
+        Bytes::Kept(kept) => Ok(kept),
+    };
+    let Index { facts, indicator, infos, pages } = kept.and_then(read_index).map_err(fail)?;
     pages.check(&infos).map_err(fail)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
@@ -52,14 +56,14 @@ pub fn open_frame(path: &Path, cache_bytes: u64) -> Result<SampledDif, ReadError
 /// # Errors
 /// As [`open_frame`], as far as the index tells.
 pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, ReadFault> {
-    let Index { facts, indicator, infos, pages } = read_index(Bytes::of_own(file)?)?;
+    let Index { facts, indicator, infos, pages } = read_index(Kept::map(file)?)?;
     Ok(SampledDif::new(facts, indicator, pages.into_dif(infos, cache_bytes)))
 }
 
 /// A map whose memory is given back again and again.
 #[derive(Debug)]
 struct Window {
-    bytes: Bytes,
+    bytes: Kept,
     looked_at: AtomicU64,
 }
 
@@ -154,11 +158,11 @@ struct Index {
     pages: MappedPages,
 }
 
-fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
+fn read_index(bytes: Kept) -> Result<Index, ReadFault> {
     let (version, side) = read_header(&bytes)?;
     let window = Window { bytes, looked_at: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
-    let mut cursor = Cursor::new(&window.bytes, footer, Endian::Little);
+    let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, count) = read_facts(&mut cursor)?;
     if version == FIRST_VERSION && matches!(indicator, Indicator::Cloud(_)) {
         let what = "clouds of version 1, which another surface was drawn of; pack the particles again";
@@ -209,7 +213,7 @@ fn read_index(bytes: Bytes) -> Result<Index, ReadFault> {
 }
 
 fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
-    let mut cursor = Cursor::new(bytes, 0, Endian::Little);
+    let mut cursor = Cursor::new(bytes.into(), 0, Endian::Little);
     if cursor.take("the header", MAGIC.len() as u64)? != MAGIC {
         return Err(malformed(0, "this is not a frame: it does not begin like one"));
     }
@@ -237,7 +241,7 @@ fn read_tail(window: &Window) -> Result<usize, ReadFault> {
         return Err(ReadFault::Truncated { what: "a frame".into(), needed, have });
     }
     let tail = bytes.len() - TAIL;
-    let mut cursor = Cursor::new(bytes, tail, Endian::Little);
+    let mut cursor = Cursor::new(bytes.view(), tail, Endian::Little);
     let footer = cursor.u64("the footer's place")?;
     let checksum = cursor.u32("the footer's checksum")?;
     if cursor.take("the end mark", END_MAGIC.len() as u64)? != END_MAGIC {

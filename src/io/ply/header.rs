@@ -1,8 +1,12 @@
 //! The header of a .ply file: what elements there are, and of what rows.
 
 use crate::io::ReadFault;
+use crate::io::bytes::View;
 use crate::io::columns::{Endian, Scalar};
-use crate::io::scan::Scanner;
+use crate::io::scan::Lines;
+
+/// Bytes of the longest word that a remark begins with, and of one behind it.
+const REMARK: usize = "obj_info ".len();
 
 /// How the rows are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,21 +54,22 @@ pub(super) struct Header {
 }
 
 impl Header {
-    pub fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
-        let mut scan = Scanner::new(bytes, 0);
-        if scan.line()?.map(str::trim_end) != Some("ply") {
-            return Err(scan.fault(0, "a .ply file starts with `ply`".into()));
+    pub fn parse(bytes: View) -> Result<Self, ReadFault> {
+        let mut lines = Lines::new(bytes, 0);
+        if lines.line()?.as_deref().map(str::trim_end) != Some("ply") {
+            return Err(lines.fault(0, "a .ply file starts with `ply`".into()));
         }
         let mut encoding = None;
         let mut elements: Vec<Element> = Vec::new();
         loop {
-            let here = scan.clone();
+            let here = lines.clone();
             let fault = |what: String| here.fault(here.at(), what);
-            if matches!(scan.clone().word(), b"comment" | b"obj_info") {
-                scan.skip_line();
+            let ahead = lines.ahead(REMARK)?;
+            if matches!(ahead.split(u8::is_ascii_whitespace).next(), Some(b"comment" | b"obj_info")) {
+                lines.skip_line()?;
                 continue;
             }
-            let Some(text) = scan.line()? else {
+            let Some(text) = lines.line()? else {
                 return Err(fault("the file ends before `end_header`".into()));
             };
             let words: Vec<&str> = text.split_ascii_whitespace().collect();
@@ -89,7 +94,7 @@ impl Header {
                 }
                 ["end_header"] => {
                     let encoding = encoding.ok_or_else(|| fault("the header names no format".into()))?;
-                    return Ok(Self { encoding, elements, body: scan.at() });
+                    return Ok(Self { encoding, elements, body: lines.at() });
                 }
                 _ => return Err(fault(format!("{text:?} is no line of a .ply header"))),
             }

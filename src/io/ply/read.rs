@@ -2,9 +2,9 @@
 
 use std::ops::{ControlFlow, Range};
 
-use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
+use crate::io::bytes::{Bytes, Kept, Slice, Unpacked, Unpacking, View};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::Scanner;
+use crate::io::scan::{Lines, Scanner};
 use crate::io::text::decode_pieces;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -19,7 +19,7 @@ use super::{GROUPS, NORMAL};
 /// # Errors
 /// [`ReadFault::Mesh`] where there are faces, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let header = Header::parse(&bytes)?;
+    let header = Header::parse(bytes.view())?;
     let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
     let counts = header.elements.iter().filter(is_of_mesh).map(|element| element.count as u64);
     match counts.fold(0, u64::saturating_add) {
@@ -40,7 +40,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// [`ReadFault::Unsupported`] for lists on vertices; [`ReadFault::Scratch`] where text is decoded into a scratch
 /// file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let header = Header::parse(&bytes)?;
+    let header = Header::parse(bytes.view())?;
     points(bytes, &header, unpacking)
 }
 
@@ -50,15 +50,19 @@ fn points(bytes: Bytes, header: &Header, unpacking: Unpacking) -> Result<Particl
         Encoding::Binary(Endian::Little) => "PLY, binary little-endian",
         Encoding::Binary(Endian::Big) => "PLY, binary big-endian",
     };
-    let bytes = if header.encoding == Encoding::Ascii { bytes.read_whole(unpacking)? } else { bytes };
-    Ok(vertices(&bytes, header, unpacking)?.into_particles(bytes, format))
+    let is_text = header.encoding == Encoding::Ascii;
+    // Where rows end that hold lists, each of them tells.
+    let mut before = header.elements.iter().take_while(|element| element.name != "vertex");
+    let whole = is_text || before.any(|element| element.row().is_none());
+    let bytes = if whole { Bytes::Kept(bytes.read_whole(unpacking)?) } else { bytes };
+    Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
 
 /// Whether there are faces, so that the file is a mesh rather than particles. Reads the header only.
 ///
 /// # Errors
 /// As [`read_mesh`], as far as the header shows it.
-pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
+pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     Ok(faces(&Header::parse(bytes)?)?.is_some())
 }
 
@@ -68,11 +72,12 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 /// As [`read_points`]; besides [`ReadFault::Malformed`] for a face that names a vertex which is not there,
 /// and [`ReadFault::Unsupported`] for triangle strips.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    let header = Header::parse(bytes)?;
-    let vertices = vertices(&bytes, &header, Unpacking::in_memory())?;
+    let view = View::from(bytes);
+    let header = Header::parse(view)?;
+    let vertices = vertices(view, &header, Unpacking::in_memory())?;
     let mut triangles = Triangles::new(vertices.count)?;
     if let Some((element, list)) = faces(&header)? {
-        let at = start(&bytes, &header, element)?;
+        let at = start(view, &header, element)?;
         walk(bytes, header.encoding, element, at, Some(list), |face, at, corners| {
             triangles.polygon(face, at, corners)
         })?;
@@ -80,11 +85,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     Ok(vertices.into_mesh(bytes, triangles.triangles))
 }
 
-pub(super) fn vertices(
-    source: &dyn ByteStore,
-    header: &Header,
-    unpacking: Unpacking,
-) -> Result<Vertices, ReadFault> {
+pub(super) fn vertices(bytes: View, header: &Header, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element = element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
     if let Some(list) = element.properties.iter().find(|p| p.list.is_some()) {
@@ -96,11 +97,11 @@ pub(super) fn vertices(
         index.ok_or_else(|| malformed(header.body, format!("vertices have no property `{name}`")))
     };
     let position = [axis("x")?, axis("y")?, axis("z")?];
-    let at = start(source, header, element)?;
+    let at = start(bytes, header, element)?;
     let (decoded, columns) = match header.encoding {
-        Encoding::Ascii => (Some(decode(source, at, element, unpacking)?), text_columns(element)),
+        Encoding::Ascii => (Some(decode(bytes.kept()?, at, element, unpacking)?), text_columns(element)),
         Encoding::Binary(endian) => {
-            skip(source, header.encoding, element, at)?;
+            skip(bytes, header.encoding, element, at)?;
             (None, binary_columns(element, at, endian))
         }
     };
@@ -169,14 +170,9 @@ fn text_columns(element: &Element) -> Vec<Column> {
 }
 
 /// Rows of text as little-endian f64.
-fn decode(
-    source: &dyn ByteStore,
-    at: usize,
-    element: &Element,
-    unpacking: Unpacking,
-) -> Result<Bytes, ReadFault> {
+fn decode(source: Slice, at: usize, element: &Element, unpacking: Unpacking) -> Result<Kept, ReadFault> {
     let width = element.properties.len();
-    let scan = Scanner::new(source, at);
+    let scan = Scanner::new(source.bytes(), at);
     scan.expect_numbers(element.count.saturating_mul(width), "the text of `vertex`")?;
     let all = Scalar::F64.size() * width * element.count;
     let mut decoded = Unpacked::new(unpacking);
@@ -204,12 +200,8 @@ fn decode(
 }
 
 /// The rows of whole lines, up to the first that is wrong, and how.
-fn decode_rows(
-    source: &dyn ByteStore,
-    lines: Range<usize>,
-    width: usize,
-) -> (Vec<u8>, Result<(), ReadFault>) {
-    let mut scan = Scanner::new(source, lines.start);
+fn decode_rows(source: Slice, lines: Range<usize>, width: usize) -> (Vec<u8>, Result<(), ReadFault>) {
+    let mut scan = Scanner::new(source.bytes(), lines.start);
     let mut rows = Vec::new();
     loop {
         scan.skip_whitespace();
@@ -262,23 +254,18 @@ pub(super) fn faces(header: &Header) -> Result<Option<(&Element, usize)>, ReadFa
 }
 
 /// Where the rows of `element` start, all before it being passed.
-pub(super) fn start(source: &dyn ByteStore, header: &Header, element: &Element) -> Result<usize, ReadFault> {
-    let before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
-    before.into_iter().try_fold(header.body, |at, other| skip(source, header.encoding, other, at))
+pub(super) fn start(bytes: View, header: &Header, element: &Element) -> Result<usize, ReadFault> {
+    let mut before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, element));
+    before.try_fold(header.body, |at, other| skip(bytes, header.encoding, other, at))
 }
 
 /// Where the rows of `element` that start at byte `at` end.
-fn skip(
-    source: &dyn ByteStore,
-    encoding: Encoding,
-    element: &Element,
-    at: usize,
-) -> Result<usize, ReadFault> {
-    let mut scan = Scanner::releasing(source, at);
+fn skip(bytes: View, encoding: Encoding, element: &Element, at: usize) -> Result<usize, ReadFault> {
     let what = || format!("{} rows of `{}`", element.count, element.name);
     match (encoding, element.row()) {
-        _ if element.properties.is_empty() => {}
+        _ if element.properties.is_empty() => Ok(at),
         (Encoding::Ascii, _) => {
+            let mut scan = Scanner::releasing(bytes.kept()?, at);
             scan.expect_numbers(element.count, &what())?;
             for row in 0..element.count {
                 scan.skip_whitespace();
@@ -287,11 +274,17 @@ fn skip(
                     return Err(scan.fault(scan.at(), what));
                 }
             }
+            Ok(scan.at())
         }
-        (Encoding::Binary(_), Some(row)) => scan.skip(element.count.saturating_mul(row), &what())?,
-        (Encoding::Binary(_), None) => return walk(source, encoding, element, at, None, |_, _, _| Ok(())),
+        (Encoding::Binary(_), Some(row)) => {
+            let mut rows = Lines::new(bytes, at);
+            rows.skip(element.count.saturating_mul(row), &what())?;
+            Ok(rows.at())
+        }
+        (Encoding::Binary(_), None) => {
+            walk(bytes.kept()?.bytes(), encoding, element, at, None, |_, _, _| Ok(()))
+        }
     }
-    Ok(scan.at())
 }
 
 /// Visits every row of `element` from byte `at` on: its number, its place, and the list that is property

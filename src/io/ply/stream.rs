@@ -38,19 +38,25 @@ impl StreamedMesh {
     /// # Errors
     /// Those of [`read_mesh`](super::read_mesh), as far as the header shows them.
     pub fn open(bytes: Bytes, again: Bytes) -> Result<Option<Self>, ReadFault> {
-        let header = Header::parse(&bytes)?;
+        let header = Header::parse(bytes.view())?;
         let Some((element, _)) = faces(&header)? else { return Ok(None) };
         let is_list = |of: &super::header::Property| {
             of.list == Some(Scalar::U8) && matches!(of.scalar, Scalar::I32 | Scalar::U32)
         };
         let fits = header.encoding == Encoding::Binary(Endian::Little)
-            && matches!(&element.properties[..], [list] if is_list(list));
-        let at = start(&bytes, &header, element)?;
-        let triangles = element.count;
-        if !fits || triangles.checked_mul(ROW).and_then(|rows| rows.checked_add(at)) != Some(bytes.len()) {
+            && matches!(&element.properties[..], [list] if is_list(list))
+            && matches!(&header.elements[..], [before @ .., last]
+                if std::ptr::eq(last, element) && before.iter().all(|element| element.row().is_some()));
+        if !fits {
             return Ok(None);
         }
-        let read = vertices(&bytes, &header, Unpacking::in_memory())?;
+        let view = bytes.view();
+        let at = start(view, &header, element)?;
+        let triangles = element.count;
+        if triangles.checked_mul(ROW).and_then(|rows| rows.checked_add(at)) != Some(view.len()) {
+            return Ok(None);
+        }
+        let read = vertices(view, &header, Unpacking::in_memory())?;
         let (count, normals) = (read.count, read.normals);
         let vertices = read.into_particles(bytes, "PLY").particles;
         let all = vertices.attributes();

@@ -1,8 +1,8 @@
 //! Where the arrays of a legacy .vtk file lie: one walk over its sections, no number read.
 
-use crate::io::bytes::ByteStore;
+use crate::io::bytes::View;
 use crate::io::columns::Scalar;
-use crate::io::scan::Scanner;
+use crate::io::scan::{Lines, Scanner};
 use crate::io::{ReadFault, malformed};
 
 /// An array without tuples is kept up to a tensor's components: no byte of the file vouches for more.
@@ -70,7 +70,8 @@ enum Owner {
 }
 
 struct Walk<'a> {
-    scan: Scanner<'a>,
+    bytes: View<'a>,
+    lines: Lines<'a>,
     /// Where the line in hand starts.
     line_at: usize,
     ascii: bool,
@@ -88,36 +89,39 @@ struct Walk<'a> {
 
 /// Whether the arrays are text, by the lines before all sections.
 #[must_use]
-pub fn is_text(bytes: &[u8]) -> bool {
-    Walk::start(Scanner::new(bytes, 0)).is_ok_and(|walk| walk.ascii)
+pub fn is_text(bytes: View) -> bool {
+    Walk::start(bytes).is_ok_and(|walk| walk.ascii)
 }
 
 impl Layout {
-    pub fn parse(source: &dyn ByteStore) -> Result<Self, ReadFault> {
-        let mut walk = Walk::start(Scanner::releasing(source, 0))?;
-        while let Some(words) = walk.next_words()? {
-            walk.section(&words)?;
+    pub fn parse(bytes: View) -> Result<Self, ReadFault> {
+        let mut walk = Walk::start(bytes)?;
+        while let Some(line) = walk.next_line()? {
+            walk.section(&words(&line))?;
         }
         walk.finish()
     }
 }
 
 impl<'a> Walk<'a> {
-    fn start(mut scan: Scanner<'a>) -> Result<Self, ReadFault> {
-        let version = scan.line()?.unwrap_or_default().strip_prefix("# vtk DataFile Version ");
+    fn start(bytes: View<'a>) -> Result<Self, ReadFault> {
+        let mut lines = Lines::new(bytes, 0);
+        let first = lines.line()?.unwrap_or_default();
+        let version = first.strip_prefix("# vtk DataFile Version ");
         let major = version.and_then(|version| version.trim().split('.').next()?.parse::<u32>().ok());
         let major = major.ok_or_else(|| {
-            scan.fault(0, "a legacy .vtk file starts with `# vtk DataFile Version` and a number".into())
+            lines.fault(0, "a legacy .vtk file starts with `# vtk DataFile Version` and a number".into())
         })?;
-        scan.skip_line();
-        let line_at = scan.at();
-        let ascii = match scan.line()?.map(str::trim) {
+        lines.skip_line()?;
+        let line_at = lines.at();
+        let ascii = match lines.line()?.as_deref().map(str::trim) {
             Some(word) if word.eq_ignore_ascii_case("ASCII") => true,
             Some(word) if word.eq_ignore_ascii_case("BINARY") => false,
-            _ => return Err(scan.fault(line_at, "expected ASCII or BINARY".into())),
+            _ => return Err(lines.fault(line_at, "expected ASCII or BINARY".into())),
         };
         Ok(Self {
-            scan,
+            bytes,
+            lines,
             line_at,
             ascii,
             offsets: major >= 5,
@@ -132,26 +136,26 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// The words of the next line that has any.
-    fn next_words(&mut self) -> Result<Option<Vec<&'a str>>, ReadFault> {
-        self.scan.skip_whitespace();
-        self.line_at = self.scan.at();
-        Ok(self.scan.line()?.map(|line| line.split_ascii_whitespace().collect()))
+    /// The next line that has words.
+    fn next_line(&mut self) -> Result<Option<String>, ReadFault> {
+        self.lines.skip_whitespace()?;
+        self.line_at = self.lines.at();
+        self.lines.line()
     }
 
-    /// Returns the words of the next line, past any `METADATA`; an error if the file ends before `what`.
-    fn words_of(&mut self, what: &str) -> Result<Vec<&'a str>, ReadFault> {
+    /// Returns the next line that has words, past any `METADATA`; an error if the file ends before `what`.
+    fn line_of(&mut self, what: &str) -> Result<String, ReadFault> {
         loop {
-            match self.next_words()? {
-                Some(words) if words == ["METADATA"] => self.metadata()?,
-                Some(words) => return Ok(words),
+            match self.next_line()? {
+                Some(line) if words(&line) == ["METADATA"] => self.metadata()?,
+                Some(line) => return Ok(line),
                 None => return Err(self.fault(format!("the file ends where {what} should follow"))),
             }
         }
     }
 
     fn fault(&self, what: String) -> ReadFault {
-        if self.ascii { self.scan.fault(self.line_at, what) } else { malformed(self.line_at, what) }
+        if self.ascii { self.lines.fault(self.line_at, what) } else { malformed(self.line_at, what) }
     }
 
     fn section(&mut self, words: &[&str]) -> Result<(), ReadFault> {
@@ -188,7 +192,8 @@ impl<'a> Walk<'a> {
             ("SCALARS", [name, kind, rest @ ..]) if rest.len() <= 1 => {
                 let components = rest.first().map_or(Ok(1), |count| self.count(count))?;
                 let at = self.line_at;
-                if !is(self.words_of("LOOKUP_TABLE")?[0], "LOOKUP_TABLE") {
+                let table = self.line_of("LOOKUP_TABLE")?;
+                if !table.split_ascii_whitespace().next().is_some_and(|word| is(word, "LOOKUP_TABLE")) {
                     return Err(self.fault(format!("SCALARS {name} (byte {at}) need a LOOKUP_TABLE")));
                 }
                 self.attribute(name, components, kind)?;
@@ -227,7 +232,7 @@ impl<'a> Walk<'a> {
     }
 
     fn finish(self) -> Result<Layout, ReadFault> {
-        let end = self.scan.at();
+        let end = self.lines.at();
         let points = self.points.ok_or_else(|| malformed(end, "the file ends without POINTS"))?;
         let typed = self.cells.iter().filter(|cells| cells.kind == CellKind::Typed);
         let cells: usize = typed.map(|cells| cells.corners.cells()).sum();
@@ -277,8 +282,8 @@ impl<'a> Walk<'a> {
     }
 
     fn field_array(&mut self) -> Result<(), ReadFault> {
-        let words = self.words_of("an array of FIELD")?;
-        match *words {
+        let line = self.line_of("an array of FIELD")?;
+        match *words(&line) {
             ["NULL_ARRAY"] => Ok(()),
             [name, components, tuples, kind] => {
                 let (name, tuples) = (decoded(name), self.count(tuples)?);
@@ -328,8 +333,8 @@ impl<'a> Walk<'a> {
     }
 
     fn cell_array(&mut self, keyword: &str, count: usize) -> Result<Array, ReadFault> {
-        let words = self.words_of(keyword)?;
-        match *words {
+        let line = self.line_of(keyword)?;
+        match *words(&line) {
             [word, kind] if is(word, keyword) => self.numbers(keyword, count, 1, kind),
             _ => Err(self.fault(format!("expected {keyword} and a type"))),
         }
@@ -359,25 +364,27 @@ impl<'a> Walk<'a> {
         let values = tuples.saturating_mul(components);
         let scalar = match kind.to_ascii_lowercase().as_str() {
             "bit" if self.ascii => None,
-            "bit" => return self.scan.skip(values.div_ceil(8), name).map(|()| None),
+            "bit" => return self.lines.skip(values.div_ceil(8), name).map(|()| None),
             "string" => return self.strings(values, name).map(|()| None),
             kind => Some(scalar_named(kind).ok_or_else(|| self.fault(format!("{name} of type {kind:?}")))?),
         };
-        let at = self.scan.at();
+        let at = self.lines.at();
         match scalar {
-            Some(scalar) if !self.ascii => self.scan.skip(values.saturating_mul(scalar.size()), name)?,
+            Some(scalar) if !self.ascii => self.lines.skip(values.saturating_mul(scalar.size()), name)?,
             _ => {
-                self.scan.expect_numbers(values, name)?;
+                let mut scan = Scanner::releasing(self.bytes.kept()?, at);
+                scan.expect_numbers(values, name)?;
                 for index in 0..values {
-                    self.scan.skip_whitespace();
-                    if self.scan.word().is_empty() {
+                    scan.skip_whitespace();
+                    if scan.word().is_empty() {
                         let what = format!("the file ends where value {index} of {name} should follow");
-                        return Err(self.scan.fault(self.scan.at(), what));
+                        return Err(scan.fault(scan.at(), what));
                     }
                 }
+                self.lines = Lines::new(self.bytes, scan.at());
             }
         }
-        let end = self.scan.at();
+        let end = self.lines.at();
         Ok(scalar.map(|scalar| Array { name: name.to_owned(), at, end, tuples, components, scalar }))
     }
 
@@ -385,17 +392,17 @@ impl<'a> Walk<'a> {
     fn strings(&mut self, count: usize, name: &str) -> Result<(), ReadFault> {
         for _ in 0..count {
             if self.ascii {
-                if !self.scan.skip_line() {
+                if !self.lines.skip_line()? {
                     return Err(self.fault(format!("the file ends within the strings of {name}")));
                 }
                 continue;
             }
-            let rest = self.scan.rest();
-            let wide = rest.first().map_or(1, |first| 8 >> (first >> 6));
-            self.scan.skip(wide, name)?;
-            let length = rest[..wide].iter().fold(0, |length, &byte| length << 8 | u64::from(byte));
+            let ahead = self.lines.ahead(size_of::<u64>())?;
+            let wide = ahead.first().map_or(1, |first| 8 >> (first >> 6));
+            self.lines.skip(wide, name)?;
+            let length = ahead[..wide].iter().fold(0, |length, &byte| length << 8 | u64::from(byte));
             let length = length & (u64::MAX >> (64 - 8 * wide + 2));
-            self.scan.skip(usize::try_from(length).unwrap_or(usize::MAX), name)?;
+            self.lines.skip(usize::try_from(length).unwrap_or(usize::MAX), name)?;
         }
         Ok(())
     }
@@ -403,10 +410,13 @@ impl<'a> Walk<'a> {
     /// Passes the lines up to an empty one; the names of components, a line each, may be empty themselves.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
-            match self.scan.line()?.map(str::trim) {
+            match self.lines.line()?.as_deref().map(str::trim) {
                 Some("") => return Ok(()),
                 Some("COMPONENT_NAMES") => {
-                    (0..self.components).all(|_| self.scan.skip_line());
+                    let mut left = self.components;
+                    while left > 0 && self.lines.skip_line()? {
+                        left -= 1;
+                    }
                 }
                 Some(_) => {}
                 None => return Err(self.fault("METADATA do not end with an empty line".into())),
@@ -430,6 +440,10 @@ impl Corners {
             Self::Offsets { offsets, .. } => offsets.tuples.saturating_sub(1),
         }
     }
+}
+
+fn words(line: &str) -> Vec<&str> {
+    line.split_ascii_whitespace().collect()
 }
 
 fn is(word: &str, keyword: &str) -> bool {

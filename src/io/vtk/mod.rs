@@ -9,5 +9,6 @@ mod read;
 mod write;
 
 pub use layout::is_text;
+pub(super) use read::unless_text;
 pub use read::{has_faces, read_mesh, read_particles, read_points};
 pub use write::write_mesh;

@@ -1,6 +1,6 @@
 //! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
 
-use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking};
+use crate::io::bytes::{Bytes, Unpacked, Unpacking, View};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
@@ -16,10 +16,10 @@ use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
 /// # Errors
 /// [`ReadFault::Mesh`] where a cell has an area or a volume, and those of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let bytes = if is_text(&bytes) { bytes.read_whole(unpacking)? } else { bytes };
-    let layout = Layout::parse(&bytes)?;
+    let bytes = unless_text(bytes, unpacking)?;
+    let layout = Layout::parse(bytes.view())?;
     let sum = |sum: u64, more: Result<u64, ReadFault>| Ok::<_, ReadFault>(sum.saturating_add(more?));
-    let faces = faces(&bytes, &layout).try_fold(0, sum)?;
+    let faces = faces(bytes.view(), &layout).try_fold(0, sum)?;
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
     }
@@ -37,24 +37,32 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// for another data set than `UNSTRUCTURED_GRID` or `POLYDATA`; [`ReadFault::Scratch`] where text is decoded into a
 /// scratch file that fails.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let bytes = if is_text(&bytes) { bytes.read_whole(unpacking)? } else { bytes };
-    let layout = Layout::parse(&bytes)?;
+    let bytes = unless_text(bytes, unpacking)?;
+    let layout = Layout::parse(bytes.view())?;
     points(bytes, &layout, unpacking)
+}
+
+/// The bytes where they are, or as a whole where they are text.
+pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+    if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
 
 fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
-    let time = layout.time.as_ref().and_then(|array| number(&bytes, layout.ascii, array));
-    let vertices = vertices(&bytes, layout, unpacking)?;
-    Ok(ParticleFile { time: time.filter(|time| time.is_finite()), ..vertices.into_particles(bytes, format) })
+    let time = layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
+    let vertices = vertices(bytes.view(), layout, unpacking)?;
+    Ok(ParticleFile {
+        time: time.flatten().filter(|time| time.is_finite()),
+        ..vertices.into_particles(bytes, format)
+    })
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
 ///
 /// # Errors
 /// As [`read_points`].
-pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
-    for found in faces(bytes, &Layout::parse(&bytes)?) {
+pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
+    for found in faces(bytes, &Layout::parse(bytes)?) {
         if found? > 0 {
             return Ok(true);
         }
@@ -63,11 +71,23 @@ pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
 }
 
 /// The numbers of cells that have an area or a volume, of which the sum is theirs.
-fn faces<'a>(bytes: &'a [u8], layout: &'a Layout) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
+fn faces<'a>(bytes: View<'a>, layout: &'a Layout) -> impl Iterator<Item = Result<u64, ReadFault>> + 'a {
     let untyped = layout.cells.iter().filter(|cells| cells.kind != CellKind::Typed);
-    let types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
     let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
-    untyped.chain(types.map(|kind| Ok(u64::from(!is_thin(kind?)))))
+    let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(!is_thin(kind?)));
+    let typed = layout.cell_types.iter().flat_map(move |types| {
+        let rows = if layout.ascii { types.tuples.max(1) } else { TYPES };
+        (0..types.tuples).step_by(rows).map(move |first| {
+            if layout.ascii {
+                return integers(bytes.kept()?.bytes(), true, types).map(of).sum();
+            }
+            let size = types.scalar.size();
+            let end = types.tuples.min(first + rows);
+            let piece = bytes.read(types.at + first * size..types.at + end * size)?;
+            stored(&piece, types).map(of).sum()
+        })
+    });
+    untyped.chain(typed)
 }
 
 /// Reads points, and polygons, triangle strips, and cells of those types as triangles; polygons of more than
@@ -77,7 +97,8 @@ fn faces<'a>(bytes: &'a [u8], layout: &'a Layout) -> impl Iterator<Item = Result
 /// As [`read_points`]; besides [`ReadFault::Malformed`] for a cell that names a point which is not there, and
 /// [`ReadFault::Unsupported`] for cells with a volume.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    let layout = Layout::parse(&bytes)?;
+    let view = View::from(bytes);
+    let layout = Layout::parse(view)?;
     let mut triangles = Triangles::new(layout.points.tuples)?;
     let mut types = layout.cell_types.iter().flat_map(|types| integers(bytes, layout.ascii, types));
     for cells in &layout.cells {
@@ -98,8 +119,11 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
             }
         })?;
     }
-    Ok(vertices(&bytes, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
+    Ok(vertices(view, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
 }
+
+/// Types of cells that are read at once.
+const TYPES: usize = 1 << 14;
 
 const TRIANGLE: i64 = 5;
 const TRIANGLE_STRIP: i64 = 6;
@@ -112,7 +136,7 @@ fn is_thin(kind: i64) -> bool {
     (0..TRIANGLE).contains(&kind)
 }
 
-fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
+fn vertices(bytes: View, layout: &Layout, unpacking: Unpacking) -> Result<Vertices, ReadFault> {
     let mut decoded = Unpacked::new(unpacking);
     let mut place = |array: &Array| -> Result<Vec<Column>, ReadFault> {
         let Array { at, components, scalar, .. } = *array;
@@ -120,7 +144,7 @@ fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Re
             return Ok(columns(at, components * scalar.size(), components, scalar, Endian::Big));
         }
         let offset = decoded.len() as usize;
-        decode_numbers(source, array.at..array.end, &mut decoded)?;
+        decode_numbers(bytes.kept()?, array.at..array.end, &mut decoded)?;
         Ok(columns(offset, components * Scalar::F64.size(), components, Scalar::F64, Endian::Little))
     };
     let position = place(&layout.points)?;
@@ -139,16 +163,16 @@ fn vertices(source: &dyn ByteStore, layout: &Layout, unpacking: Unpacking) -> Re
 }
 
 /// The only number of an array.
-fn number(bytes: &[u8], ascii: bool, array: &Array) -> Option<f64> {
-    let stored = &bytes[array.at..array.end];
+fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFault> {
+    let stored = bytes.read(array.at..array.end)?;
     if ascii {
-        return std::str::from_utf8(stored).ok()?.trim().parse().ok();
+        return Ok(std::str::from_utf8(&stored).ok().and_then(|text| text.trim().parse().ok()));
     }
-    match array.scalar {
+    Ok(match array.scalar {
         Scalar::F64 => stored.first_chunk().map(|&bytes| f64::from_be_bytes(bytes)),
         Scalar::F32 => stored.first_chunk().map(|&bytes| f32::from_be_bytes(bytes).into()),
-        scalar => integer(scalar, Endian::Big, stored).map(|integer| integer as f64),
-    }
+        scalar => integer(scalar, Endian::Big, &stored).map(|integer| integer as f64),
+    })
 }
 
 type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
@@ -162,11 +186,15 @@ fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> Integers<'a> 
             scan.number()
         }));
     }
-    let stored = bytes[at..at + array.values() * scalar.size()].chunks_exact(scalar.size());
-    Box::new(stored.map(move |stored| {
-        let value = integer(scalar, Endian::Big, stored);
-        value.ok_or_else(|| malformed(at, format!("{} are no integers", array.name)))
-    }))
+    Box::new(stored(&bytes[at..at + array.values() * scalar.size()], array))
+}
+
+/// The integers that these bytes of a binary array hold.
+fn stored<'b>(bytes: &'b [u8], array: &'b Array) -> impl Iterator<Item = Result<i64, ReadFault>> + 'b {
+    bytes.chunks_exact(array.scalar.size()).map(|stored| {
+        let value = integer(array.scalar, Endian::Big, stored);
+        value.ok_or_else(|| malformed(array.at, format!("{} are no integers", array.name)))
+    })
 }
 
 /// Visits every one of `cells`: its number, the place of the array that lists it, and its corners.

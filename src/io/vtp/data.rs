@@ -9,7 +9,7 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use flate2::read::ZlibDecoder;
 
-use crate::io::bytes::{ByteStore, Bytes, Unpacked, Unpacking, unpacked_limit};
+use crate::io::bytes::{Kept, Passing, Slice, Unpacked, Unpacking, unpacked_limit};
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
@@ -79,7 +79,7 @@ impl<'a> Decoder<'a> {
         let expected = self.expected_bytes(array)?;
         let offset = self.unpacked.len();
         let (scalar, endian) = if let Data::Text(text) = &array.data {
-            decode_numbers(self.layout.bytes, text.clone(), &mut self.unpacked)?;
+            decode_numbers(self.layout.text(), text.clone(), &mut self.unpacked)?;
             let count = (self.unpacked.len() - offset) / Scalar::F64.size() as u64;
             if count.checked_mul(array.scalar.size() as u64) != Some(expected) {
                 return Err(self.wrong_count(array));
@@ -107,14 +107,14 @@ impl<'a> Decoder<'a> {
     }
 
     /// Returns the data decoded for columns; None where they are all in the file.
-    pub fn finish(self) -> Result<Option<Bytes>, ReadFault> {
+    pub fn finish(self) -> Result<Option<Kept>, ReadFault> {
         if self.unpacked.is_empty() { Ok(None) } else { self.unpacked.finish().map(Some) }
     }
 
     /// All numbers of an array of integers.
     pub fn integers(&mut self, array: &Array) -> Result<Vec<i64>, ReadFault> {
         if let Data::Text(text) = &array.data {
-            return numbers(&self.layout.bytes[..text.end], text.start);
+            return numbers(&self.layout.text()[..text.end], text.start);
         }
         let bytes = self.whole(array)?;
         let whole = bytes.chunks_exact(array.scalar.size());
@@ -131,7 +131,7 @@ impl<'a> Decoder<'a> {
             count += 1;
         };
         if let Data::Text(text) = &array.data {
-            let mut scan = Scanner::releasing_to(self.layout.bytes, text.clone());
+            let mut scan = Scanner::releasing_to(self.layout.text(), text.clone());
             loop {
                 scan.skip_whitespace();
                 if scan.rest().is_empty() {
@@ -158,7 +158,7 @@ impl<'a> Decoder<'a> {
     /// The one number of an array; none of another type than a double.
     pub fn double(&mut self, array: &Array) -> Result<Option<f64>, ReadFault> {
         if let Data::Text(text) = &array.data {
-            return Ok(numbers(&self.layout.bytes[..text.end], text.start)?.first().copied());
+            return Ok(numbers(&self.layout.text()[..text.end], text.start)?.first().copied());
         }
         let bytes = self.whole(array)?;
         let double = bytes.first_chunk().filter(|_| array.scalar == Scalar::F64);
@@ -209,9 +209,11 @@ impl Stored<'_> {
     fn read(&self, expected: Option<u64>, allowance: &mut u64, take: &mut Take<'_>) -> Result<(), ReadFault> {
         let mut stream: Box<dyn Read> = match self.array.data {
             Data::Base64(ref text) => {
-                Box::new(Base64 { text: self.ahead(text.start, text.end), plain: Vec::new(), given: 0 })
+                let text =
+                    Ahead { bytes: self.layout.text(), at: text.start, end: text.end, held: text.start };
+                Box::new(Base64 { text, plain: Vec::new(), given: 0 })
             }
-            _ => Box::new(self.ahead(self.array.place(), self.layout.bytes.len())),
+            _ => Box::new(Passing::new(self.layout.bytes, self.array.place())),
         };
         let mut claim = |bytes: Option<u64>| match bytes {
             Some(bytes) if expected.is_some_and(|expected| bytes != expected) => {
@@ -304,6 +306,9 @@ impl Stored<'_> {
     }
 
     fn fault(&self, fault: &io::Error) -> ReadFault {
+        if let Err(changed) = self.layout.bytes.check() {
+            return changed;
+        }
         let Array { name, .. } = self.array;
         let what = match fault.kind() {
             io::ErrorKind::UnexpectedEof => format!("array {name} has less data than it says"),
@@ -323,21 +328,16 @@ impl Stored<'_> {
         if start > have {
             return Err(truncated(start));
         }
-        let length = integer(*header, *endian, &bytes[at as usize..start as usize]);
+        let length = integer(*header, *endian, &bytes.read(at as usize..start as usize)?);
         let length = length.and_then(|length| u64::try_from(length).ok()).unwrap_or(u64::MAX);
         let end = start.saturating_add(length);
         if end > have { Err(truncated(end)) } else { Ok(start as usize..end as usize) }
     }
-
-    fn ahead(&self, at: usize, end: usize) -> Ahead<'_> {
-        let at = at.min(end);
-        Ahead { bytes: self.layout.bytes, at, end, held: at }
-    }
 }
 
-/// The bytes that lie ahead in the file; the memory of passed ones is given back.
+/// The bytes that lie ahead in a text; the memory of passed ones is given back.
 struct Ahead<'a> {
-    bytes: &'a dyn ByteStore,
+    bytes: Slice<'a>,
     at: usize,
     end: usize,
     held: usize,
@@ -345,7 +345,7 @@ struct Ahead<'a> {
 
 impl<'a> Ahead<'a> {
     fn rest(&self) -> &'a [u8] {
-        &self.bytes[self.at..self.end]
+        &self.bytes.bytes()[self.at..self.end]
     }
 
     fn pass(&mut self, count: usize) {
@@ -354,14 +354,6 @@ impl<'a> Ahead<'a> {
             self.bytes.release(self.held..self.at);
             self.held = self.at;
         }
-    }
-}
-
-impl Read for Ahead<'_> {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let count = self.rest().read(out)?;
-        self.pass(count);
-        Ok(count)
     }
 }
 

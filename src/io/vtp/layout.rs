@@ -5,9 +5,8 @@ use std::ops::Range;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use crate::io::bytes::ByteStore;
+use crate::io::bytes::{Kept, Slice, View};
 use crate::io::columns::{Endian, Scalar};
-use crate::io::scan::Scanner;
 use crate::io::{ReadFault, malformed};
 
 /// Name of the array that holds the file's time.
@@ -49,6 +48,11 @@ pub(super) enum Data {
 }
 
 impl Array {
+    /// Whether its data have not been found yet.
+    fn is_to_come(&self) -> bool {
+        matches!(self.data, Data::Appended(_))
+    }
+
     /// A byte to name in messages.
     pub fn place(&self) -> usize {
         match &self.data {
@@ -65,9 +69,19 @@ impl Array {
     }
 }
 
+/// Bytes of a file that its XML is looked for in, before the data that follow it, and twice as many as long as it goes on, up to
+/// [`LONGEST`].
+pub(super) const HEAD: usize = 1 << 20;
+/// Bytes of the XML before data that stay in a file, at the most.
+const LONGEST: usize = 16 << 20;
+/// Bytes at the end of a file that are looked at at once.
+const TAIL: usize = 1 << 10;
+
 /// The contents of the XML.
 pub(super) struct Layout<'a> {
-    pub bytes: &'a dyn ByteStore,
+    pub bytes: View<'a>,
+    /// The XML of a file that was not read as a whole.
+    head: Kept,
     pub data_set: DataSet,
     pub endian: Endian,
     /// Type of the lengths before an array's data.
@@ -102,13 +116,30 @@ pub(super) enum Packing {
 }
 
 impl<'a> Layout<'a> {
-    pub fn parse(bytes: &'a dyn ByteStore) -> Result<Self, ReadFault> {
-        if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+    pub fn parse(bytes: View<'a>) -> Result<Self, ReadFault> {
+        if !ends_as_vtk(bytes)? {
             return Err(malformed(bytes.len(), "the file ends without </VTKFile>"));
         }
-        let mut xml = Reader::from_reader(&**bytes);
+        if let View::Kept(all) = bytes {
+            return Self::of_xml(bytes, all);
+        }
+        let mut looked_at = HEAD;
+        loop {
+            let head = Kept::Owned(bytes.read(0..bytes.len().min(looked_at))?.into_owned());
+            match Self::of_xml(bytes, head.slice()) {
+                Ok(layout) => return Ok(Self { head, ..layout }),
+                Err(fault) if looked_at >= bytes.len().min(LONGEST) => return Err(fault),
+                Err(_) => looked_at *= 2,
+            }
+        }
+    }
+
+    /// The XML as far as it is within reach, where data that are appended have to begin.
+    fn of_xml(bytes: View<'a>, text: Slice) -> Result<Self, ReadFault> {
+        let mut xml = Reader::from_reader(&*text);
         let mut layout = Layout {
             bytes,
+            head: Kept::Owned(Vec::new()),
             data_set: DataSet::PolyData,
             endian: Endian::Little,
             header: Scalar::U32,
@@ -132,7 +163,7 @@ impl<'a> Layout<'a> {
                 .read_event()
                 .map_err(|fault| malformed(xml.error_position() as usize, fault.to_string()))?;
             let behind = xml.buffer_position() as usize;
-            bytes.release(at..behind);
+            text.release(at..behind);
             let (tag, is_empty) = match &event {
                 Event::Start(tag) => (tag, false),
                 Event::Empty(tag) => (tag, true),
@@ -142,7 +173,7 @@ impl<'a> Layout<'a> {
                     }
                     continue;
                 }
-                Event::Eof if layout.arrays.iter().any(|array| matches!(array.data, Data::Appended(_))) => {
+                Event::Eof if text.len() < bytes.len() || layout.arrays.iter().any(Array::is_to_come) => {
                     return Err(malformed(at, "no <AppendedData>"));
                 }
                 Event::Eof => break,
@@ -159,10 +190,10 @@ impl<'a> Layout<'a> {
                     layout.piece(&tag)?;
                 }
                 ("AppendedData", _) => {
-                    layout.appended(&tag, behind)?;
+                    layout.appended(&tag, &text, behind)?;
                     break;
                 }
-                ("DataArray", Some(section)) => layout.array(&tag, section, behind)?,
+                ("DataArray", Some(section)) => layout.array(&tag, section, &text, behind)?,
                 (name, _) if !is_empty && section_named(name).is_some() => {
                     section = section_named(name);
                     if section == Some(Section::PointData) {
@@ -217,7 +248,7 @@ impl<'a> Layout<'a> {
         Ok(())
     }
 
-    fn array(&mut self, tag: &Tag, section: Section, behind: usize) -> Result<(), ReadFault> {
+    fn array(&mut self, tag: &Tag, section: Section, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
         let name = tag.value("Name")?.unwrap_or_default();
         let kind = tag.value("type")?.unwrap_or_default();
         let Some(scalar) = scalar_named(&kind) else {
@@ -236,8 +267,8 @@ impl<'a> Layout<'a> {
                     offset.ok_or_else(|| malformed(tag.at, format!("array {name} has no offset")))?,
                 )
             }
-            Some("ascii") => Data::Text(self.text(behind)),
-            Some("binary") => Data::Base64(self.text(behind)),
+            Some("ascii") => Data::Text(text(xml, behind)),
+            Some("binary") => Data::Base64(text(xml, behind)),
             other => {
                 let shown = other.unwrap_or_default();
                 return Err(malformed(tag.at, format!("array {name} has the unknown format {shown:?}")));
@@ -248,17 +279,16 @@ impl<'a> Layout<'a> {
     }
 
     /// Adds where the data start to the offsets so far. The XML ends here for us.
-    fn appended(&mut self, tag: &Tag, behind: usize) -> Result<(), ReadFault> {
-        let mut scan = Scanner::new(self.bytes, behind);
-        scan.skip_whitespace();
-        if scan.rest().first() != Some(&b'_') {
-            return Err(malformed(scan.at(), "no underscore before the data"));
+    fn appended(&mut self, tag: &Tag, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
+        let mark = behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+        if xml.get(mark) != Some(&b'_') {
+            return Err(malformed(mark, "no underscore before the data"));
         }
-        let data = scan.at() as u64 + 1;
+        let data = mark as u64 + 1;
         let encoding = tag.value("encoding")?.unwrap_or_default();
         let text = match encoding.as_str() {
             "raw" => None,
-            "base64" => Some(self.text(data as usize)),
+            "base64" => Some(text(xml, data as usize)),
             _ => return Err(malformed(tag.at, format!("data of the unknown encoding {encoding:?}"))),
         };
         for array in &mut self.arrays {
@@ -273,11 +303,35 @@ impl<'a> Layout<'a> {
         Ok(())
     }
 
-    /// From byte `at` to the next element.
-    fn text(&self, at: usize) -> Range<usize> {
-        let rest = &self.bytes[at..];
-        at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
+    /// The bytes that texts are in, all of them or those before what is appended.
+    pub fn text(&self) -> Slice<'_> {
+        match self.bytes {
+            View::File(_) => self.head.slice(),
+            View::Kept(all) => all,
+        }
     }
+}
+
+/// Whether the last that stands in a file is the end of VTK's element.
+fn ends_as_vtk(bytes: View) -> Result<bool, ReadFault> {
+    const END: &[u8] = b"</VTKFile>";
+    let mut end = bytes.len();
+    while end > 0 {
+        let start = end.saturating_sub(TAIL);
+        let blanks =
+            bytes.read(start..end)?.iter().rev().take_while(|byte| byte.is_ascii_whitespace()).count();
+        end -= blanks;
+        if end > start {
+            break;
+        }
+    }
+    Ok(*bytes.read(end.saturating_sub(END.len())..end)? == *END)
+}
+
+/// From byte `at` to the next element.
+fn text(xml: &[u8], at: usize) -> Range<usize> {
+    let rest = &xml[at..];
+    at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
 }
 
 /// An element and where it starts.

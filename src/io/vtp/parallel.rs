@@ -14,7 +14,7 @@ use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::surface::mesh::Mesh;
 
 use super::layout::Tag;
-use super::read::{NumberedMesh, counts, is_text, read_numbered, read_particles};
+use super::read::{NumberedMesh, counts, read_numbered, read_particles, unless_text};
 
 /// Reads the points of all pieces that are wanted as particles, in the order of the pieces.
 ///
@@ -55,8 +55,8 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     let mut points = 0;
     for piece in pieces(path)? {
         let bytes = open_bytes(&piece)?;
-        let bytes = if is_text(&bytes) { bytes.read_whole(Unpacking::in_memory()) } else { Ok(bytes) };
-        let found = bytes.and_then(|bytes| counts(&bytes)).map_err(|fault| ReadError::new(&piece, fault))?;
+        let found = unless_text(bytes).and_then(|bytes| counts(bytes.view()));
+        let found = found.map_err(|fault| ReadError::new(&piece, fault))?;
         if found.faces > 0 {
             return Ok(true);
         }

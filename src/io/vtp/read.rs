@@ -2,7 +2,7 @@
 
 use memchr::memmem;
 
-use crate::io::bytes::{Bytes, Unpacking};
+use crate::io::bytes::{Bytes, Unpacking, View};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -12,10 +12,7 @@ use crate::surface::mesh::Mesh;
 use super::NORMALS;
 use super::data::Decoder;
 use super::ghosts;
-use super::layout::{Array, DataSet, Layout, Section, TIME};
-
-/// Bytes in which it shows whether arrays may stay where they are.
-const HEAD: usize = 1 << 20;
+use super::layout::{Array, DataSet, HEAD, Layout, Section, TIME};
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
 /// are; if any is text, base64 or compressed, all are decoded.
@@ -29,20 +26,28 @@ const HEAD: usize = 1 << 20;
 /// pieces, and other data sets than PolyData and UnstructuredGrid; [`ReadFault::Scratch`] where they are decoded
 /// into a scratch file that fails.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let stays = !is_text(&bytes) && Decoder::all_in_place(&Layout::parse(&bytes)?);
-    points(if stays { bytes } else { bytes.read_whole(unpacking)? }, unpacking)
+    let view = bytes.view();
+    let stays = !is_text(view)? && Decoder::all_in_place(&Layout::parse(view)?);
+    points(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) }, unpacking)
 }
 
 /// Whether all has to be read to find what is where: there are texts in the XML, or what is behind it is encoded or compressed.
-#[must_use]
-pub fn is_text(bytes: &[u8]) -> bool {
-    let head = &bytes[..bytes.len().min(HEAD)];
-    let has = |text: &[u8]| memmem::find(head, text).is_some();
-    !has(b"encoding=\"raw\"") || has(b"compressor=")
+///
+/// # Errors
+/// [`ReadFault::Changed`] and [`ReadFault::Io`] where the file cannot be read.
+pub fn is_text(bytes: View) -> Result<bool, ReadFault> {
+    let head = bytes.read(0..bytes.len().min(HEAD))?;
+    let has = |text: &[u8]| memmem::find(&head, text).is_some();
+    Ok(!has(b"encoding=\"raw\"") || has(b"compressor="))
+}
+
+/// The bytes where they are, or in memory as a whole where all has to be read.
+pub(in crate::io) fn unless_text(bytes: Bytes) -> Result<Bytes, ReadFault> {
+    if is_text(bytes.view())? { bytes.read_whole(Unpacking::in_memory()).map(Bytes::Kept) } else { Ok(bytes) }
 }
 
 fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let layout = Layout::parse(&bytes)?;
+    let layout = Layout::parse(bytes.view())?;
     let faces = layout.polygons.saturating_add(layout.strips) as u64;
     if faces > 0 {
         return Err(ReadFault::Mesh { faces });
@@ -68,7 +73,7 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
 ///
 /// # Errors
 /// As [`read_particles`].
-pub fn has_faces(bytes: &[u8]) -> Result<bool, ReadFault> {
+pub fn has_faces(bytes: View) -> Result<bool, ReadFault> {
     let Counts { points, faces } = counts(bytes)?;
     Ok(points == 0 || faces > 0)
 }
@@ -79,8 +84,8 @@ pub(super) struct Counts {
     pub faces: usize,
 }
 
-pub(super) fn counts(bytes: &[u8]) -> Result<Counts, ReadFault> {
-    let Layout { points, polygons, strips, .. } = Layout::parse(&bytes)?;
+pub(super) fn counts(bytes: View) -> Result<Counts, ReadFault> {
+    let Layout { points, polygons, strips, .. } = Layout::parse(bytes)?;
     Ok(Counts { points, faces: polygons.saturating_add(strips) })
 }
 
@@ -102,7 +107,7 @@ pub(super) struct NumberedMesh {
 
 /// Reads a mesh that may be a piece of another.
 pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
-    let layout = Layout::parse(&bytes)?;
+    let layout = Layout::parse(bytes.into())?;
     if layout.data_set != DataSet::PolyData {
         return Err(ReadFault::Unsupported("an UnstructuredGrid; a mesh is PolyData".to_owned()));
     }

@@ -179,7 +179,7 @@ pub fn memory() -> Unpacking<'static> {
 }
 
 pub fn own(data: &[u8]) -> Bytes {
-    Bytes::Owned(data.to_vec())
+    data.to_vec().into()
 }
 
 /// Reads every number of a file: the same whatever the range.
@@ -215,17 +215,17 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
 
 fn run_ply(data: &[u8]) {
     read_through(ply::read_points(own(data), memory()));
-    let _ = ply::has_faces(data);
+    let _ = ply::has_faces(data.into());
 }
 
 fn run_vtk(data: &[u8]) {
     read_through(vtk::read_points(own(data), memory()));
-    let _ = (vtk::has_faces(data), vtk::is_text(data));
+    let _ = (vtk::has_faces(data.into()), vtk::is_text(data.into()));
 }
 
 fn run_vtu(data: &[u8]) {
     read_through(vtp::read_particles(own(data), memory()));
-    let _ = (vtp::has_faces(data), vtp::is_text(data));
+    let _ = (vtp::has_faces(data.into()), vtp::is_text(data.into()));
 }
 
 /// The first byte says which step is wanted, and of which particles.
