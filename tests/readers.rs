@@ -9,6 +9,7 @@ mod meter;
 #[path = "common/particle_files.rs"]
 mod particle_files;
 
+use std::io::{Seek, Write};
 use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
@@ -292,6 +293,24 @@ fn a_file_that_is_read_by_position_is_what_it_is_in_memory_at_every_prefix() {
             let [by_position, in_memory] = [reader(opened), read(reader, &bytes[..cut])].map(made_of);
             assert_eq!(by_position, in_memory, "{name} of {cut} bytes");
         }
+    }
+}
+
+#[test]
+fn headers_between_large_arrays_are_read_by_position() {
+    let points = tuples(40000);
+    let mut written = tempfile::NamedTempFile::new().unwrap();
+    for mixed in [false, true] {
+        let layout = Bi4 { big: false, wide: true, double: mixed, mixed, pieces: 1, piece: 0 };
+        let bytes = layout.build(&points);
+        written.as_file_mut().set_len(0).unwrap();
+        written.rewind().unwrap();
+        written.write_all(&bytes).unwrap();
+        let opened = open_bytes(written.path()).unwrap();
+        let [by_position, in_memory] = [bi4::read_particles(opened), read(bi4::read_particles, &bytes)];
+        let by_position = by_position.unwrap();
+        assert!(by_position.particles.len() > 32768, "more than are looked at at once");
+        assert!(made_of(Ok(by_position)) == made_of(in_memory), "mixed {mixed}");
     }
 }
 

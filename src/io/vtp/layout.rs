@@ -69,11 +69,10 @@ impl Array {
     }
 }
 
-/// Bytes of a file that its XML is looked for in, before the data that follow it, and twice as many as long as it goes on, up to
-/// [`LONGEST`].
+/// Bytes in which it shows whether arrays may stay where they are: then all XML before them is there.
 pub(super) const HEAD: usize = 1 << 20;
-/// Bytes of the XML before data that stay in a file, at the most.
-const LONGEST: usize = 16 << 20;
+/// Bytes behind these that the tag which they end in may go on for, and blanks behind it.
+const TAG: usize = 4 << 10;
 /// Bytes at the end of a file that are looked at at once.
 const TAIL: usize = 1 << 10;
 
@@ -123,15 +122,9 @@ impl<'a> Layout<'a> {
         if let View::Kept(all) = bytes {
             return Self::of_xml(bytes, all);
         }
-        let mut looked_at = HEAD;
-        loop {
-            let head = Kept::Owned(bytes.read(0..bytes.len().min(looked_at))?.into_owned());
-            match Self::of_xml(bytes, head.slice()) {
-                Ok(layout) => return Ok(Self { head, ..layout }),
-                Err(fault) if looked_at >= bytes.len().min(LONGEST) => return Err(fault),
-                Err(_) => looked_at *= 2,
-            }
-        }
+        let head = Kept::Owned(bytes.read(0..bytes.len().min(HEAD + TAG))?.into_owned());
+        let layout = Self::of_xml(bytes, head.slice())?;
+        Ok(Self { head, ..layout })
     }
 
     /// The XML as far as it is within reach, where data that are appended have to begin.
