@@ -13,6 +13,7 @@ use ash::{khr, vk};
 use gpu_allocator::AllocationSizes;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 
+use super::families;
 use super::instance::{lacks, names};
 use super::{DeviceChoice, Faults, Instance, VulkanError};
 
@@ -196,7 +197,7 @@ impl Device {
         let info = instance.choose(choice)?;
         // SAFETY: the device is one of the instance's.
         let families = unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
-        let (family, transfer) = families_to_use(&families);
+        let (family, transfer) = families::to_use(&families);
         let family = family.expect("a device without compute is refused");
         let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
@@ -420,21 +421,6 @@ impl Device {
     }
 }
 
-/// The family of queues that computes, apart from graphics where it can be, and one that does nothing but copy, if there is one: those
-/// for videos may copy, too, but are for something else.
-fn families_to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
-    let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
-        let fits = |f: &vk::QueueFamilyProperties| {
-            f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
-        };
-        known.iter().position(fits).map(|i| i as u32)
-    };
-    let (compute, copy) = (vk::QueueFlags::COMPUTE, vk::QueueFlags::TRANSFER);
-    let computes = find(compute, vk::QueueFlags::GRAPHICS).or(find(compute, vk::QueueFlags::empty()));
-    let harmless = vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
-    (computes, find(copy, !(copy | harmless)))
-}
-
 impl Limits {
     fn of(device: &vk::PhysicalDeviceLimits, allocation: u64, options: &DeviceOptions) -> Self {
         let storage_range = u64::from(device.max_storage_buffer_range);
@@ -583,32 +569,5 @@ impl fmt::Debug for Shared {
 impl fmt::Debug for Foreign {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Foreign").field("family", &self.family).finish_non_exhaustive()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shaders_run_apart_from_graphics_and_copies_where_nothing_else_is_done() {
-        let [all, shaders, copies, videos, graphics] = [
-            vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
-            vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
-            vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING,
-            vk::QueueFlags::TRANSFER | vk::QueueFlags::VIDEO_DECODE_KHR,
-            vk::QueueFlags::GRAPHICS,
-        ];
-        for (flags, expected) in [
-            (&[all, copies, shaders, videos][..], (Some(2), Some(1))),
-            (&[videos, all, copies], (Some(1), Some(2))),
-            (&[videos, all], (Some(1), None)),
-            (&[shaders], (Some(0), None)),
-            (&[graphics], (None, None)),
-        ] {
-            let family = |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
-            let families: Vec<_> = flags.iter().map(family).collect();
-            assert_eq!(families_to_use(&families), expected, "{flags:?}");
-        }
     }
 }

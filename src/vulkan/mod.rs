@@ -7,6 +7,7 @@
 mod batch;
 mod buffer;
 mod device;
+mod families;
 mod faults;
 mod instance;
 mod shader;

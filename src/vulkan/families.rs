@@ -1,0 +1,45 @@
+//! Which families of a device's queues are used.
+
+use ash::vk;
+
+/// The family of queues that computes, apart from graphics where it can be, and one that does nothing but copy, if there is one: those
+/// for videos may copy, too, but are for something else.
+pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
+    let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
+        let fits = |f: &vk::QueueFamilyProperties| {
+            f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
+        };
+        known.iter().position(fits).map(|i| i as u32)
+    };
+    let (compute, copy) = (vk::QueueFlags::COMPUTE, vk::QueueFlags::TRANSFER);
+    let computes = find(compute, vk::QueueFlags::GRAPHICS).or(find(compute, vk::QueueFlags::empty()));
+    let harmless = vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
+    (computes, find(copy, !(copy | harmless)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shaders_run_apart_from_graphics_and_copies_where_nothing_else_is_done() {
+        let [all, shaders, copies, videos, graphics] = [
+            vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
+            vk::QueueFlags::COMPUTE | vk::QueueFlags::TRANSFER,
+            vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING,
+            vk::QueueFlags::TRANSFER | vk::QueueFlags::VIDEO_DECODE_KHR,
+            vk::QueueFlags::GRAPHICS,
+        ];
+        for (flags, expected) in [
+            (&[all, copies, shaders, videos][..], (Some(2), Some(1))),
+            (&[videos, all, copies], (Some(1), Some(2))),
+            (&[videos, all], (Some(1), None)),
+            (&[shaders], (Some(0), None)),
+            (&[graphics], (None, None)),
+        ] {
+            let family = |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
+            let families: Vec<_> = flags.iter().map(family).collect();
+            assert_eq!(to_use(&families), expected, "{flags:?}");
+        }
+    }
+}
