@@ -1,4 +1,4 @@
-//! Which families of a device's queues are used.
+//! The choice among the families of queues that a device has.
 
 use ash::vk;
 
