@@ -12,7 +12,7 @@ use crc32fast::Hasher;
 
 use crate::system::cancel::{BELONGINGS, belonging};
 
-use super::counted::counted;
+use super::counted::counted_in;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]
@@ -83,8 +83,8 @@ impl Folder {
     ) -> io::Result<()> {
         let name = self.name(number);
         let name = name.rsplit('/').next().unwrap_or_default();
-        let mut file = File::create_new(self.temporary.join(name))?;
-        let (_, sum) = counted(&mut file, Some(Hasher::new()), content)?;
+        let file = File::create_new(self.temporary.join(name))?;
+        let (_, sum) = counted_in(&file, Some(Hasher::new()), content)?;
         sum.iter().for_each(|sum| self.sum.combine(sum));
         file.sync_all()
     }

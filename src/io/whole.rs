@@ -11,7 +11,7 @@ use tempfile::NamedTempFile;
 use crate::system::cancel::{BELONGINGS, remove_belongings};
 
 use super::beside::{Folder, turn};
-use super::counted::counted;
+use super::counted::{counted, counted_in};
 use super::{WriteError, WriteFault};
 
 /// Prefix of temporary files' names, so that those that were left behind can be told.
@@ -133,7 +133,7 @@ impl WholeFile {
                     outcome => outcome,
                 }
             }
-            Target::Temporary { file, .. } => counted(file.as_file_mut(), crc, content),
+            Target::Temporary { file, .. } => counted_in(file.as_file(), crc, content),
         };
         match filled {
             Ok((bytes, crc)) => {

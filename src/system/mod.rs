@@ -4,6 +4,7 @@ pub(crate) mod bits;
 pub mod cancel;
 pub mod control;
 pub mod memory;
+pub mod past_cache;
 pub mod positioned;
 pub mod reopened;
 pub mod scratch;

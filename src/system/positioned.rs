@@ -2,6 +2,8 @@
 
 use std::fs::File;
 use std::io;
+#[cfg(target_os = "linux")]
+use std::num::NonZeroU64;
 
 /// Fills `bytes` from position `at` on.
 ///
@@ -27,13 +29,10 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
 
 /// Tells the system that `bytes` from position `at` on are wanted soon, so that it reads them meanwhile.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    if let (Ok(at), Ok(bytes)) = (at.try_into(), bytes.try_into()) {
-        use std::os::fd::AsRawFd;
-        // SAFETY: the descriptor is open as long as the file is borrowed, and no memory is touched. A refusal is no matter.
-        unsafe { libc::posix_fadvise(file.as_raw_fd(), at, bytes, libc::POSIX_FADV_WILLNEED) };
-    }
-    #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+    // A refusal is no matter.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::fs::fadvise(file, at, NonZeroU64::new(bytes), rustix::fs::Advice::WillNeed);
+    #[cfg(not(target_os = "linux"))]
     let _ = (file, at, bytes);
 }
 
