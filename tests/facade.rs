@@ -6,6 +6,7 @@ mod common;
 use std::error::Error as _;
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::files::{bytes_of, data, raw};
 use common::program::command;
@@ -338,4 +339,53 @@ fn a_frame_knows_which_axis_points_up_in_its_particles() {
     let up = |request: Reconstruction| request.open(&file).unwrap().sample().unwrap().particles_up();
     assert_eq!(up(Reconstruction::new()), UpAxis::Y);
     assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
+}
+
+/// Particles that count how often all of them are read.
+struct Watched {
+    particles: Vec<[f64; 3]>,
+    readings: AtomicUsize,
+}
+
+impl Particles for Watched {
+    fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.particles.as_slice().positions(first, out);
+        if first == 0 {
+            self.readings.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn many_particles_in_cells_of_a_given_size_are_counted_while_their_spacing_is_estimated() {
+    let ball = fill(44.0, 2.0, 0.2, 3, |p| p.length() < 21.0);
+    assert!(ball.len() > 1 << 18);
+    let mut astray = ball.clone();
+    astray[70_000][2] = f64::NAN;
+    let usual = || Reconstruction::new().cell_size(0.6);
+    let walls = || usual().domain([-20.0, -30.0, -30.0], [30.0; 3]);
+    for (particles, asked) in [(&ball, usual()), (&ball, walls()), (&astray, walls().skip_invalid())] {
+        let read = |asked: &Reconstruction| {
+            let watched = Watched { particles: particles.clone(), readings: 0.into() };
+            let surface = asked.run(&watched).unwrap();
+            (surface, watched.readings.into_inner())
+        };
+        let (by_estimate, readings) = read(&asked);
+        let report = by_estimate.report();
+        let Some((spacing, SpacingSource::Estimated)) = report.cells.as_ref().unwrap().spacing else {
+            panic!("the spacing is not estimated");
+        };
+        let (by_spacing, fewest) = read(&asked.spacing(spacing));
+        assert_eq!(readings, fewest);
+        assert_eq!(report.facts.census, by_spacing.report().facts.census);
+        assert_eq!(report.facts.census.not_finite, usize::from(std::ptr::eq(particles, &astray)));
+        assert!(by_estimate.to_mesh().unwrap() == by_spacing.to_mesh().unwrap());
+    }
+    let [estimated, given] = [usual(), usual().spacing(0.5)].map(|asked| asked.run(&astray).unwrap_err());
+    assert_eq!(estimated.to_string(), given.to_string());
+    assert!(given.to_string().contains("70000"), "{given}");
 }

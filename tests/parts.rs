@@ -564,7 +564,7 @@ fn a_part_counts_what_is_wanted_and_no_more() {
     let grid = Grid::new(DVec3::ZERO, 0.25).unwrap();
     let sampling = Sampling { grid, field: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
     let surfacing = surfacing();
-    let whole = Counted::for_surface(&particles[..], &sampling, &surfacing).unwrap();
+    let whole = Counted::for_surface(&particles[..], &sampling, &surfacing, None).unwrap();
     let all: Vec<_> = whole.bins().collect();
     let middle = all[all.len() / 2].0;
     let first = MortonKey::of(middle.coord().div_euclid(IVec3::splat(2)));

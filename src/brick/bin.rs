@@ -5,6 +5,7 @@
 //! find. The order inside a bin is arbitrary; whoever reads a bin adds integers.
 
 use std::convert::Infallible;
+use std::fmt;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -126,8 +127,8 @@ pub struct Census {
 }
 
 /// The first of two readings: how many particles each bin will hold.
-pub struct BinPlan<'a> {
-    pub(super) placer: Placer<'a>,
+pub struct BinPlan {
+    pub(super) placer: Placer,
     census: Census,
     pub(super) keys: Vec<MortonKey>,
     /// Where each bin's particles will begin, and where the last one's will end.
@@ -157,19 +158,45 @@ fn unpack_place(place: Record) -> Placed {
     (if rank as usize == KEPT_BINS { NOWHERE } else { rank }, place & ((1 << RECORD_BITS) - 1))
 }
 
-impl<'a> BinPlan<'a> {
+impl fmt::Debug for BinPlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("BinPlan")
+            .field("placer", &self.placer)
+            .field("census", &self.census)
+            .finish_non_exhaustive()
+    }
+}
+
+impl BinPlan {
     /// Counts `particles` by bin, unless they touch more bins than there is room for.
     ///
     /// # Errors
     /// [`BinError`], naming the first invalid particle, unless they are skipped.
     pub fn count(
         particles: &(impl Particles + ?Sized),
-        grid: &'a Grid,
-        domain: Option<&'a Domain>,
+        grid: &Grid,
+        domain: Option<&Domain>,
         invalid: InvalidParticles,
         room: CountingRoom,
     ) -> Result<Self, BinError> {
-        Self::of_placed(particles, Placer { grid, domain, wanted: None }, invalid, room)
+        Self::count_while(particles, grid, domain, invalid, room, |_| ())
+    }
+
+    /// Counts `particles`, and lets `look` see the positions of all, some at once, in no order, for whoever needs them too: of none twice, and
+    /// not of all where there are too many bins.
+    ///
+    /// # Errors
+    /// Those of [`count`](Self::count).
+    pub fn count_while(
+        particles: &(impl Particles + ?Sized),
+        grid: &Grid,
+        domain: Option<&Domain>,
+        invalid: InvalidParticles,
+        room: CountingRoom,
+        look: impl Fn(&[[f64; 3]]) + Sync,
+    ) -> Result<Self, BinError> {
+        let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
+        Self::of_placed(particles, placer, invalid, room, look)
     }
 
     /// Counts the particles of some bins alone, of which all that are invalid have been refused or skipped before: nothing is
@@ -179,30 +206,32 @@ impl<'a> BinPlan<'a> {
     /// [`BinError::TooManyBins`].
     pub fn count_wanted(
         particles: &(impl Particles + ?Sized),
-        grid: &'a Grid,
-        domain: Option<&'a Domain>,
+        grid: &Grid,
+        domain: Option<&Domain>,
         wanted: WantedBins,
         room: CountingRoom,
     ) -> Result<Self, BinError> {
         Self::of_placed(
             particles,
-            Placer { grid, domain, wanted: Some(wanted) },
+            Placer { grid: *grid, domain: domain.copied(), wanted: Some(wanted) },
             InvalidParticles::Skip,
             room,
+            |_| (),
         )
     }
 
     fn of_placed(
         particles: &(impl Particles + ?Sized),
-        placer: Placer<'a>,
+        placer: Placer,
         invalid: InvalidParticles,
         room: CountingRoom,
+        look: impl Fn(&[[f64; 3]]) + Sync,
     ) -> Result<Self, BinError> {
         let (limit, grid) = (room.bins, placer.grid);
         let ranges = ranges(particles.len());
         let counter = Counter { placer, room, stop: AtomicBool::new(false) };
         let counts: Vec<RangeCount> =
-            ranges.par_iter().map(|range| counter.count(particles, range.clone())).collect();
+            ranges.par_iter().map(|range| counter.count(particles, range.clone(), &look)).collect();
         if counter.stop.into_inner() {
             return Err(BinError::TooManyBins { limit });
         }
@@ -409,14 +438,19 @@ fn all_bins(counts: &[RangeCount]) -> Vec<(MortonKey, BinCode)> {
 }
 
 /// Counts until there are too many bins.
-struct Counter<'a> {
-    placer: Placer<'a>,
+struct Counter {
+    placer: Placer,
     room: CountingRoom,
     stop: AtomicBool,
 }
 
-impl Counter<'_> {
-    fn count(&self, particles: &(impl Particles + ?Sized), range: Range<usize>) -> RangeCount {
+impl Counter {
+    fn count(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        range: Range<usize>,
+        look: impl Fn(&[[f64; 3]]),
+    ) -> RangeCount {
         let mut table = BinTable::default();
         let mut latest = Latest::of(particles.len());
         let mut census = Census::default();
@@ -426,6 +460,7 @@ impl Counter<'_> {
         let mut placed = Vec::with_capacity(CHUNK);
         // Whoever finds too many bins stops all: what was counted is of no use then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
+            look(positions);
             table.place_all(addresses, &mut latest, &mut placed);
             placed.iter().for_each(|&(rank, _)| table.add(rank));
             if kept {
@@ -463,7 +498,7 @@ mod tests {
     use super::*;
 
     /// Each bin with its particles' records, sorted.
-    fn binned(plan: BinPlan<'_>, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
+    fn binned(plan: BinPlan, particles: &[[f64; 3]]) -> Vec<(MortonKey, Vec<Record>)> {
         let bins = plan.fill(particles, &[]).unwrap();
         let sorted = |bin: usize| {
             let mut records = bins.contents(bin).unwrap().packed().to_vec();

@@ -28,8 +28,7 @@ pub struct WithImages<'a, P: ?Sized> {
 /// The images of particles in a periodic box.
 #[derive(Debug)]
 struct Images<'a> {
-    grid: &'a Grid,
-    domain: Option<&'a Domain>,
+    placer: Placer,
     periodic: &'a Periodic,
     /// How many images the groups before each have, and last all of them.
     before: Vec<u64>,
@@ -57,13 +56,14 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless such are skipped.
     pub fn of(
         particles: &'a P,
-        grid: &'a Grid,
-        domain: Option<&'a Domain>,
+        grid: &Grid,
+        domain: Option<&Domain>,
         periodic: Option<&'a Periodic>,
         invalid: InvalidParticles,
     ) -> Result<Self, BinError> {
         let Some(periodic) = periodic else { return Ok(Self::none(particles)) };
-        let images = Images { grid, domain, periodic, before: Vec::new(), astray: 0 };
+        let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
+        let images = Images { placer, periodic, before: Vec::new(), astray: 0 };
         let mut before = Vec::new();
         let (counts, groups) = (Counts::default(), particles.len().div_ceil(GROUP));
         (0..groups)
@@ -120,13 +120,12 @@ impl Images<'_> {
     /// Where a particle is between the faces, and its steps; `None` outside of the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, Misplaced> {
         let inside = self.periodic.inside(position).map_err(Misplaced::Astray)?;
-        let placer = Placer { grid: self.grid, domain: self.domain, wanted: None };
-        let steps = placer.place(inside).map_err(Misplaced::Unplaced)?;
+        let steps = self.placer.place(inside).map_err(Misplaced::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }
 
     fn images(&self, (inside, steps): Placed) -> impl Iterator<Item = [f64; 3]> + use<> {
-        self.periodic.images(self.grid, inside, steps)
+        self.periodic.images(&self.placer.grid, inside, steps)
     }
 
     /// The images of a particle: none of one that is left out.
@@ -154,7 +153,7 @@ impl Images<'_> {
                 }
                 Err(Misplaced::Unplaced(Unplaced::NotFinite)) => BinError::NotFinite { index, position },
                 Err(Misplaced::Unplaced(Unplaced::TooFar)) => {
-                    BinError::TooFar { index, position, cell_size: self.grid.cell_size() }
+                    BinError::TooFar { index, position, cell_size: self.placer.grid.cell_size() }
                 }
             };
             first_invalid.get_or_insert(invalid);

@@ -56,10 +56,10 @@ pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
 }
 
 /// Places particles in the grid and the domain.
-#[derive(Clone, Copy)]
-pub(super) struct Placer<'a> {
-    pub grid: &'a Grid,
-    pub domain: Option<&'a Domain>,
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placer {
+    pub grid: Grid,
+    pub domain: Option<Domain>,
     /// Particles in other bins are nowhere; `None` for those in all.
     pub wanted: Option<WantedBins>,
 }
@@ -98,10 +98,10 @@ impl Sieve {
     }
 }
 
-impl Placer<'_> {
+impl Placer {
     /// The place in steps, as by [`Grid::place`]; `None` outside of the domain.
     pub fn place(&self, position: [f64; 3]) -> Result<Option<[i64; 3]>, Unplaced> {
-        match (self.grid.place(position), self.domain) {
+        match (self.grid.place(position), &self.domain) {
             (Ok(steps), None) => Ok(Some(steps)),
             (Ok(steps), Some(domain)) => {
                 let [first, last] = domain.step_range();
@@ -165,10 +165,10 @@ impl Bounds {
     fn of(placer: &Placer) -> Self {
         let repeated = |xyz: [f64; 3]| std::array::from_fn(|i| xyz[i % 3]);
         let unbounded = [[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]];
-        let walls = placer.domain.map_or(unbounded, |domain| domain.walls().map(|wall| wall.to_array()));
-        let steps = placer
-            .domain
-            .map_or(unbounded, |domain| domain.step_range().map(|steps| steps.map(|step| step as f64)));
+        let domain = placer.domain.as_ref();
+        let walls = domain.map_or(unbounded, |domain| domain.walls().map(|wall| wall.to_array()));
+        let steps =
+            domain.map_or(unbounded, |domain| domain.step_range().map(|steps| steps.map(|step| step as f64)));
         Self {
             origin: repeated(placer.grid.origin().to_array()),
             cell: placer.grid.cell_size(),
@@ -236,8 +236,8 @@ mod tests {
         };
         let mut positions: Vec<[f64; 3]> =
             (0..CHUNK as i64).map(|i| std::array::from_fn(|axis| world(i, axis))).collect();
-        for domain in [None, Some(&walls)] {
-            let placer = Placer { grid: &grid, domain, wanted: None };
+        for domain in [None, Some(walls)] {
+            let placer = Placer { grid, domain, wanted: None };
             if domain.is_some() {
                 positions.iter_mut().for_each(|p| *p = p.map(|x| x.clamp(-3.1, 40.0)));
             }

@@ -21,7 +21,7 @@ const RUN_BITS: u32 = FREE_BITS;
 /// Runs of a frame, about, at the most: twice as many still have numbers beside that of a bin in its run.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
-impl BinPlan<'_> {
+impl BinPlan {
     /// Cuts the bins into runs of which each, with its `carried` attributes, can be sorted in `bytes`; a bin
     /// that is too large for that is a run of its own.
     #[must_use]

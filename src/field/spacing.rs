@@ -3,6 +3,9 @@
 //! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Counting in cells a few
 //! spacings wide, and only in those whose 26 neighbours hold particles too, leaves surfaces out of it.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -41,29 +44,56 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
 /// Estimates the spacing as [`estimate`] does, and tells two resolutions apart.
 #[must_use]
 pub fn spacings(particles: &(impl Particles + ?Sized)) -> Option<Spacings> {
-    if particles.len() <= MANY {
-        return estimate_of_all(particles);
-    }
-    let (share, part) = part_of(particles);
-    // A layer may be too thin to have an inside that so few can tell.
-    let of_part = estimate_where(&part[..], ENOUGH_SHARE).map(|Spacings { mean, two }| Spacings {
-        mean: mean * share.cbrt(),
-        two: two.map(|two| two.map(|spacing| spacing * share.cbrt())),
-    });
-    of_part.or_else(|| estimate_of_all(particles))
+    let Some(part) = Part::of(particles.len()) else { return estimate_of_all(particles) };
+    finite_chunks(particles).for_each(|positions| part.look(&positions));
+    part.spacings(particles)
 }
 
-/// About [`MANY`] of the particles, whatever their order, and how large a share of all they are.
-fn part_of(particles: &(impl Particles + ?Sized)) -> (f64, Vec<[f64; 3]>) {
-    let one_in = (particles.len() / MANY).next_power_of_two() as u64;
-    let of_chunk = |positions: Vec<[f64; 3]>| -> (usize, Vec<[f64; 3]>) {
-        let part = positions.iter().copied().filter(|&p| scattered(p).is_multiple_of(one_in));
-        (positions.len(), part.collect())
-    };
-    let chunks: Vec<_> = finite_chunks(particles).map(of_chunk).collect();
-    let finite: usize = chunks.iter().map(|(finite, _)| finite).sum();
-    let part: Vec<[f64; 3]> = chunks.into_iter().flat_map(|(_, part)| part).collect();
-    (part.len() as f64 / finite as f64, part)
+/// An even share of many particles, which tells enough of all, whatever their order.
+pub struct Part {
+    one_in: u64,
+    finite: AtomicUsize,
+    positions: Mutex<Vec<[f64; 3]>>,
+}
+
+impl Part {
+    /// One of about [`MANY`] particles that are looked at next; `None` of so few that all have to be.
+    #[must_use]
+    pub fn of(particles: usize) -> Option<Self> {
+        let one_in = (particles / MANY).next_power_of_two() as u64;
+        (particles > MANY).then(|| Self { one_in, finite: AtomicUsize::new(0), positions: Mutex::default() })
+    }
+
+    /// Takes its share of some particles. Those that are not finite are passed over.
+    pub fn look(&self, positions: &[[f64; 3]]) {
+        let is_finite = |position: &[f64; 3]| position.iter().all(|x| x.is_finite());
+        let finite = positions.iter().filter(|position| is_finite(position)).count();
+        self.finite.fetch_add(finite, Ordering::Relaxed);
+        let is_taken = |&&position: &&[f64; 3]| scattered(position).is_multiple_of(self.one_in);
+        let taken = positions.iter().filter(is_taken).filter(|position| is_finite(position));
+        let taken: Vec<[f64; 3]> = taken.copied().collect();
+        if !taken.is_empty() {
+            self.positions.lock().unwrap_or_else(PoisonError::into_inner).extend(taken);
+        }
+    }
+
+    /// Estimates the spacings of the particles, each of which was looked at once.
+    #[must_use]
+    pub fn spacings(self, particles: &(impl Particles + ?Sized)) -> Option<Spacings> {
+        let (share, part) = self.taken();
+        // A layer may be too thin to have an inside that so few can tell.
+        let of_part = estimate_where(&part[..], ENOUGH_SHARE).map(|Spacings { mean, two }| Spacings {
+            mean: mean * share.cbrt(),
+            two: two.map(|two| two.map(|spacing| spacing * share.cbrt())),
+        });
+        of_part.or_else(|| estimate_of_all(particles))
+    }
+
+    /// How large a share of all was taken, and its particles.
+    fn taken(self) -> (f64, Vec<[f64; 3]>) {
+        let part = self.positions.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (part.len() as f64 / self.finite.into_inner() as f64, part)
+    }
 }
 
 /// A number that is as good as random, and the same wherever a particle stands in its file.
@@ -218,6 +248,12 @@ mod tests {
             .collect()
     }
 
+    fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let part = Part::of(particles.len()).unwrap();
+        particles.chunks(1000).for_each(|positions| part.look(positions));
+        part.taken().1
+    }
+
     #[test]
     fn of_many_particles_a_part_tells_the_same_whatever_their_order() {
         let mut particles = layers([120; 3]);
@@ -236,7 +272,7 @@ mod tests {
             let side = 110;
             let of = |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
             let particles: Vec<[f64; 3]> = (0..side * side * side).map(of).collect();
-            let part = part_of(&particles[..]).1;
+            let part = part_of(&particles);
             for axis in 0..3 {
                 let column = |p: &[f64; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]].map(f64::to_bits);
                 let columns: HashSet<[u64; 2]> = part.iter().map(column).collect();
@@ -250,7 +286,7 @@ mod tests {
     #[test]
     fn a_layer_that_is_too_thin_for_a_part_of_its_particles_is_told_by_all() {
         let particles = layers([500, 500, 10]);
-        assert_eq!(estimate_where(&part_of(&particles[..]).1[..], ENOUGH_SHARE), None);
+        assert_eq!(estimate_where(&part_of(&particles)[..], ENOUGH_SHARE), None);
         let spacing = estimate(&particles[..]).unwrap();
         assert!((spacing - 1.0).abs() < 0.05, "{spacing}");
     }

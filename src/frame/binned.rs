@@ -15,7 +15,7 @@ use super::{FrameError, Resources};
 
 /// Sorts counted particles as a plan says, with the attributes numbered in `carried`.
 pub(super) fn sorted(
-    bin_plan: BinPlan<'_>,
+    bin_plan: BinPlan,
     particles: &(impl Particles + ?Sized),
     carried: &[usize],
     plan: Plan,

@@ -15,7 +15,7 @@ use super::{FieldRequest, FrameError, Occupied, Sampling, Surfacing};
 pub struct Counted<'a, P: ?Sized> {
     pub(super) particles: WithImages<'a, P>,
     pub(super) sampling: &'a Sampling,
-    pub(super) plan: BinPlan<'a>,
+    pub(super) plan: BinPlan,
     census: Census,
     surfacing: Surfacing,
     /// The blocks that are going to be meshed.
@@ -28,6 +28,11 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
     /// # Errors
     /// [`FrameError`] for particles that cannot be placed, none at all, or more than the budget can hold.
     pub fn of(particles: &'a P, sampling: &'a Sampling) -> Result<Self, FrameError> {
+        Self::planned(particles, sampling, None)
+    }
+
+    /// Takes a plan of all particles that was made before, by the same sampling.
+    fn planned(particles: &'a P, sampling: &'a Sampling, plan: Option<BinPlan>) -> Result<Self, FrameError> {
         let Sampling { grid, domain, periodic, invalid, resources, .. } = sampling;
         let domain = domain.as_ref();
         let given = particles;
@@ -36,7 +41,10 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         let particles = particles?;
         resources.go_on()?;
         let room = CountingRoom::within(resources.budget.0);
-        let plan = BinPlan::count(&particles, grid, domain, *invalid, room);
+        let plan = match plan {
+            Some(plan) => Ok(plan),
+            None => BinPlan::count(&particles, grid, domain, *invalid, room),
+        };
         given.check()?;
         let plan = match plan {
             Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
@@ -75,7 +83,8 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         Ok(Self { particles, sampling, plan, census, surfacing: *surfacing, stretch: wanted.stretch })
     }
 
-    /// Refuses what such a surface cannot be drawn through, then counts the particles for it.
+    /// Refuses what such a surface cannot be drawn through, then counts the particles for it, unless a `plan` of them all was made
+    /// before, by a sampling that differs in nothing that a plan depends on.
     ///
     /// # Errors
     /// Those of [`Sampling::refuse_unfit`] and of [`of`](Self::of).
@@ -83,9 +92,10 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         particles: &'a P,
         sampling: &'a Sampling,
         surfacing: &Surfacing,
+        plan: Option<BinPlan>,
     ) -> Result<Self, FrameError> {
         sampling.refuse_unfit(surfacing)?;
-        Ok(Self { surfacing: *surfacing, ..Self::of(particles, sampling)? })
+        Ok(Self { surfacing: *surfacing, ..Self::planned(particles, sampling, plan)? })
     }
 
     /// Returns how many particles went into bins, and how many were left out and why.

@@ -45,7 +45,7 @@ impl Ready {
         checked.refuse_of_indicator()?;
         let sampled = self.threads.install(|| {
             let chosen = checked.choose(particles, Source::default())?;
-            timings.done("spacing");
+            timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
         })?;
         checked.go_on()?;
@@ -61,11 +61,14 @@ impl Checked {
         chosen: ChosenSampling,
         timings: &mut Timings,
     ) -> Result<Sampled, Error> {
-        let ChosenSampling { sampling, cells, moved } = chosen;
+        let ChosenSampling { sampling, cells, moved, plan } = chosen;
         self.resources.control.begins(Stage::Counting);
-        let counted = Counted::for_surface(particles, &sampling, &self.surfacing)?;
+        let counted_now = plan.is_none();
+        let counted = Counted::for_surface(particles, &sampling, &self.surfacing, plan)?;
         self.resources.control.ends(Stage::Counting);
-        timings.done("count");
+        if counted_now {
+            timings.done("count");
+        }
         let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
         Ok(Sampled { engine, cells: Some(cells), moved })
     }

@@ -80,7 +80,7 @@ impl Ready {
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, source).map_err(|error| error.of_file(path))?;
-            timings.done("spacing");
+            timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         })?;
         checked.resources.control.ends(Stage::Reading);
@@ -169,7 +169,7 @@ impl Opened {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
         let Ready { checked, threads } = &self.ready;
         let counted = threads.install(|| {
-            let counted = Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing)?;
+            let counted = Counted::for_surface(&file.particles, &chosen.sampling, &checked.surfacing, None)?;
             Ok((counted.census(), counted.estimate()))
         });
         let (census, estimate): (Census, Estimate) = counted.map_err(|fault| self.in_file(fault))?;

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::brick::{Census, InvalidParticles};
+use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
-use crate::field::spacing::spacings;
+use crate::field::spacing::{Part, Spacings, spacings};
 use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{Domain, DomainError, Grid, Periodic};
@@ -60,6 +60,16 @@ pub struct ChosenSampling {
     pub cells: Cells,
     /// Whether the grid was moved to suit a lattice.
     pub moved: bool,
+    /// The particles' places, where they were counted meanwhile.
+    pub plan: Option<BinPlan>,
+}
+
+impl ChosenSampling {
+    /// Name of the stage that it took.
+    #[must_use]
+    pub fn stage(&self) -> &'static str {
+        if self.plan.is_some() { "count" } else { "spacing" }
+    }
 }
 
 impl SamplingRequest {
@@ -101,6 +111,15 @@ impl SamplingRequest {
     /// # Errors
     /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
     pub fn cells(&self, particles: &(impl Particles + ?Sized), from: Source<'_>) -> Result<Cells, Error> {
+        self.cells_by(particles, from, || spacings(particles))
+    }
+
+    fn cells_by(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        spacings: impl FnOnce() -> Option<Spacings>,
+    ) -> Result<Cells, Error> {
         let path = || from.path.map(Path::to_owned);
         let mut doubt = None;
         let (spacing, source) = if let Some(spacing) = self.spacing {
@@ -108,12 +127,12 @@ impl SamplingRequest {
         } else if let Some(spacing) = from.spacing {
             (spacing, SpacingSource::File)
         } else if let Some((spacing, scene)) = from.path.and_then(spacing_beside) {
-            doubt = spacings(particles).and_then(|found| Doubt::of(spacing, Some(&scene), found));
+            doubt = spacings().and_then(|found| Doubt::of(spacing, Some(&scene), found));
             (spacing, SpacingSource::Scene(scene))
         } else if particles.is_empty() {
             return Err(Error::Frame { path: path(), fault: FrameError::NoParticles(Census::default()) });
         } else {
-            let found = spacings(particles);
+            let found = spacings();
             let estimate = found.map(|found| found.mean);
             doubt = found.and_then(|found| Doubt::of(found.mean, None, found));
             let estimate = match (self.cell_size(), self.field) {
@@ -151,15 +170,41 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let cells = self.cells(particles, from)?;
+        let (plan, part) = self.counted(particles, from, &resources).unzip();
+        let cells = self.cells_by(particles, from, || match part {
+            Some(part) => part.spacings(particles),
+            None => spacings(particles),
+        })?;
         let grid = self.grid(cells.size)?;
         let sampling = self.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {
-            return Ok(ChosenSampling { sampling, cells, moved: false });
+            return Ok(ChosenSampling { sampling, cells, moved: false, plan });
         }
         let sampling = on_sound_grid(particles, sampling);
         let moved = sampling.grid != grid;
-        Ok(ChosenSampling { sampling, cells, moved })
+        Ok(ChosenSampling { sampling, cells, moved, plan: plan.filter(|_| !moved) })
+    }
+
+    /// Counts particles, and takes what tells their spacing meanwhile, which is to be estimated, on a grid that does not depend on it:
+    /// one reading less of many particles. Whatever fails will fail again where it is reported.
+    fn counted(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        resources: &Resources,
+    ) -> Option<(BinPlan, Part)> {
+        let (CellSize::Length(size), None, None, None) =
+            (self.cell_size(), self.spacing, from.spacing, self.periodic)
+        else {
+            return None;
+        };
+        let part = Part::of(particles.len())?;
+        let grid = self.grid(size).ok()?;
+        let domain = self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose().ok()?;
+        let room = CountingRoom::within(resources.budget.0);
+        let look = |positions: &[[f64; 3]]| part.look(positions);
+        let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look).ok()?;
+        Some((plan, part))
     }
 
     /// Samples on a grid that is known, by a field whose mu0 may be known.

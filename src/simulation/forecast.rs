@@ -151,7 +151,7 @@ impl Setup<'_> {
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
         let counted =
-            Counted::for_surface(&file.particles, &sampling, &checked.surfacing).map_err(in_file)?;
+            Counted::for_surface(&file.particles, &sampling, &checked.surfacing, None).map_err(in_file)?;
         let (census, estimate) = (counted.census(), counted.estimate());
         let frame = Frame::sample_counted(counted, resources.budget, &mut timings).map_err(in_file)?;
         let drawn = frame.calibrate(&checked.surfacing, frozen.calibration.as_ref(), &mut timings);

@@ -132,7 +132,7 @@ impl LiveSimulation {
         let resources = checked.resources.clone();
         let sampling = checked.sampling.sampling_on(grid, field, spacing, carried, resources)?;
         checked.resources.control.begins(Stage::Counting);
-        let counted = Counted::for_surface(particles, &sampling, &checked.surfacing)?;
+        let counted = Counted::for_surface(particles, &sampling, &checked.surfacing, None)?;
         checked.resources.control.ends(Stage::Counting);
         timings.done("count");
         let engine = Frame::sample_counted(counted, checked.resources.budget, &mut timings)?;

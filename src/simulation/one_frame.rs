@@ -226,7 +226,7 @@ impl Conversion<'_> {
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, carried, opening)?;
         stage(Stage::Counting);
-        let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing);
+        let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
         timings.done("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
@@ -241,7 +241,7 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = Counted::for_surface(&file.particles, &sampling, surfacing);
+            counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
         }
         stage(Stage::Sampling);
         let (frame, census) = match counted {

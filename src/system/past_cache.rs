@@ -170,7 +170,8 @@ mod tests {
     fn files_of_all_sizes_hold_what_was_written_in_order() {
         let cached = 2 * PAGE;
         for folder in folders() {
-            for size in [0, 1, cached - 1, cached, cached + 1, cached + PIECE, cached + 3 * PIECE + PAGE + 5] {
+            for size in [0, 1, cached - 1, cached, cached + 1, cached + PIECE, cached + 3 * PIECE + PAGE + 5]
+            {
                 for at_once in [777, PAGE, PIECE - 1, 5 * PIECE] {
                     let bytes = bytes(size);
                     assert!(written(folder.path(), b"", &bytes, at_once) == bytes, "{size} by {at_once}");

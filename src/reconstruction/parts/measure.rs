@@ -127,7 +127,7 @@ impl Parts {
         stamp: Stamp,
         timings: &mut Timings,
     ) -> Result<(Plan, Vec<PartTakes>), Error> {
-        let ChosenSampling { sampling, cells, moved } = chosen;
+        let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
         control.begins(Stage::Counting);
@@ -135,7 +135,7 @@ impl Parts {
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
         let watched = chunks::watched(particles, &cut, &sampling.grid);
-        let counted = Counted::for_surface(&watched, &bare, surfacing)?;
+        let counted = Counted::for_surface(&watched, &bare, surfacing, None)?;
         let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
         let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
         timings.done("count");
