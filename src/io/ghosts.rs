@@ -46,7 +46,7 @@ pub(super) struct VertexCells {
 }
 
 impl VertexCells {
-    /// So many, none flagged. The file must have been found to hold as many.
+    /// Vertices of which none is flagged yet. The file must have been found to hold so many.
     pub fn new(count: usize) -> Self {
         Self { count, flagged: Bits::new(count) }
     }

@@ -1,4 +1,4 @@
-//! Which points of a legacy .vtk are left out because their cells are flagged.
+//! Points of a legacy .vtk that are left out because their cells are flagged.
 
 use std::ops::Range;
 

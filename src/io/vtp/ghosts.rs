@@ -1,4 +1,4 @@
-//! Which points of a .vtp or .vtu are left out because their cells are flagged.
+//! Points of a .vtp or .vtu that are left out because their cells are flagged.
 
 use std::ops::Range;
 

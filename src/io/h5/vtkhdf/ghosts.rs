@@ -1,4 +1,4 @@
-//! Which points of VTKHDF are left out because their cells are flagged.
+//! Points of VTKHDF that are left out because their cells are flagged.
 //!
 //! The cells of partitions follow one another in every array, and where there are several kinds, a partition's vertices come before its
 //! lines. `Offsets` has one entry more than cells for each partition. One with other cells than vertices keeps all of its points. Arrays
