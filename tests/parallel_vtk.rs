@@ -351,6 +351,7 @@ fn cells_that_are_not_as_announced_are_refused_and_no_damage_is_a_panic() {
         for (from, to, says) in [
             (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "names point 6 of 6"),
             (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "names point -1 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells name 5 points"),
             (">1 0 0 1 0 0<", ">1 0 0 1 0<", "for each of 6 cells"),
             (
                 &format!("{name}=\"6\""),

@@ -12,6 +12,7 @@ pub mod cursor;
 pub mod encode;
 mod error;
 pub mod frame_files;
+mod ghosts;
 pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod h5;

@@ -6,7 +6,10 @@ use meniscus::internals::io::bytes::open_bytes;
 use meniscus::internals::io::{ParticleFile, ReadFault, vtk};
 use tempfile::NamedTempFile;
 
-use super::{ENCODINGS, Format, PLY, VTK, attributes, dual, ply_with_face, positions, splish, toolkit};
+use super::vtk_particles::{field, flagged};
+use super::{
+    ENCODINGS, Format, PLY, VTK, VtkBuilder, attributes, dual, ply_with_face, positions, splish, toolkit,
+};
 
 /// All three readers, and every number of what they accept.
 fn read_all(format: Format, bytes: &[u8]) -> [Result<(), ReadFault>; 3] {
@@ -44,10 +47,41 @@ fn a_truncated_ply_is_refused_at_every_prefix() {
     }
 }
 
+/// Six points of which some have vertices that are flagged, of either kind of data set and of cells.
+fn with_ghosts(ascii: bool) -> Vec<VtkBuilder> {
+    let file = |version: &str, types: Option<&[f64]>| {
+        let corners = [5., 4., 3., 2., 1., 0.];
+        flagged(ascii, version, 6, &corners, types, |file| {
+            field(file, "vtkGhostType", &[1., 0., 0., 32., 0., 8.])
+        })
+    };
+    ["3.0", "5.1"]
+        .into_iter()
+        .flat_map(|version| [None, Some(&[1.0; 6][..])].map(|types| file(version, types)))
+        .collect()
+}
+
+#[test]
+fn a_vtk_with_flags_of_cells_and_a_flipped_byte_is_an_error_or_other_values() {
+    let mut refused = 0;
+    for ascii in [true, false] {
+        for file in with_ghosts(ascii) {
+            for at in 0..file.bytes.len() {
+                for flip in [0x01, 0x80, 0xff] {
+                    let mut bytes = file.bytes.clone();
+                    bytes[at] ^= flip;
+                    refused += usize::from(read_all(VTK, &bytes)[0].is_err());
+                }
+            }
+        }
+    }
+    assert!(refused > 1000, "{refused}");
+}
+
 #[test]
 fn a_truncated_vtk_is_refused_at_every_prefix_that_is_no_shorter_file() {
     for ascii in [true, false] {
-        for file in [splish(ascii), dual(ascii), toolkit(ascii)] {
+        for file in [splish(ascii), dual(ascii), toolkit(ascii)].into_iter().chain(with_ghosts(ascii)) {
             for cut in 0..file.bytes.len() {
                 let may_end = file.ends.contains(&cut);
                 let [particles, mesh, _] = read_all(VTK, &file.bytes[..cut]);

@@ -6,7 +6,7 @@ use meniscus::internals::io::bytes::{Unpacking, open_bytes};
 use meniscus::internals::io::vtk;
 use meniscus::internals::particles::Particles;
 
-use super::{TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit};
+use super::{TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish, toolkit};
 
 #[test]
 fn vtk_layouts_of_every_program_are_read_to_the_bit() {
@@ -119,4 +119,179 @@ fn the_simulators_own_frame_reads_as_its_record_says() {
     // The exporter writes its first field under a name that it does not know.
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
+}
+
+/// Points along x, with a vertex for each of `corners`, types of these in an unstructured grid, and what stands under `CELL_DATA`.
+pub(super) fn flagged(
+    ascii: bool,
+    version: &str,
+    points: usize,
+    corners: &[f64],
+    types: Option<&[f64]>,
+    data: impl FnOnce(VtkBuilder) -> VtkBuilder,
+) -> VtkBuilder {
+    let (set, keyword) = match types {
+        Some(_) => ("UNSTRUCTURED_GRID", "CELLS"),
+        None => ("POLYDATA", "VERTICES"),
+    };
+    let along_x: Vec<f64> = (0..points).flat_map(|i| [i as f64, 0.0, 0.0]).collect();
+    let file = VtkBuilder::new(version, ascii, set).line(&format!("POINTS {points} double"));
+    let file = file.data("double", &along_x).end();
+    let cells = corners.len();
+    let file = if version.starts_with('5') {
+        let ends: Vec<f64> = (0..=cells).map(|end| end as f64).collect();
+        file.line(&format!("{keyword} {} {cells}", cells + 1))
+            .line("OFFSETS vtktypeint64")
+            .data("vtktypeint64", &ends)
+            .line("CONNECTIVITY vtktypeint64")
+            .data("vtktypeint64", corners)
+    } else {
+        let stream: Vec<f64> = corners.iter().flat_map(|&point| [1.0, point]).collect();
+        file.line(&format!("{keyword} {cells} {}", 2 * cells)).data("int", &stream)
+    };
+    let file = match types {
+        Some(types) => file.line(&format!("CELL_TYPES {}", types.len())).data("int", types),
+        None => file,
+    };
+    data(file.end().line(&format!("CELL_DATA {cells}")).end()).end()
+}
+
+/// Flags as the toolkit writes them.
+pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
+    let file = file.line("FIELD FieldData 1").line(&format!("{name} 1 {} unsigned_char", flags.len()));
+    file.data("unsigned_char", flags)
+}
+
+/// Numbers of the points that are left.
+fn left(bytes: &[u8]) -> Vec<usize> {
+    let file = VTK.particles(bytes).unwrap();
+    positions(&file).iter().map(|position| position[0] as usize).collect()
+}
+
+#[test]
+fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
+    let order = [5., 4., 3., 2., 1., 0.];
+    let all: Vec<usize> = (0..6).collect();
+    for (ascii, version) in [(true, "3.0"), (false, "3.0"), (true, "5.1"), (false, "5.1")] {
+        for types in [None, Some(&[1.0; 6][..])] {
+            let read = |corners: &[f64], name: &str, flags: &[f64]| {
+                let types = types.map(|types| &types[..corners.len()]);
+                left(&flagged(ascii, version, 6, corners, types, |file| field(file, name, flags)).bytes)
+            };
+            for (name, flags, expected) in [
+                ("vtkGhostType", [1., 0., 0., 8., 0., 32.], &[1, 3, 4][..]),
+                ("vtkGhostType", [2., 4., 16., 0., 0., 0.], &all),
+                ("vtkGhostLevels", [2., 1., 0., 0., 0., 0.], &[0, 1, 2, 3]),
+                ("vtkGhostType", [1.; 6], &[]),
+                ("other", [1.; 6], &all),
+            ] {
+                assert_eq!(
+                    read(&order, name, &flags),
+                    expected,
+                    "{version}, ascii {ascii}: {name} {flags:?}"
+                );
+            }
+            // A point with another vertex that is its own stays, and so does one without any.
+            assert_eq!(read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]), [0, 3, 4, 5]);
+            // One attribute alone, as scalars; and no flags of one whole number each.
+            for (kind, components, expected) in
+                [("int", 1, &[1, 3, 4][..]), ("float", 1, &all), ("int", 2, &all)]
+            {
+                let scalars = flagged(ascii, version, 6, &order, types, |file| {
+                    let flags: Vec<f64> =
+                        [1., 0., 0., 8., 0., 32.].into_iter().flat_map(|f| vec![f; components]).collect();
+                    file.line(&format!("SCALARS vtkGhostType {kind} {components}"))
+                        .line("LOOKUP_TABLE default")
+                        .data(kind, &flags)
+                });
+                assert_eq!(left(&scalars.bytes), expected, "{components} {kind}");
+            }
+        }
+    }
+}
+
+#[test]
+fn other_cells_than_vertices_leave_no_point_out() {
+    let flags = |file: VtkBuilder, count: usize| field(file, "vtkGhostType", &vec![1.0; count]);
+    let start =
+        |ascii| VtkBuilder::new("3.0", ascii, "POLYDATA").line("POINTS 2 double").data("double", &TWO);
+    for ascii in [true, false] {
+        let vertices = |ascii| start(ascii).line("VERTICES 2 4").data("int", &[1., 0., 1., 1.]);
+        let several = start(ascii).line("VERTICES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 1");
+        let lines = vertices(ascii).line("LINES 1 3").data("int", &[2., 0., 1.]).line("CELL_DATA 3");
+        let twice = vertices(ascii).line("VERTICES 1 2").data("int", &[1., 0.]).line("CELL_DATA 3");
+        let faces = vertices(ascii).line("POLYGONS 1 4").data("int", &[3., 0., 1., 0.]).line("CELL_DATA 3");
+        let none = start(ascii).line("CELL_DATA 2");
+        for (file, cells) in [(several, 1), (lines, 3), (twice, 3), (faces, 3), (none, 2)] {
+            let file = VTK.particles(&flags(file, cells).bytes).unwrap();
+            assert_eq!((positions(&file).len(), file.ghosts), (2, 0));
+        }
+        let types = [1., 1., 3., 1., 1., 1.];
+        let file = flagged(ascii, "5.1", 6, &[0., 1., 2., 3., 4., 5.], Some(&types), |file| flags(file, 6));
+        assert_eq!(left(&file.bytes).len(), 6);
+    }
+}
+
+#[test]
+fn flags_of_many_cells_are_read_piece_by_piece() {
+    let count = 40_000;
+    let corners: Vec<f64> = (0..count).rev().map(f64::from).collect();
+    let flags: Vec<f64> = (0..count).map(|cell| f64::from(cell % 7 / 6)).collect();
+    let expected: Vec<usize> =
+        (0..count as usize).filter(|point| (count as usize - 1 - point) % 7 < 6).collect();
+    for (ascii, version) in [(true, "3.0"), (false, "3.0"), (false, "5.1")] {
+        let file = flagged(ascii, version, count as usize, &corners, None, |file| {
+            field(file, "vtkGhostType", &flags)
+        });
+        assert_eq!(left(&file.bytes), expected, "{version}, ascii {ascii}");
+    }
+}
+
+#[test]
+fn cells_that_are_not_as_announced_are_refused() {
+    let order = [5., 4., 3., 2., 1., 0.];
+    for types in [None, Some(&[1.0; 6][..])] {
+        for version in ["3.0", "5.1"] {
+            let says = |corners: &[f64], flags: &[f64], from: &str, to: &str, says: &str| {
+                let file =
+                    flagged(true, version, 6, corners, types, |file| field(file, "vtkGhostType", flags));
+                let text = String::from_utf8(file.bytes).unwrap();
+                assert!(text.contains(from), "{text}");
+                let fault = VTK.particles(text.replace(from, to).as_bytes()).expect_err(says).to_string();
+                assert!(fault.contains(says), "{fault} instead of {says}");
+            };
+            let flags = [1.; 6];
+            says(&[5., 4., 3., 2., 1., 6.], &flags, "", "", "cell 5 of 6 names point 6 of 6");
+            says(&[5., 4., 3., 2., 1., -1.], &flags, "", "", "cell 5 of 6 names point -1 of 6");
+            says(&order, &[1.; 5], "", "", "vtkGhostType is not of one number for each of 6 cells");
+            let keyword = if types.is_some() { "CELLS" } else { "VERTICES" };
+            match version {
+                "5.1" => {
+                    let [from, to] = [6, 5].map(|corners| format!("{keyword} 7 {corners}\n"));
+                    let [long, short] = ["5 4 3 2 1 0\n", "5 4 3 2 1\n"];
+                    let text = [(from, to), (long.to_owned(), short.to_owned())];
+                    let file =
+                        flagged(true, version, 6, &order, types, |file| field(file, "vtkGhostType", &flags));
+                    let file =
+                        text.iter().fold(String::from_utf8(file.bytes).unwrap(), |file, (from, to)| {
+                            file.replacen(from.as_str(), to, 1)
+                        });
+                    let fault = VTK.particles(file.as_bytes()).unwrap_err().to_string();
+                    assert!(fault.contains("6 cells name 5 points"), "{fault}");
+                }
+                _ if types.is_none() => {
+                    says(
+                        &order,
+                        &flags,
+                        "VERTICES 6 12",
+                        "VERTICES 7 12",
+                        "7 cells of a point each, but 12 numbers",
+                    );
+                    let huge = "VERTICES 9223372036854775814 12";
+                    says(&order, &flags, "VERTICES 6 12", huge, "of a point each, but 12 numbers");
+                }
+                _ => says(&order, &flags, "CELLS 6 12", "CELLS 7 12", "7 CELLS, but 6 CELL_TYPES"),
+            }
+        }
+    }
 }

@@ -20,8 +20,8 @@ def points(count):
     return EDGE * np.random.default_rng(7).random((count, 3))
 
 
-def vtk_set(kind, values, ghosts=(), ids=None):
-    """PolyData or an UnstructuredGrid of points, those numbered `ghosts` flagged."""
+def vtk_set(kind, values, ghosts=(), ids=None, ghost_cells=None):
+    """PolyData or an UnstructuredGrid of points, those numbered `ghosts` flagged, or the vertices numbered `ghost_cells`."""
     from vtk.util.numpy_support import numpy_to_vtk
     import vtk
 
@@ -49,6 +49,12 @@ def vtk_set(kind, values, ghosts=(), ids=None):
         array = numpy_to_vtk(flags, deep=1)
         array.SetName(vtk.vtkDataSetAttributes.GhostArrayName())
         data.GetPointData().AddArray(array)
+    if ghost_cells is not None:
+        flags = np.zeros(len(values), "u1")
+        flags[list(ghost_cells)] = vtk.vtkDataSetAttributes.DUPLICATECELL
+        array = numpy_to_vtk(flags, deep=1)
+        array.SetName(vtk.vtkDataSetAttributes.GhostArrayName())
+        data.GetCellData().AddArray(array)
     time = vtk.vtkDoubleArray()
     time.SetName("TimeValue")
     time.InsertNextValue(TIME)
@@ -139,6 +145,93 @@ def vtkhdf(folder, values):
         for name in ["CellOffsets", "ConnectivityIdOffsets"]:
             steps[name] = np.zeros((3, 4), "i8")
         steps["PointDataOffsets/velocity"] = starts
+
+
+def ghost_cells(folder, values):
+    """Vertices that are flagged instead of their points, as VTK's own writers make them: VTKHDF, and legacy files in text and binary."""
+    import vtk
+
+    flagged = dict(ghosts=None, ghost_cells=[1, 5])
+    writer = vtk.vtkHDFWriter()
+    writer.SetFileName(f"{folder}/cells.vtkhdf")
+    writer.SetChunkSize(16)
+    writer.SetInputData(vtk_set("grid", values, **flagged))
+    assert writer.Write()
+    for kind, writer in [("poly", vtk.vtkPolyDataWriter()), ("grid", vtk.vtkUnstructuredGridWriter())]:
+        for version in [42, 51]:
+            writer.SetFileName(f"{folder}/cells_{kind}_{version}.vtk")
+            writer.SetFileVersion(version)
+            writer.SetFileType(vtk.VTK_ASCII if kind == "poly" else vtk.VTK_BINARY)
+            writer.SetInputData(vtk_set(kind, values, **flagged))
+            assert writer.Write()
+
+
+# Partitions of `ghost_steps`: points, for every vertex its point and flag, and flags of lines. The second point of the third one has two
+# vertices and its last has none.
+PARTITIONS = [
+    (6, [(5, 0), (4, 1), (3, 8), (2, 2), (1, 32), (0, 0)], []),
+    (0, [], []),
+    (4, [(0, 1), (1, 1), (1, 0), (2, 1), (2, 1)], []),
+    (3, [(0, 1), (1, 1), (2, 1)], [1]),
+]
+# Steps of `ghost_steps`: first partition, number of partitions, first point, and first cell, first corner of each kind, first data.
+STEPS = [
+    (0, 2, 0, (0, 0), (0, 0), 0),
+    (2, 2, 6, (6, 0), (6, 0), 6),
+    # The first one's with other flags.
+    (0, 2, 0, (0, 0), (0, 0), 15),
+    # The first one's points and cells as a partition of its own.
+    (4, 1, 0, (0, 0), (0, 0), 0),
+]
+
+
+def ghost_steps(folder, values):
+    """Steps in the layout of VTKHDF's specification whose partitions have flagged vertices: PolyData, and an UnstructuredGrid."""
+    first = PARTITIONS[0]
+    flags = [flag for _, vertices, lines in PARTITIONS for flag in [flag for _, flag in vertices] + lines]
+    flags += [1 - min(flag, 1) for _, flag in first[1]]
+    for kind, name in [("PolyData", "flags_poly"), ("UnstructuredGrid", "flags_grid")]:
+        parts = PARTITIONS + [first]
+        shown = sum(points for points, _, _ in PARTITIONS)
+        with h5py.File(f"{folder}/{name}.vtkhdf", "w") as file:
+            root = file.create_group("VTKHDF")
+            root.attrs["Version"] = np.array([2, 0])
+            root.attrs.create("Type", np.bytes_(kind))
+            root["NumberOfPoints"] = np.array([points for points, _, _ in parts])
+            root["Points"] = values[:shown]
+            root["PointData/id"] = np.arange(shown)
+            root["CellData/vtkGhostType"] = np.array(flags, "u1")
+
+            def cells(group, of_parts):
+                """Cells of every partition as lists of their corners; the last partition has those of the first."""
+                group["NumberOfCells"] = np.array([len(cells) for cells in of_parts])
+                group["NumberOfConnectivityIds"] = np.array([sum(map(len, cells)) for cells in of_parts])
+                ends = [np.cumsum([0] + [len(cell) for cell in cells]) for cells in of_parts[:-1]]
+                group["Offsets"] = np.concatenate(ends)
+                group["Connectivity"] = np.array([point for cells in of_parts[:-1] for cell in cells for point in cell], "i8")
+
+            vertices = [[[point] for point, _ in vertices] for _, vertices, _ in parts]
+            lines = [[[0, 1]] * len(lines) for _, _, lines in parts]
+            if kind == "PolyData":
+                none = [[] for _ in parts]
+                for faces, of_parts in [("Vertices", vertices), ("Lines", lines), ("Polygons", none), ("Strips", none)]:
+                    cells(root.create_group(faces), of_parts)
+            else:
+                of_parts = [own + more for own, more in zip(vertices, lines)]
+                cells(root, of_parts)
+                root["Types"] = np.array([len(cell) * 2 - 1 for cells in of_parts[:-1] for cell in cells], "u1")
+            steps = root.create_group("Steps")
+            # The last one's cells are found by their number, which VTK does for PolyData alone.
+            told = STEPS if kind == "PolyData" else STEPS[:-1]
+            steps.attrs["NSteps"] = len(told)
+            steps["Values"] = TIME * np.arange(len(told))
+            for column, name in enumerate(["PartOffsets", "NumberOfParts", "PointOffsets"]):
+                steps[name] = np.array([step[column] for step in told])
+            for column, name in [(3, "CellOffsets"), (4, "ConnectivityIdOffsets")]:
+                by_kind = [(*step[column], 0, 0) for step in told]
+                steps[name] = np.array(by_kind if kind == "PolyData" else [[sum(entry)] for entry in by_kind])
+            steps["CellDataOffsets/vtkGhostType"] = np.array([step[5] for step in told])
+            steps["PointDataOffsets/id"] = np.array([step[2] for step in told])
 
 
 def swift(folder, values):
@@ -248,5 +341,5 @@ if __name__ == "__main__":
     os.makedirs(folder, exist_ok=True)
     values = points(count)
     np.savetxt(f"{folder}/points.csv", values, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
-    for make in [vtk_pieces, vtkhdf, swift, gadget, openpmd, pysph]:
+    for make in [vtk_pieces, vtkhdf, ghost_cells, ghost_steps, swift, gadget, openpmd, pysph]:
         make(folder, values)

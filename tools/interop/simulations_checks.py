@@ -36,6 +36,16 @@ check("poly_0007.pvtp", values, 8)
 check("grid_0007.pvtu", values, 8)
 check("poly.vtkhdf", unflagged, 2)
 check("grid.vtkhdf", unflagged, 2)
+check("cells.vtkhdf", unflagged, 2)
+for name in ["cells_poly_42", "cells_poly_51", "cells_grid_42", "cells_grid_51"]:
+    check(f"{name}.vtk", unflagged, 2, tolerance=1e-9)
+for name, rows in [
+    ("flags_poly.vtkhdf#0", [0, 2, 5]),
+    ("flags_grid.vtkhdf#1", [7, 9, 10, 11, 12]),
+    ("flags_poly.vtkhdf#2", [1, 2, 3, 4]),
+]:
+    assert np.allclose(info(name)["bounds"], [values[rows].min(0), values[rows].max(0)]), name
+    print(f"{name}: {len(rows)} particles that are no ghosts")
 for step, rows in [(0, count), (1, 8), (2, count)]:
     check(f"steps.vtkhdf#{step}", values[:rows] + 10 * step, tolerance=1e-6)
 check("swift_0003.hdf5", values, velocity="Velocities", box_size=[EDGE] * 3, unit_metres=3.0856776e22)

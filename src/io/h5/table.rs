@@ -177,8 +177,13 @@ impl Array {
     /// All numbers as integers, of a data set that is small or read to be one mesh.
     pub fn integers(&self, file: &File) -> Result<Vec<i64>, ReadFault> {
         self.check(0, file.limit)?;
+        self.some_integers([0, self.rows])
+    }
+
+    /// The numbers of some rows as integers.
+    pub fn some_integers(&self, rows: [u64; 2]) -> Result<Vec<i64>, ReadFault> {
         let mut bytes = Vec::new();
-        self.bytes([0, self.rows], &mut bytes)?;
+        self.bytes(rows, &mut bytes)?;
         let numbers = bytes.chunks_exact(self.scalar.size()).map(|bytes| integer(self.scalar, NATIVE, bytes));
         let no_integers = || malformed(0, format!("{} is not of integers", self.name));
         numbers.collect::<Option<_>>().ok_or_else(no_integers)
@@ -217,6 +222,11 @@ impl Windows {
             0 => [0, end(0)],
             index => [end(index - 1), end(index)],
         }
+    }
+
+    /// The number of the window that holds a row.
+    pub fn holding(&self, row: u64) -> usize {
+        row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
     /// Divides so many rows, of so many bytes each, that are in no data set.

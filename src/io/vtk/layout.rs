@@ -2,6 +2,7 @@
 
 use crate::io::bytes::View;
 use crate::io::columns::Scalar;
+use crate::io::ghosts::is_flag;
 use crate::io::scan::{Lines, Scanner};
 use crate::io::{ReadFault, malformed};
 
@@ -20,9 +21,15 @@ pub(super) struct Layout {
     pub attributes: Vec<Array>,
     /// The number of the attribute under `NORMALS`.
     pub normals: Option<usize>,
+    /// The last `VERTICES`.
+    pub vertices: Option<Corners>,
+    /// Whether there are `LINES`, or `VERTICES` before the last.
+    pub has_others: bool,
     pub cells: Vec<Cells>,
     /// Types of the cells of an `UNSTRUCTURED_GRID`.
     pub cell_types: Option<Array>,
+    /// Arrays of `CELL_DATA` that say which cells are ghosts.
+    pub flags: Vec<Array>,
     /// A single number.
     pub time: Option<Array>,
 }
@@ -82,8 +89,11 @@ struct Walk<'a> {
     points: Option<Array>,
     attributes: Vec<Array>,
     normals: Option<usize>,
+    vertices: Option<Corners>,
+    has_others: bool,
     cells: Vec<Cells>,
     cell_types: Option<Array>,
+    flags: Vec<Array>,
     time: Option<Array>,
 }
 
@@ -130,8 +140,11 @@ impl<'a> Walk<'a> {
             points: None,
             attributes: Vec::new(),
             normals: None,
+            vertices: None,
+            has_others: false,
             cells: Vec::new(),
             cell_types: None,
+            flags: Vec::new(),
             time: None,
         })
     }
@@ -172,9 +185,12 @@ impl<'a> Walk<'a> {
                     return Err(self.fault("there are POINTS already".into()));
                 }
             }
-            ("VERTICES" | "LINES", [count, size]) => {
-                self.corners(count, size)?;
+            ("VERTICES", [count, size]) => {
+                let vertices = self.corners(count, size)?;
+                let before = self.vertices.replace(vertices);
+                self.has_others |= before.is_some_and(|before| before.cells() > 0);
             }
+            ("LINES", [count, size]) => self.has_others |= self.corners(count, size)?.cells() > 0,
             ("POLYGONS", [count, size]) => self.cells(CellKind::Polygons, count, size)?,
             ("TRIANGLE_STRIPS", [count, size]) => self.cells(CellKind::Strips, count, size)?,
             ("CELLS", [count, size]) => self.cells(CellKind::Typed, count, size)?,
@@ -245,8 +261,11 @@ impl<'a> Walk<'a> {
             points,
             attributes: self.attributes,
             normals: self.normals,
+            vertices: self.vertices,
+            has_others: self.has_others,
             cells: self.cells,
             cell_types: self.cell_types,
+            flags: self.flags,
             time: self.time,
         })
     }
@@ -308,6 +327,10 @@ impl<'a> Walk<'a> {
 
     fn keep(&mut self, array: Option<Array>) -> Option<usize> {
         let array = array?;
+        if let Some(Owner::Cells(_)) = self.owner {
+            self.flags.extend(Some(array).filter(|a| is_flag(&a.name, a.components, a.scalar)));
+            return None;
+        }
         let most = if array.tuples > 0 { usize::MAX } else { MOST_OF_NOTHING };
         let kept = matches!(self.owner, Some(Owner::Points(_))) && (1..=most).contains(&array.components);
         kept.then(|| {

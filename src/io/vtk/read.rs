@@ -2,14 +2,15 @@
 
 use crate::io::bytes::{Bytes, Unpacked, Unpacking, View};
 use crate::io::columns::{Column, Endian, Scalar};
-use crate::io::scan::Scanner;
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
+use super::ghosts;
 use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
+use super::numbers::{AT_ONCE, integers, stored};
 
 /// Reads a file of particles, by [`read_points`].
 ///
@@ -29,7 +30,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Reads the points as particles, whatever cells are made of them: binary arrays stay where they are, text becomes columns of f64.
 ///
 /// Every array of numbers under `POINT_DATA` is an attribute, under the name that its program knows. Strings,
-/// bits, colours, and what cells carry are passed over. The file's own `TIME` or `TimeValue` is the time.
+/// bits, colours, and what cells carry are passed over, but for flags of vertices that are copies, or hidden: points that have no other
+/// ones are left out. The file's own `TIME` or `TimeValue` is the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that does not fit into the file, [`ReadFault::Malformed`] (in a text
@@ -50,11 +52,10 @@ pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<B
 fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
     let time = layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
+    let left = ghosts::left(bytes.view(), layout)?;
     let vertices = vertices(bytes.view(), layout, unpacking)?;
-    Ok(ParticleFile {
-        time: time.flatten().filter(|time| time.is_finite()),
-        ..vertices.into_particles(bytes, format)
-    })
+    let time = time.flatten().filter(|time| time.is_finite());
+    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
 /// Whether a cell has an area or a volume, so that the file is a mesh rather than particles.
@@ -76,7 +77,7 @@ fn faces<'a>(bytes: View<'a>, layout: &'a Layout) -> impl Iterator<Item = Result
     let untyped = untyped.map(|cells| Ok(cells.corners.cells() as u64));
     let of = |kind: Result<i64, ReadFault>| Ok::<_, ReadFault>(u64::from(!is_thin(kind?)));
     let typed = layout.cell_types.iter().flat_map(move |types| {
-        let rows = if layout.ascii { types.tuples.max(1) } else { TYPES };
+        let rows = if layout.ascii { types.tuples.max(1) } else { AT_ONCE };
         (0..types.tuples).step_by(rows).map(move |first| {
             if layout.ascii {
                 return integers(bytes.kept()?.bytes(), true, types).map(of).sum();
@@ -121,9 +122,6 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     }
     Ok(vertices(view, &layout, Unpacking::in_memory())?.into_mesh(bytes, triangles.triangles))
 }
-
-/// Types of cells that are read at once.
-const TYPES: usize = 1 << 14;
 
 const TRIANGLE: i64 = 5;
 const TRIANGLE_STRIP: i64 = 6;
@@ -172,28 +170,6 @@ fn number(bytes: View, ascii: bool, array: &Array) -> Result<Option<f64>, ReadFa
         Scalar::F64 => stored.first_chunk().map(|&bytes| f64::from_be_bytes(bytes)),
         Scalar::F32 => stored.first_chunk().map(|&bytes| f32::from_be_bytes(bytes).into()),
         scalar => integer(scalar, Endian::Big, &stored).map(|integer| integer as f64),
-    })
-}
-
-type Integers<'a> = Box<dyn Iterator<Item = Result<i64, ReadFault>> + 'a>;
-
-fn integers<'a>(bytes: &'a [u8], ascii: bool, array: &'a Array) -> Integers<'a> {
-    let Array { at, scalar, .. } = *array;
-    if ascii {
-        let mut scan = Scanner::new(bytes, at);
-        return Box::new((0..array.values()).map(move |_| {
-            scan.skip_whitespace();
-            scan.number()
-        }));
-    }
-    Box::new(stored(&bytes[at..at + array.values() * scalar.size()], array))
-}
-
-/// The integers that these bytes of a binary array hold.
-fn stored<'b>(bytes: &'b [u8], array: &'b Array) -> impl Iterator<Item = Result<i64, ReadFault>> + 'b {
-    bytes.chunks_exact(array.scalar.size()).map(|stored| {
-        let value = integer(array.scalar, Endian::Big, stored);
-        value.ok_or_else(|| malformed(array.at, format!("{} are no integers", array.name)))
     })
 }
 

@@ -6,7 +6,7 @@ use crate::io::bytes::{Bytes, Unpacking, View};
 use crate::io::columns::{Column, Scalar};
 use crate::io::vertices::{Triangles, Vertices};
 use crate::io::{ParticleFile, ReadFault, malformed};
-use crate::particles::{AttributeInfo, Particles};
+use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
@@ -60,13 +60,7 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     let time = time(&layout, &mut decoder)?;
     let left = ghosts::left(&layout, &mut decoder)?;
     let vertices = vertices(&layout, decoder, None)?;
-    let mut file = ParticleFile { time, ..vertices.into_particles(bytes, format) };
-    if let Some(left) = left {
-        let all = file.particles.len();
-        file.particles.keep(left);
-        file.ghosts = all - file.particles.len();
-    }
-    Ok(file)
+    Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
 
 /// Whether there are polygons, so that the file is a mesh rather than particles; a file of nothing at all is one.

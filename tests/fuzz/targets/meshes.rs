@@ -66,6 +66,7 @@ pub const VTK: &[&str] = &[
     " bit\n",
     " string\n",
     " vtkIdType\n",
+    "vtkGhostType 1 2 unsigned_char\n",
     "18446744073709551615",
 ];
 const STL: &[&str] = &["solid", "facet normal", "outer loop", "vertex", "endfacet"];
@@ -171,7 +172,12 @@ pub fn vtks() -> Vec<Vec<u8>> {
                0 1 2 3 4 5 6 7 9\nMETADATA\nINFORMATION 1\nNAME L2_NORM_RANGE LOCATION vtkDataArray\nDATA 2 0 1\n\n\
                POLYGONS 2 3\nOFFSETS vtktypeint64\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\nPOINT_DATA 3\nNORMALS n float\n\
                0 0 1 0 0 1 0 0 1\n";
-    [written(MeshFormat::Vtk), vec![old.into(), new.into()]].concat()
+    let ghosts: [&[u8]; 2] = [
+        include_bytes!("../../data/simulations/cells_grid_51.vtk"),
+        include_bytes!("../../data/simulations/cells_poly_42.vtk"),
+    ];
+    let ghosts = ghosts.map(<[u8]>::to_vec).to_vec();
+    [written(MeshFormat::Vtk), vec![old.into(), new.into()], ghosts].concat()
 }
 
 fn names() -> Vec<Vec<u8>> {

@@ -162,6 +162,8 @@ const HDF5: &[&str] = &[
     "VTKHDF",
     "Points",
     "Steps",
+    "CellData",
+    "vtkGhostType",
     "PartType0",
     "Coordinates",
     "Header",
@@ -285,13 +287,14 @@ pub fn vtus() -> Vec<Vec<u8>> {
 
 fn hdf5s() -> Vec<Vec<u8>> {
     // Made by `tools/interop`.
-    let files: [&[u8]; 8] = [
+    let files: [&[u8]; 9] = [
         include_bytes!("../../data/h5/huge.h5"),
         include_bytes!("../../data/h5/packed.h5"),
         include_bytes!("../../data/h5/steps.h5part"),
         include_bytes!("../../data/simulations/gadget_005.1.hdf5"),
         include_bytes!("../../data/simulations/gadget_005.hdf5"),
         include_bytes!("../../data/simulations/steps.vtkhdf"),
+        include_bytes!("../../data/simulations/flags_poly.vtkhdf"),
         include_bytes!("../../data/simulations/openpmd.h5"),
         include_bytes!("../../data/simulations/pysph_40.hdf5"),
     ];
@@ -300,7 +303,7 @@ fn hdf5s() -> Vec<Vec<u8>> {
     files
         .into_iter()
         .chain([swift])
-        .zip([0, 0, 2, 0, 4, 1, 1, 8, 4])
+        .zip([0, 0, 2, 0, 4, 1, 2, 1, 8, 4])
         .map(|(file, choice)| with_choice((choice, file)))
         .collect()
 }

@@ -2,6 +2,9 @@
 //!
 //! Steps lie one after the other in every data set; `Steps` says where each begins.
 
+mod frame;
+mod ghosts;
+
 use hdf5_reader::group::Group;
 
 use crate::io::vertices::{Triangles, mesh_of};
@@ -10,23 +13,14 @@ use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
 
-use super::file::{File, checked, time_of};
-use super::steps::a_sequence;
-use super::table::{Array, Table};
+use super::file::{File, checked};
+
+use frame::{Frame, count, integers, step_count, sub_group, sum};
+use ghosts::Cells;
 
 /// Name of the group that all is in.
 pub const ROOT: &str = "VTKHDF";
 const POLY_DATA: &str = "PolyData";
-
-/// The rows that belong to a frame.
-struct Frame {
-    /// The number of the step, where there are steps.
-    step: Option<u64>,
-    /// Partitions, from the first on.
-    parts: [u64; 2],
-    /// Row of the first point.
-    point: u64,
-}
 
 /// The group that all is in, and the type of its data set.
 fn opened(file: &File) -> Result<(Group, String), ReadFault> {
@@ -41,37 +35,6 @@ fn opened(file: &File) -> Result<(Group, String), ReadFault> {
     }
 }
 
-fn sub_group(root: &Group, name: &str) -> Result<Option<Group>, ReadFault> {
-    let (groups, _) = checked(root.member_names())?;
-    let there = groups.iter().any(|group| group == name);
-    there.then(|| checked(root.group(name))).transpose()
-}
-
-fn integers(file: &File, group: &Group, name: &str) -> Result<Vec<i64>, ReadFault> {
-    Array::named(group, name)?.integers(file)
-}
-
-/// A number that counts something.
-fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
-    u64::try_from(value).map_err(|_| malformed(0, format!("{value} in {name}")))
-}
-
-/// Entry number `index` of a data set of counts.
-fn entry(file: &File, group: &Group, name: &str, index: u64) -> Result<u64, ReadFault> {
-    let array = Array::named(group, name)?;
-    match array.part(index, 1)?.integers(file)?.first() {
-        Some(&value) => count(value, name),
-        None => Err(malformed(0, format!("{name} has no entries"))),
-    }
-}
-
-/// The number of steps; `None` of a file without.
-fn step_count(root: &Group) -> Result<Option<u64>, ReadFault> {
-    let Some(steps) = sub_group(root, "Steps")? else { return Ok(None) };
-    let values = Array::named(&steps, "Values")?;
-    Ok(Some(values.rows))
-}
-
 /// The numbers of the steps; none in a file that is one frame.
 pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     let (root, _) = opened(file)?;
@@ -82,76 +45,8 @@ pub fn steps(file: &File) -> Result<Vec<u64>, ReadFault> {
     Ok((0..steps).collect())
 }
 
-impl Frame {
-    fn of(file: &File, root: &Group, step: Option<u64>) -> Result<Self, ReadFault> {
-        let all = Array::named(root, "NumberOfPoints")?.rows;
-        let step = match (step, step_count(root)?) {
-            (None, None) => return Ok(Self { step: None, parts: [0, all], point: 0 }),
-            (None, Some(1)) => 0,
-            (Some(step), Some(steps)) if step < steps => step,
-            (None, Some(steps)) if steps > 1 => return Err(a_sequence(0, steps - 1)),
-            (step, _) => {
-                let step = step.map_or("steps at all".to_owned(), |step| format!("step {step}"));
-                return Err(ReadFault::Unsupported(format!("there is no {step}")));
-            }
-        };
-        let steps = checked(root.group("Steps"))?;
-        let at = |name: &str| entry(file, &steps, name, step);
-        let first = at("PartOffsets")?;
-        let (_, sets) = checked(steps.member_names())?;
-        let parts = if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
-        let end = first.checked_add(parts).filter(|end| *end <= all);
-        let end = end.ok_or_else(|| malformed(0, format!("{parts} parts from {first} on of {all}")))?;
-        Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
-    }
-
-    /// Numbers of points of the partitions.
-    fn points(&self, file: &File, root: &Group) -> Result<Vec<u64>, ReadFault> {
-        self.of_parts(file, root, "NumberOfPoints", 0)
-    }
-
-    /// The entries of a data set for every partition, each with so many behind it that are taken too.
-    fn of_parts(&self, file: &File, group: &Group, name: &str, more: u64) -> Result<Vec<u64>, ReadFault> {
-        let [first, end] = self.parts;
-        let part = Array::named(group, name)?.part(first, end - first + more)?;
-        part.integers(file)?.into_iter().map(|value| count(value, name)).collect()
-    }
-
-    /// The columns of the points.
-    fn table(&self, file: &File, root: &Group) -> Result<Table, ReadFault> {
-        let rows = sum(&self.points(file, root)?)?;
-        let mut arrays = vec![Array::named(root, "Points")?.part(self.point, rows)?];
-        if let Some(data) = sub_group(root, "PointData")? {
-            let offsets = match self.step {
-                None => None,
-                Some(_) => sub_group(&checked(root.group("Steps"))?, "PointDataOffsets")?,
-            };
-            for array in Array::all_of(&data)? {
-                let first = match (&offsets, self.step) {
-                    (Some(offsets), Some(step)) => entry(file, offsets, &array.name, step)?,
-                    _ => self.point,
-                };
-                arrays.push(array.part(first, rows)?);
-            }
-        }
-        let no_points = || malformed(0, "the Points have not three components");
-        Table::of_arrays(arrays, "Points").ok_or_else(no_points)
-    }
-
-    fn time(&self, file: &File, root: &Group) -> Result<Option<f64>, ReadFault> {
-        let Some(step) = self.step else { return Ok(time_of(root)) };
-        let values = Array::named(&checked(root.group("Steps"))?, "Values")?.part(step, 1)?;
-        values.check_small(file)?;
-        Ok(values.doubles([0, 1])?.first().copied().filter(|time| time.is_finite()))
-    }
-}
-
-fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
-    let sum = counts.iter().try_fold(0u64, |sum, &count| sum.checked_add(count));
-    sum.ok_or_else(|| malformed(0, "more points than can be counted"))
-}
-
-/// Reads the points as particles, where no faces are made of them.
+/// Reads the points as particles, where no faces are made of them. Points whose vertices are all flagged as copies, or hidden, are left
+/// out.
 pub fn read_particles(
     file: File,
     step: Option<u64>,
@@ -165,9 +60,13 @@ pub fn read_particles(
     let frame = Frame::of(&file, &root, step)?;
     let time = frame.time(&file, &root)?;
     let table = frame.table(&file, &root)?;
+    let (cells, format) = match kind == POLY_DATA {
+        true => (Cells::ByKind, "VTKHDF PolyData"),
+        false => (Cells::Typed, "VTKHDF UnstructuredGrid"),
+    };
+    let left = ghosts::left(&file, &root, &frame, cells)?;
     drop(root);
-    let format = if kind == POLY_DATA { "VTKHDF PolyData" } else { "VTKHDF UnstructuredGrid" };
-    Ok(ParticleFile { time, ..table.read(file, format, wanted)? })
+    Ok(ParticleFile { time, ..table.read(file, format, wanted)? }.with_points(left))
 }
 
 /// Polygons and strips of all partitions and steps.

@@ -1,0 +1,152 @@
+//! Points that are copies or hidden because their cells are: programs that divide cells among pieces flag these, and not the points.
+//!
+//! A set of particles has vertices for cells, one a point. Where all cells are such, a point is left out if it has cells and all of them
+//! are flagged. What other cells say of their corners is no matter of particles, and is passed over. Until that is known a bit for every
+//! cell and two for every point are in memory.
+
+use std::ops::Range;
+
+use crate::particles::Particles;
+
+use super::ParticleFile;
+use super::columns::Scalar;
+use super::wanted::GHOSTS;
+
+/// Bits of VTK's flags by which a cell is a copy (1), is there in finer cells (8), or is hidden (32). Others say what is beside it.
+const LEFT_OUT: i64 = 1 | 8 | 32;
+/// Number of a cell that is a vertex.
+pub(super) const VERTEX: i64 = 1;
+
+/// Whether an array under the cells' data can be flags.
+pub(super) fn is_flag(name: &str, components: usize, scalar: Scalar) -> bool {
+    GHOSTS.contains(&name) && components == 1 && !scalar.is_float()
+}
+
+/// A truth for each of many.
+struct Bits(Vec<u64>);
+
+impl Bits {
+    fn new(count: usize) -> Self {
+        Self(vec![0; count.div_ceil(64)])
+    }
+
+    fn set(&mut self, index: usize) {
+        self.0[index / 64] |= 1 << (index % 64);
+    }
+
+    fn get(&self, index: usize) -> bool {
+        self.0[index / 64] >> (index % 64) & 1 != 0
+    }
+}
+
+/// Cells that are vertices, some of them flagged.
+pub(super) struct VertexCells {
+    count: usize,
+    flagged: Bits,
+}
+
+impl VertexCells {
+    /// Vertices of which none is flagged yet. The file must have been found to hold so many.
+    pub fn new(count: usize) -> Self {
+        Self { count, flagged: Bits::new(count) }
+    }
+
+    /// Takes the flags of an array of that name.
+    pub fn flags<'a>(&'a mut self, name: &'a str) -> Flags<'a> {
+        // Levels were counted, before there were bits.
+        let mask = if name == GHOSTS[0] { LEFT_OUT } else { i64::MAX };
+        Flags { vertices: self, name, mask, count: 0 }
+    }
+}
+
+/// An array of flags, taken one by one.
+pub(super) struct Flags<'a> {
+    vertices: &'a mut VertexCells,
+    name: &'a str,
+    mask: i64,
+    count: usize,
+}
+
+impl Flags<'_> {
+    pub fn take(&mut self, cell: usize, flag: i64) {
+        self.count += 1;
+        if cell < self.vertices.count && flag & self.mask != 0 {
+            self.vertices.flagged.set(cell);
+        }
+    }
+
+    /// Makes sure that there was one for each cell.
+    pub fn end(self) -> Result<(), String> {
+        let cells = self.vertices.count;
+        if self.count == cells {
+            return Ok(());
+        }
+        Err(format!("array {} is not of one number for each of {cells} cells", self.name))
+    }
+}
+
+/// The points that vertices are at, taken one by one.
+pub(super) struct VertexPoints<'a> {
+    vertices: &'a VertexCells,
+    points: usize,
+    copies: Bits,
+    own: Bits,
+    count: usize,
+    strayed: Option<(usize, i64)>,
+}
+
+impl<'a> VertexPoints<'a> {
+    /// Among so many points, of which the file must have been found to hold as many.
+    pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
+        let [copies, own] = [0; 2].map(|_| Bits::new(points));
+        Self { vertices, points, copies, own, count: 0, strayed: None }
+    }
+
+    pub fn take(&mut self, cell: usize, point: i64) {
+        self.count += 1;
+        match usize::try_from(point) {
+            Ok(point) if point < self.points && cell < self.vertices.count => {
+                if self.vertices.flagged.get(cell) { self.copies.set(point) } else { self.own.set(point) }
+            }
+            _ => {
+                self.strayed.get_or_insert((cell, point));
+            }
+        }
+    }
+
+    /// Ranges of the points that are not left out, in order; or what is wrong with the cells.
+    pub fn left(self) -> Result<Vec<Range<usize>>, String> {
+        let (points, cells) = (self.points, self.vertices.count);
+        if let Some((cell, point)) = self.strayed {
+            return Err(format!("cell {cell} of {cells} names point {point} of {points}"));
+        }
+        if self.count != cells {
+            return Err(format!("{cells} cells name {} points", self.count));
+        }
+        let mut left = Vec::new();
+        for point in (0..points).filter(|&point| !self.copies.get(point) || self.own.get(point)) {
+            append(&mut left, point..point + 1);
+        }
+        Ok(left)
+    }
+}
+
+/// Appends a range to others before it.
+pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
+    match ranges.last_mut() {
+        Some(last) if last.end == next.start => last.end = next.end,
+        _ => ranges.push(next),
+    }
+}
+
+impl ParticleFile {
+    /// Keeps the points of these ranges, or all where there are none; the others are ghosts.
+    pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
+        if let Some(left) = left {
+            let all = self.particles.len();
+            self.particles.keep(left);
+            self.ghosts += all - self.particles.len();
+        }
+        self
+    }
+}

@@ -1,0 +1,280 @@
+//! Points of VTKHDF that are left out because their cells are flagged.
+//!
+//! The cells of partitions follow one another in every array, and where there are several kinds, a partition's vertices come before its
+//! lines. `Offsets` has one entry more than cells for each partition. One with other cells than vertices keeps all of its points. Arrays
+//! are read window by window.
+
+use std::ops::Range;
+
+use hdf5_reader::group::Group;
+
+use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, append, is_flag};
+use crate::io::h5::file::{File, checked};
+use crate::io::h5::table::{Array, Windows};
+use crate::io::wanted::GHOSTS;
+use crate::io::{ReadFault, malformed};
+
+use super::frame::{Frame, count, entries, entry, sub_group, sum};
+
+/// How a data set has its cells.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Cells {
+    /// In four groups, of a kind each: PolyData.
+    ByKind,
+    /// With an array of types: UnstructuredGrid.
+    Typed,
+}
+
+/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+pub(super) fn left(
+    file: &File,
+    root: &Group,
+    frame: &Frame,
+    cells: Cells,
+) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+    let Some(data) = sub_group(root, "CellData")? else { return Ok(None) };
+    let mut flags = Vec::new();
+    for name in GHOSTS {
+        let array = found(&data, name)?;
+        flags.extend(array.filter(|array| is_flag(name, array.components, array.scalar)));
+    }
+    let (group, lines) = match cells {
+        Cells::ByKind => (sub_group(root, "Vertices")?, sub_group(root, "Lines")?),
+        Cells::Typed => (Some(root.clone()), None),
+    };
+    let (Some(group), false) = (group, flags.is_empty()) else { return Ok(None) };
+    let counts = [found(&group, "NumberOfCells")?, found(&group, "NumberOfConnectivityIds")?];
+    let arrays = [found(&group, "Offsets")?, found(&group, "Connectivity")?];
+    let ([Some(_), Some(_)], [Some(ends), Some(corners)]) = (counts, arrays) else { return Ok(None) };
+
+    let points = frame.points(file, root)?;
+    // Whoever reads the points refuses more of them than the file can hold.
+    if sum(&points)? > file.limit {
+        return Ok(None);
+    }
+    let of_parts = |group: &Group, name: &str| frame.of_parts(file, group, name, 0);
+    let (vertices, ids) = (of_parts(&group, "NumberOfCells")?, of_parts(&group, "NumberOfConnectivityIds")?);
+    let others = match lines {
+        Some(lines) => of_parts(&lines, "NumberOfCells")?,
+        None => vec![0; vertices.len()],
+    };
+    let all = [sum(&vertices)?, sum(&ids)?, sum(&others)?];
+    if sum(&all)? > file.limit {
+        let what = format!("{} cells with {} points are beyond all reason for this file", all[0], all[1]);
+        return Err(ReadFault::Compression(what));
+    }
+
+    let first = First::of(file, root, frame, cells)?;
+    let end = first.cell.saturating_add(first.parts_before(file, &group, frame, cells)?);
+    let types = if cells == Cells::Typed { found(&group, "Types")? } else { None };
+    let mut arrays = Arrays {
+        ends: Numbers::new(ends, end)?,
+        types: types.map(|types| Numbers::new(types, first.cell)).transpose()?,
+        corners: Numbers::new(corners, first.corner)?,
+        flags: Vec::new(),
+    };
+    for array in flags {
+        let row = first.row_of_data(file, root, frame, &array.name)?;
+        arrays.flags.push(Numbers::new(array, row)?);
+    }
+    let (mut left, mut base) = (Vec::new(), 0);
+    for (index, &points) in points.iter().enumerate() {
+        let part = Part {
+            points: points as usize,
+            vertices: vertices[index],
+            ids: ids[index],
+            others: others[index],
+        };
+        let kept = arrays.left(&part).map_err(|fault| in_part(frame.parts[0] + index as u64, fault))?;
+        match kept {
+            Some(kept) => {
+                kept.into_iter().for_each(|kept| append(&mut left, base + kept.start..base + kept.end))
+            }
+            None => append(&mut left, base..base + part.points),
+        }
+        base += part.points;
+    }
+    let all_taken = |flags: &&Numbers| frame.step.is_some() || flags.at == flags.array.rows;
+    if let Some(Numbers { array, at, .. }) = arrays.flags.iter().find(|flags| !all_taken(flags)) {
+        let what = format!("array {} is not of one number for each of {at} cells", array.name);
+        return Err(malformed(0, what));
+    }
+    Ok(Some(left))
+}
+
+/// The array of a group that has a name, if it is there and of rows of one number.
+fn found(group: &Group, name: &str) -> Result<Option<Array>, ReadFault> {
+    let (_, sets) = checked(group.member_names())?;
+    if !sets.iter().any(|set| set == name) {
+        return Ok(None);
+    }
+    Ok(Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
+}
+
+/// A fault that is a partition's.
+fn in_part(part: u64, fault: ReadFault) -> ReadFault {
+    match fault {
+        ReadFault::Malformed { at, what } => {
+            ReadFault::Malformed { at, what: format!("partition {part}: {what}") }
+        }
+        other => other,
+    }
+}
+
+/// Where the cells of a frame begin.
+struct First {
+    cell: u64,
+    corner: u64,
+    /// Row of their data, where an array has no other of its own.
+    data: u64,
+}
+
+impl First {
+    fn of(file: &File, root: &Group, frame: &Frame, cells: Cells) -> Result<Self, ReadFault> {
+        let Some(step) = frame.step else { return Ok(Self { cell: 0, corner: 0, data: 0 }) };
+        let steps = checked(root.group("Steps"))?;
+        let kinds = if cells == Cells::ByKind { 4 } else { 1 };
+        let of_kinds = |name: &str| entries(file, &steps, name, step, kinds);
+        let (cells, corners) = (of_kinds("CellOffsets")?, of_kinds("ConnectivityIdOffsets")?);
+        Ok(Self { cell: cells[0], corner: corners[0], data: sum(&cells[..kinds])? })
+    }
+
+    /// Partitions whose ends lie in `Offsets` before those of the frame.
+    fn parts_before(
+        &self,
+        file: &File,
+        group: &Group,
+        frame: &Frame,
+        cells: Cells,
+    ) -> Result<u64, ReadFault> {
+        let first = frame.parts[0];
+        if cells == Cells::Typed || first == 0 {
+            return Ok(first);
+        }
+        let before = Array::named(group, "NumberOfCells")?.part(0, first)?.integers(file)?;
+        let before = before.into_iter().map(|cells| count(cells, "NumberOfCells"));
+        let before = before.collect::<Result<Vec<_>, _>>()?;
+        if sum(&before)? == self.cell {
+            return Ok(first);
+        }
+        // Steps share cells, or have none: as many partitions as make up the cells before.
+        let mut cells = 0;
+        let makes_up = |own: &&u64| {
+            let needed = cells < self.cell;
+            cells += **own;
+            needed
+        };
+        Ok(before.iter().take_while(makes_up).count() as u64)
+    }
+
+    /// Row of the first cell's data in an array of that name.
+    fn row_of_data(&self, file: &File, root: &Group, frame: &Frame, name: &str) -> Result<u64, ReadFault> {
+        let Some(step) = frame.step else { return Ok(0) };
+        let Some(offsets) = sub_group(&checked(root.group("Steps"))?, "CellDataOffsets")? else {
+            return Ok(self.data);
+        };
+        if found(&offsets, name)?.is_some() { entry(file, &offsets, name, step) } else { Ok(self.data) }
+    }
+}
+
+/// The counts of a partition.
+struct Part {
+    points: usize,
+    vertices: u64,
+    /// Points that these name.
+    ids: u64,
+    /// Cells that come after the vertices.
+    others: u64,
+}
+
+/// The arrays of cells, each at the partition that comes next.
+struct Arrays {
+    ends: Numbers,
+    types: Option<Numbers>,
+    corners: Numbers,
+    flags: Vec<Numbers>,
+}
+
+impl Arrays {
+    /// Ranges of the points of the next partition that are not left out; `None` where all stay.
+    fn left(&mut self, part: &Part) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+        let &Part { points, vertices: cells, ids, others } = part;
+        let mut all_vertices = cells > 0 && others == 0;
+        if all_vertices {
+            self.ends.each(cells + 1, |index, end| all_vertices &= end == index as i64)?;
+        } else {
+            self.ends.skip(cells + 1);
+        }
+        match &mut self.types {
+            Some(types) if all_vertices => types.each(cells, |_, kind| all_vertices &= kind == VERTEX)?,
+            Some(types) => types.skip(cells),
+            None => {}
+        }
+        if !all_vertices {
+            self.flags.iter_mut().for_each(|flags| flags.skip(cells + others));
+            self.corners.skip(ids);
+            return Ok(None);
+        }
+        let wrong = |what: String| malformed(0, what);
+        let mut vertices = VertexCells::new(cells as usize);
+        for array in &mut self.flags {
+            let name = array.array.name.clone();
+            let mut flags = vertices.flags(&name);
+            array.each(cells, |cell, flag| flags.take(cell, flag))?;
+            flags.end().map_err(wrong)?;
+        }
+        let mut corners = VertexPoints::new(&vertices, points);
+        self.corners.each(ids, |cell, point| corners.take(cell, point))?;
+        corners.left().map(Some).map_err(wrong)
+    }
+}
+
+/// The numbers of an array one after the other, of which a window is in memory.
+struct Numbers {
+    array: Array,
+    windows: Windows,
+    /// The next row.
+    at: u64,
+    /// Rows that are in memory, and their numbers.
+    held: Range<u64>,
+    numbers: Vec<i64>,
+}
+
+impl Numbers {
+    /// From row `first` on.
+    fn new(array: Array, first: u64) -> Result<Self, ReadFault> {
+        let first = first.min(array.rows);
+        let rows = array.rows - first;
+        let array = array.part(first, rows)?;
+        Ok(Self { windows: array.windows(), array, at: 0, held: 0..0, numbers: Vec::new() })
+    }
+
+    fn skip(&mut self, rows: u64) {
+        self.at = self.at.saturating_add(rows);
+    }
+
+    /// Passes so many numbers on, each with its place among them.
+    fn each(&mut self, rows: u64, mut take: impl FnMut(usize, i64)) -> Result<(), ReadFault> {
+        let Array { name, rows: all, .. } = &self.array;
+        let end = self.at.saturating_add(rows);
+        if end > *all {
+            let left = all.saturating_sub(self.at);
+            return Err(malformed(0, format!("{name} has {left} numbers of {rows}")));
+        }
+        let mut taken = 0;
+        while self.at < end {
+            if !self.held.contains(&self.at) {
+                let [start, stop] = self.windows.rows(self.windows.holding(self.at), *all);
+                self.numbers = self.array.some_integers([start, stop])?;
+                self.held = start..stop;
+            }
+            let stop = end.min(self.held.end);
+            for row in self.at - self.held.start..stop - self.held.start {
+                take(taken, self.numbers[row as usize]);
+                taken += 1;
+            }
+            self.at = stop;
+        }
+        Ok(())
+    }
+}
