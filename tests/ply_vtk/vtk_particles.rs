@@ -164,7 +164,7 @@ pub(super) fn field(file: VtkBuilder, name: &str, flags: &[f64]) -> VtkBuilder {
 
 /// Numbers of the points that are left.
 fn left(bytes: &[u8]) -> Vec<usize> {
-    let file = VTK.particles(bytes).unwrap();
+    let file = VTK.particles(bytes).expect("particles");
     positions(&file).iter().map(|position| position[0] as usize).collect()
 }
 
