@@ -57,7 +57,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// Begins with none of so many particles, which are looked at next; `None` of so few that all are needed.
+    /// Creates the part of so many particles, none of which was looked at yet; `None` where they are so few that all are needed.
     #[must_use]
     pub fn of(particles: usize) -> Option<Self> {
         let one_in = (particles / MANY).next_power_of_two() as u64;

@@ -27,7 +27,7 @@ pub struct PastCache<'a> {
 
 /// How what comes next is written.
 enum Way {
-    /// So many bytes through the cache.
+    /// Through the cache, this many bytes at the most.
     Cached(u64),
     /// Past it by pieces, of which the next is filled so far.
     Past { piece: Vec<Page>, filled: usize },
