@@ -12,7 +12,7 @@ use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 const CACHED: u64 = 64 << 20;
 /// Bytes that are written past the cache at once.
 const PIECE: usize = 1 << 20;
-/// What is written past the cache begins and ends at multiples of so many bytes, in memory and in the file.
+/// The multiple at which pieces that are written past the cache begin and end, in memory and in the file, in bytes.
 const PAGE: usize = 4096;
 
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// What becomes of bytes that are written to a new file so many at once, behind some that are there.
+    /// A new file, in which some bytes are already, after others were written to it so many at once.
     fn written(folder: &Path, before: &[u8], bytes: &[u8], at_once: usize) -> Vec<u8> {
         let mut file = tempfile::NamedTempFile::new_in(folder).unwrap();
         file.write_all(before).unwrap();
