@@ -23,8 +23,8 @@ use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
 const STEPS: [(u64, usize, &[usize]); 4] = [
     // Copies are 4, refined 3, hidden 1; that 2 is beside copies is no matter.
     (0, 6, &[0, 2, 5]),
-    // 7 has a vertex of its own besides a copy, 9 has none; those from 10 on are in a partition with a line.
-    (1, 7, &[7, 9, 10, 11, 12]),
+    // 6 to 8 are in a partition with a line; 10 has a vertex of its own besides a copy, 12 has none.
+    (1, 7, &[6, 7, 8, 10, 12]),
     // The cells of step 0, with flags of other rows.
     (2, 6, &[1, 2, 3, 4]),
     // And as a partition of its own.
@@ -137,7 +137,7 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
     let file = read(&replaced(&bytes, b"\0Types\0", b"\0~ypes\0"), 0).unwrap();
     assert_eq!(ids(&file), [0, 2, 5]);
     // A type that is not a vertex's, although it has one point.
-    let types = [[1; 14].as_slice(), &[3]].concat();
+    let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
     for (at, left) in [(0, &[0, 1, 2, 3, 4, 5][..]), (6, &[0, 2, 5])] {
         let mut other = types.clone();
         other[at] = 2;
@@ -148,25 +148,24 @@ fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are()
 #[test]
 fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
     let (_, bytes) = file_of_steps("grid");
-    let counts = |cells: i64| longs(&[6, 0, cells, 4, 6]);
-    let ids_of = |ids: i64| longs(&[6, 0, ids, 5, 6]);
-    // Of the third partition.
-    let corners = |last: i64| longs(&[0, 1, 1, 2, last, 0, 1, 2, 0, 1]);
+    let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
+    let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
+    // Of the fourth partition, behind those of the third.
+    let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
     for (from, to, says) in [
-        (corners(2), corners(4), "partition 2: cell 4 of 5 names point 4 of 4"),
-        (corners(2), corners(-1), "partition 2: cell 4 of 5 names point -1 of 4"),
-        (ids_of(5), ids_of(4), "partition 2: 5 cells name 4 points"),
-        (ids_of(5), ids_of(6), "partition 2: cell 5 of 5 names point 0 of 4"),
+        (corners(2), corners(4), "partition 3: cell 4 of 5 names point 4 of 4"),
+        (corners(2), corners(-1), "partition 3: cell 4 of 5 names point -1 of 4"),
+        (ids_of(5), ids_of(4), "partition 3: 5 cells name 4 points"),
+        (ids_of(5), ids_of(6), "partition 3: Connectivity has 5 numbers of 6"),
         (ids_of(5), ids_of(-1), "-1 in NumberOfConnectivityIds"),
         (ids_of(5), ids_of(1 << 62), "beyond all reason"),
-        (counts(5), counts(16), "partition 2: Offsets has 11 numbers of 17"),
-        (counts(5), counts(8), "partition 3: Offsets has 2 numbers of 5"),
+        (counts(5), counts(6), "partition 3: Offsets has 6 numbers of 7"),
         (counts(5), counts(-1), "-1 in NumberOfCells"),
         (counts(5), counts(1 << 62), "beyond all reason"),
-        (data(6), data(18), "partition 2: vtkGhostType has 3 numbers of 5"),
-        (data(6), data(i64::MAX), "partition 2: vtkGhostType has 0 numbers of 5"),
+        (data(6), data(13), "partition 3: vtkGhostType has 4 numbers of 5"),
+        (data(6), data(i64::MAX), "partition 3: vtkGhostType has 0 numbers of 5"),
     ] {
         let lying = replaced(&bytes, &from, &to);
         let (result, largest) = meter::largest_allocation(|| read(&lying, 1));
@@ -184,8 +183,8 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
         lying.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
     };
     for (cell, says) in [
-        (1 << 40, "partition 2: Offsets has 0 numbers of 6"),
-        (1 << 40, "partition 2: Connectivity has 0 numbers of 5"),
+        (1 << 40, "partition 2: Offsets has 0 numbers of 5"),
+        (1 << 40, "partition 3: Connectivity has 0 numbers of 5"),
         (-6, "-6 in CellOffsets"),
         (-6, "-6 in ConnectivityIdOffsets"),
     ] {
@@ -193,7 +192,7 @@ fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
         assert!(found.iter().any(|fault| fault.contains(says)), "{found:?} without {says}");
     }
     // Of cells with offsets of other lengths each point stays.
-    let ends = |last: i64| longs(&[0, 1, 2, 3, 4, last, 0]);
+    let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
     let file = read(&replaced(&bytes, &ends(5), &ends(6)), 1).unwrap();
     assert_eq!(ids(&file), (6..13).collect::<Vec<_>>());
     // All flags belong to cells where there are no steps.

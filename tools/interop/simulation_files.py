@@ -166,13 +166,13 @@ def ghost_cells(folder, values):
             assert writer.Write()
 
 
-# Partitions of `ghost_steps`: points, for every vertex its point and flag, and flags of lines. The second point of the third one has two
-# vertices and its last has none.
+# Partitions of `ghost_steps`: points, for every vertex its point and flag, and flags of lines. The second point of the last one has two
+# vertices, and its fourth has none.
 PARTITIONS = [
     (6, [(5, 0), (4, 1), (3, 8), (2, 2), (1, 32), (0, 0)], []),
     (0, [], []),
-    (4, [(0, 1), (1, 1), (1, 0), (2, 1), (2, 1)], []),
     (3, [(0, 1), (1, 1), (2, 1)], [1]),
+    (4, [(0, 1), (1, 1), (1, 0), (2, 1), (2, 1)], []),
 ]
 # Steps of `ghost_steps`: first partition, number of partitions, first point, and first cell, first corner of each kind, first data.
 STEPS = [
