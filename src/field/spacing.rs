@@ -66,12 +66,10 @@ impl Part {
 
     /// Takes its share of some particles. Those that are not finite are passed over.
     pub fn look(&self, positions: &[[f64; 3]]) {
-        let is_finite = |position: &[f64; 3]| position.iter().all(|x| x.is_finite());
-        let finite = positions.iter().filter(|position| is_finite(position)).count();
-        self.finite.fetch_add(finite, Ordering::Relaxed);
-        let is_taken = |&&position: &&[f64; 3]| scattered(position).is_multiple_of(self.one_in);
-        let taken = positions.iter().filter(is_taken).filter(|position| is_finite(position));
-        let taken: Vec<[f64; 3]> = taken.copied().collect();
+        let finite = positions.iter().copied().filter(|&position| DVec3::from(position).is_finite());
+        self.finite.fetch_add(finite.clone().count(), Ordering::Relaxed);
+        let taken = finite.filter(|&position| scattered(position).is_multiple_of(self.one_in));
+        let taken: Vec<[f64; 3]> = taken.collect();
         if !taken.is_empty() {
             self.positions.lock().unwrap_or_else(PoisonError::into_inner).extend(taken);
         }

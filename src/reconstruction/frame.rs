@@ -44,7 +44,7 @@ impl Ready {
         checked.go_on()?;
         checked.refuse_of_indicator()?;
         let sampled = self.threads.install(|| {
-            let chosen = checked.choose(particles, Source::default())?;
+            let chosen = checked.choose_and_plan(particles, Source::default())?;
             timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
         })?;

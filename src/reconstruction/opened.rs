@@ -79,7 +79,8 @@ impl Ready {
             let file = open_wanted(path, checked.asked.wanted(), checked.unpacking())?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
-            let chosen = checked.choose(&file.particles, source).map_err(|error| error.of_file(path))?;
+            let chosen = checked.choose_and_plan(&file.particles, source);
+            let chosen = chosen.map_err(|error| error.of_file(path))?;
             timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         })?;
@@ -95,7 +96,7 @@ impl Checked {
         if self.resources.control.cancel.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// Chooses how to sample particles.
+    /// Chooses how to sample particles that are counted by others.
     pub(super) fn choose(
         &self,
         particles: &(impl Particles + ?Sized),
@@ -103,6 +104,16 @@ impl Checked {
     ) -> Result<ChosenSampling, Error> {
         let carried = self.asked.carried(particles.attributes(), None)?;
         self.sampling.sampling(particles, source, carried, self.resources.clone())
+    }
+
+    /// Chooses how to sample particles, for [`sampled`](Self::sampled).
+    pub(super) fn choose_and_plan(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        source: Source<'_>,
+    ) -> Result<ChosenSampling, Error> {
+        let carried = self.asked.carried(particles.attributes(), None)?;
+        self.sampling.sampling_and_plan(particles, source, carried, self.resources.clone())
     }
 }
 

@@ -105,6 +105,10 @@ impl SamplingRequest {
         Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
     }
 
+    fn domain(&self, grid: &Grid) -> Result<Option<Domain>, DomainError> {
+        self.walls.map(|[lo, hi]| Domain::new(grid, lo, hi)).transpose()
+    }
+
     /// Chooses the cells for particles. Only where cells have a size of their own and no kernels are drawn can the spacing be
     /// unknown: the filters are then as wide as for particles a cell apart.
     ///
@@ -170,19 +174,44 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let (plan, part) = self.counted(particles, from, &resources).unzip();
-        let cells = self.cells_by(particles, from, || match part {
-            Some(part) => part.spacings(particles),
-            None => spacings(particles),
-        })?;
+        let cells = self.cells(particles, from)?;
+        self.sampling_in(cells, particles, carried, resources)
+    }
+
+    /// Works like [`sampling`](Self::sampling), and counts the particles for it where that can be done on the way.
+    ///
+    /// # Errors
+    /// Those of [`sampling`](Self::sampling).
+    pub fn sampling_and_plan(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<ChosenSampling, Error> {
+        let Some((plan, part)) = self.counted(particles, from, &resources) else {
+            return self.sampling(particles, from, carried, resources);
+        };
+        let cells = self.cells_by(particles, from, || part.spacings(particles))?;
+        let chosen = self.sampling_in(cells, particles, carried, resources)?;
+        Ok(ChosenSampling { plan: (!chosen.moved).then_some(plan), ..chosen })
+    }
+
+    fn sampling_in(
+        &self,
+        cells: Cells,
+        particles: &(impl Particles + ?Sized),
+        carried: Vec<usize>,
+        resources: Resources,
+    ) -> Result<ChosenSampling, Error> {
         let grid = self.grid(cells.size)?;
         let sampling = self.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {
-            return Ok(ChosenSampling { sampling, cells, moved: false, plan });
+            return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
         let sampling = on_sound_grid(particles, sampling);
         let moved = sampling.grid != grid;
-        Ok(ChosenSampling { sampling, cells, moved, plan: plan.filter(|_| !moved) })
+        Ok(ChosenSampling { sampling, cells, moved, plan: None })
     }
 
     /// Counts particles, and takes what tells their spacing meanwhile, which is to be estimated, on a grid that does not depend on it:
@@ -200,7 +229,7 @@ impl SamplingRequest {
         };
         let part = Part::of(particles.len())?;
         let grid = self.grid(size).ok()?;
-        let domain = self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose().ok()?;
+        let domain = self.domain(&grid).ok()?;
         let room = CountingRoom::within(resources.budget.0);
         let look = |positions: &[[f64; 3]]| part.look(positions);
         let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look).ok()?;
@@ -222,7 +251,7 @@ impl SamplingRequest {
     ) -> Result<Sampling, Error> {
         let mut sampling = Sampling {
             grid,
-            domain: self.walls.map(|[lo, hi]| Domain::new(&grid, lo, hi)).transpose()?,
+            domain: self.domain(&grid)?,
             periodic: None,
             field,
             invalid: self.invalid,

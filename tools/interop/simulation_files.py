@@ -43,18 +43,17 @@ def vtk_set(kind, values, ghosts=(), ids=None, ghost_cells=None):
         array = numpy_to_vtk(np.ascontiguousarray(array), deep=1)
         array.SetName(name)
         data.GetPointData().AddArray(array)
-    if ghosts is not None:
-        flags = np.zeros(len(values), "u1")
-        flags[list(ghosts)] = vtk.vtkDataSetAttributes.DUPLICATEPOINT
-        array = numpy_to_vtk(flags, deep=1)
-        array.SetName(vtk.vtkDataSetAttributes.GhostArrayName())
-        data.GetPointData().AddArray(array)
-    if ghost_cells is not None:
-        flags = np.zeros(len(values), "u1")
-        flags[list(ghost_cells)] = vtk.vtkDataSetAttributes.DUPLICATECELL
-        array = numpy_to_vtk(flags, deep=1)
-        array.SetName(vtk.vtkDataSetAttributes.GhostArrayName())
-        data.GetCellData().AddArray(array)
+    flagged = [
+        (data.GetPointData(), ghosts, vtk.vtkDataSetAttributes.DUPLICATEPOINT),
+        (data.GetCellData(), ghost_cells, vtk.vtkDataSetAttributes.DUPLICATECELL),
+    ]
+    for attributes, numbers, copy in flagged:
+        if numbers is not None:
+            flags = np.zeros(len(values), "u1")
+            flags[list(numbers)] = copy
+            array = numpy_to_vtk(flags, deep=1)
+            array.SetName(vtk.vtkDataSetAttributes.GhostArrayName())
+            attributes.AddArray(array)
     time = vtk.vtkDoubleArray()
     time.SetName("TimeValue")
     time.InsertNextValue(TIME)
