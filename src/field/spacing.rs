@@ -8,6 +8,7 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
@@ -66,10 +67,15 @@ impl Part {
 
     /// Takes its share of some particles. Those that are not finite are passed over.
     pub fn look(&self, positions: &[[f64; 3]]) {
-        let finite = positions.iter().copied().filter(|&position| DVec3::from(position).is_finite());
-        self.finite.fetch_add(finite.clone().count(), Ordering::Relaxed);
-        let taken = finite.filter(|&position| scattered(position).is_multiple_of(self.one_in));
-        let taken: Vec<[f64; 3]> = taken.collect();
+        let mut numbers = [0; LOOKED];
+        let (mut finite, mut taken) = (0, Vec::new());
+        for positions in positions.chunks(LOOKED) {
+            let numbers = &mut numbers[..positions.len()];
+            finite += scatter(positions, numbers);
+            let ours = |&(_, number): &(_, &u64)| number & (NOT_FINITE | (self.one_in - 1)) == 0;
+            taken.extend(positions.iter().zip(&*numbers).filter(ours).map(|(&position, _)| position));
+        }
+        self.finite.fetch_add(finite, Ordering::Relaxed);
         if !taken.is_empty() {
             self.positions.lock().unwrap_or_else(PoisonError::into_inner).extend(taken);
         }
@@ -94,7 +100,25 @@ impl Part {
     }
 }
 
+/// Positions whose numbers are found at once.
+const LOOKED: usize = 512;
+/// The bit of a position's number that says that it is not finite.
+const NOT_FINITE: u64 = 1 << 63;
+
+/// Finds the number of each position, with [`NOT_FINITE`] set or not, and how many are finite.
+#[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+fn scatter(positions: &[[f64; 3]], numbers: &mut [u64]) -> usize {
+    let mut finite = 0;
+    for (number, &position) in numbers.iter_mut().zip(positions) {
+        let is_finite = position.iter().fold(true, |all, c| all & c.is_finite());
+        finite += usize::from(is_finite);
+        *number = scattered(position) & !NOT_FINITE | if is_finite { 0 } else { NOT_FINITE };
+    }
+    finite
+}
+
 /// A number that is as good as random, and the same wherever a particle stands in its file.
+#[inline(always)]
 fn scattered(position: [f64; 3]) -> u64 {
     position.iter().fold(0, |state, c| {
         let mixed = (state ^ c.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15);
