@@ -40,24 +40,24 @@ fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
     cube | axis(0) | axis(1) | axis(2)
 }
 
-/// A direct-mapped cache of cubes' numbers in a table: of all cubes that are so many apart along each axis, that which was
-/// last asked for. A number is worth nothing until the table confirms it.
+/// A direct-mapped cache of cubes and their numbers in one table: of all cubes that are so many apart along each axis, that which was
+/// last asked for.
 pub(super) struct Latest {
     /// The number of low bits of a cube's coordinate that index the cache, along each axis.
     bits: u32,
-    cubes: Vec<u32>,
+    cubes: Vec<(BinCode, u32)>,
 }
 
 impl Latest {
     /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
     pub(super) fn of(particles: usize) -> Self {
         let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
-        let bits = 3 + doublings.div_ceil(3).min(4);
-        Self { bits, cubes: vec![0; 1 << (3 * bits)] }
+        let bits = 3 + (doublings / 3).min(4);
+        Self { bits, cubes: vec![(BinCode::MAX, 0); 1 << (3 * bits)] }
     }
 
     #[inline(always)]
-    fn cube(&mut self, bin: BinCode) -> &mut u32 {
+    fn cube(&mut self, bin: BinCode) -> &mut (BinCode, u32) {
         let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);
         let at = axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits);
         &mut self.cubes[at]
@@ -79,14 +79,16 @@ pub(super) struct BinTable {
 impl BinTable {
     /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no particles.
     #[inline(always)]
-    pub(super) fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
+    fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
         let latest = latest.cube(bin);
-        if self.codes.get(*latest as usize) != Some(&(bin & CUBE_MASK)) {
-            *latest = self.found_cube(bin & CUBE_MASK);
+        let cube = bin & CUBE_MASK;
+        if latest.0 != cube {
+            *latest = (cube, self.found_cube(cube));
         }
-        *latest << (3 * CUBE_BITS) | in_cube(bin)
+        latest.1 << (3 * CUBE_BITS) | in_cube(bin)
     }
 
+    #[cold]
     fn found_cube(&mut self, cube: BinCode) -> u32 {
         let Self { cubes, hasher, codes, counts } = self;
         let code = |&number: &u32| codes[number as usize];

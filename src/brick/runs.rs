@@ -12,7 +12,7 @@ use super::bin::{BinPlan, RangePlan, Tuples, components};
 use super::bin_table::{Latest, NOWHERE};
 use super::bins::{FREE_BITS, tuple_bytes};
 use super::place::CHUNK;
-use super::spill::SpilledBins;
+use super::spill::{SpilledBins, in_bin_of_run};
 
 /// Bins of a run at the most: a spilled particle's free bits name its bin in the run.
 const RUN_BINS: usize = 1 << RUN_BITS;
@@ -94,12 +94,11 @@ impl BinPlan {
                         bin.at
                     })
                 }));
-                for (i, (at, &(_, record))) in found.iter().zip(&placed).enumerate() {
-                    if let Some(at) = at {
-                        let (run, in_run) = ((at >> RUN_BITS) as usize, *at as usize % RUN_BINS);
-                        buffers.push(run, in_run, record, attributes.tuple(i))?;
-                    }
-                }
+                let filed = found.iter().zip(&placed).enumerate().filter_map(|(i, (&at, &(_, record)))| {
+                    let (run, in_run) = ((at? >> RUN_BITS) as usize, at? as usize % RUN_BINS);
+                    Some((i, run, in_bin_of_run(in_run, record)))
+                });
+                buffers.push_all(filed, &attributes)?;
                 Ok::<_, io::Error>(())
             })?;
             buffers.flush()?;

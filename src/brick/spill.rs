@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use crate::grid::MortonKey;
 use crate::system::scratch::Scratch;
 
+use super::bin::Tuples;
 use super::bins::{Bins, RECORD_BITS, Store, tuple_bytes};
 use super::elias_fano::EliasFano;
 use super::slabs::Slabs;
@@ -249,15 +250,20 @@ impl SpilledBins {
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
         let width = self.width();
         let Held { pieces, memory } = self.held(run).take();
-        pieces.par_iter().try_for_each(|piece| {
+        let buffers = || (Vec::new(), Vec::new());
+        pieces.par_iter().try_for_each_init(buffers, |(records, bin_slots), piece| {
             let code = self.code(run, piece.particles);
-            let mut records = Vec::with_capacity(piece.particles);
+            records.clear();
             let words = self.read(run, piece, &memory)?;
             let (words, values) = words.split_at(code.words());
             records.extend(code.decode(words));
             let mut values = cast_slice(values).chunks_exact(width.max(1));
-            for bin in records.chunk_by(|a, b| a >> RECORD_BITS == b >> RECORD_BITS) {
-                let slot = next[(bin[0] >> RECORD_BITS) as usize].fetch_add(bin.len(), Ordering::Relaxed);
+            let bin_of = |record: Record| (record >> RECORD_BITS) as usize;
+            let bins = || records.chunk_by(|&a, &b| bin_of(a) == bin_of(b));
+            // All slots are taken before any is filled: the processor takes one only once all that was filled before is in memory.
+            bin_slots.clear();
+            bin_slots.extend(bins().map(|bin| next[bin_of(bin[0])].fetch_add(bin.len(), Ordering::Relaxed)));
+            for (bin, &slot) in bins().zip(&*bin_slots) {
                 for (slot, record) in (slot..).zip(bin) {
                     let values = values.next().unwrap_or_default();
                     slots.put(slot, record & RECORD_MASK);
@@ -329,6 +335,12 @@ impl SortedStore {
     }
 }
 
+/// The record of a particle, with the number of its bin in its run in the free bits.
+#[inline(always)]
+pub(super) fn in_bin_of_run(bin: usize, record: Record) -> Record {
+    (bin as Record) << RECORD_BITS | record
+}
+
 /// One thread's particles on their way into runs.
 #[derive(Debug)]
 pub(super) struct RunBuffers<'a> {
@@ -341,20 +353,24 @@ pub(super) struct RunBuffers<'a> {
 }
 
 impl RunBuffers<'_> {
-    /// Adds a particle of bin number `bin` in run number `run`.
-    pub(super) fn push(
+    /// Adds particles: of each its number among the attributes, its run, and its record in its bin of the run.
+    pub(super) fn push_all(
         &mut self,
-        run: usize,
-        bin: usize,
-        record: Record,
-        attributes: impl Iterator<Item = f32>,
+        particles: impl Iterator<Item = (usize, usize, Record)>,
+        attributes: &Tuples<'_>,
     ) -> io::Result<()> {
-        let records = &mut self.records[run];
-        records.push((bin as Record) << RECORD_BITS | record);
-        if !self.spilled.components.is_empty() {
-            self.values[run].extend(attributes);
+        let carries = !self.spilled.components.is_empty();
+        for (i, run, record) in particles {
+            if carries {
+                self.values[run].extend(attributes.tuple(i));
+            }
+            let records = &mut self.records[run];
+            records.push(record);
+            if records.len() == self.full {
+                self.write(run)?;
+            }
         }
-        if records.len() == self.full { self.write(run) } else { Ok(()) }
+        Ok(())
     }
 
     /// Writes what is left.
@@ -362,6 +378,7 @@ impl RunBuffers<'_> {
         (0..self.records.len()).try_for_each(|run| self.write(run))
     }
 
+    #[cold]
     fn write(&mut self, run: usize) -> io::Result<()> {
         let Self { spilled, .. } = *self;
         let (records, values) = (&mut self.records[run], &mut self.values[run]);
