@@ -12,14 +12,14 @@ use crate::grid::units::{MemoryBudget, shown};
 use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::surface::attribute;
 use crate::surface::dual_mc::block_vertices;
-use crate::surface::mesh::spool::{TILE_SHARE, block_bytes, vertex_bytes};
+use crate::surface::mesh::spool::{TILE_SHARE, blocks_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
 
-use super::expected;
+use super::expected::{self, Expected};
 
 /// Bytes that the program takes before there is any data, and that each thread takes beside what it works in.
-const PROGRAM: u64 = 6 << 20;
-const THREAD: u64 = 5 << 18;
+const PROGRAM: u64 = 8 << 20;
+const THREAD: u64 = 3 << 18;
 /// Blocks that each thread meshes before their surfaces go to the others, at the least.
 pub const BLOCKS_A_THREAD: usize = 2;
 
@@ -31,6 +31,8 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 pub struct Estimate {
     /// The program, its threads and its backend.
     pub program: u64,
+    /// What threads work in while the surface is made.
+    pub meshing: u64,
     /// An input that had to be unpacked or decoded, until its field is sampled.
     pub input: u64,
     /// Tables of bins.
@@ -43,6 +45,8 @@ pub struct Estimate {
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
+    /// Of the DIF the wider cells, which are made once it has been sampled.
+    pub wide: u64,
     /// The surface before it is written, as it is expected.
     pub surface: u64,
     /// Whether particles are needed until the surface is done, for their attributes.
@@ -111,28 +115,30 @@ impl Drawing {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// Bytes that are expected of the surface in those bins, with what each holds, that are `meshed`.
-    fn surface_bytes(
+    /// What is expected of the surface in those bins, with what each holds, that are `meshed`.
+    fn surface(
         &self,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
         meshed: impl Fn(IVec3) -> bool,
-    ) -> u64 {
+    ) -> Expected {
         // Without a spacing the bin that holds most is taken to be full.
         let most = || bins.clone().map(|(_, count)| count).max().unwrap_or(0) as f64;
         let full = self.spacing_cells.map_or_else(most, |cells| (f64::from(BIN) / cells).powi(3));
         let alone = expected::vertices_alone(self.spacing_cells.unwrap_or(1.0));
-        (self.vertex_bytes() + TILE_SHARE) * expected::vertices(bins, full, alone, meshed)
+        expected::surface(bins, full, alone, meshed)
     }
 
-    /// Bytes that each thread takes.
-    fn thread_bytes(&self) -> u64 {
+    /// Bytes that threads work in while a surface is meshed and written.
+    fn meshing_bytes(&self, surface: &Expected) -> u64 {
+        let threads = rayon::current_num_threads() as u64;
+        let vertices_of = |blocks: u64| surface.vertices_of(blocks, block_vertices(self.keeps_details));
         let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
         let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
         let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
-        let vertices = block_vertices(self.keeps_details);
-        let meshing = carrying.max(self.block_bytes)
-            + BLOCKS_A_THREAD as u64 * block_bytes(vertices, self.vertex_bytes());
-        THREAD + meshing.max(writing_bytes(vertices))
+        let blocks = threads * BLOCKS_A_THREAD as u64;
+        let meshing = threads * carrying.max(self.block_bytes)
+            + blocks_bytes(blocks, vertices_of(blocks), self.vertex_bytes());
+        meshing.max(writing_bytes(threads, vertices_of(threads)))
     }
 }
 
@@ -174,15 +180,14 @@ impl Estimate {
         };
         if let Some(shape) = shape {
             let by_bin = bins.clone().map(|(key, count)| (key, nonzero(count, shape)));
-            estimate.field += wide_bytes(by_bin, drawing.wide_levels);
+            estimate.add_wide(wide_bytes(by_bin, drawing.wide_levels));
         }
         for (_, count) in bins.clone() {
             estimate.particles += count as u64 * Bins::particle_bytes(&drawing.components);
             estimate.spilled += count as u64 * SpilledBins::least_particle_bytes(&drawing.components);
             estimate.add_bin(shape.map_or(0, |shape| page(count, shape)));
         }
-        estimate.surface = drawing.surface_bytes(bins, meshed);
-        estimate
+        estimate.and_surface(&drawing.surface(bins, meshed), drawing)
     }
 
     /// For pages of which the DIF is in a file.
@@ -191,18 +196,20 @@ impl Estimate {
         let mut estimate = Self::without_particles(drawing);
         let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
         let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
-        estimate.field += wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels);
+        estimate.add_wide(wide_bytes(pages.iter().map(full_cells).map(nonzero), drawing.wide_levels));
         pages.iter().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
-        estimate.surface = drawing.surface_bytes(pages.iter().map(full_cells), |_| true);
-        estimate
+        estimate.and_surface(&drawing.surface(pages.iter().map(full_cells), |_| true), drawing)
     }
 
     /// An estimate before there are any particles.
     #[must_use]
     pub fn without_particles(drawing: &Drawing) -> Self {
-        let threads = drawing.thread_bytes() * rayon::current_num_threads() as u64;
-        let carried = !drawing.components.is_empty();
-        Self { program: PROGRAM + threads, carried, ..Self::default() }
+        Self {
+            program: PROGRAM + THREAD * rayon::current_num_threads() as u64,
+            meshing: drawing.meshing_bytes(&Expected::MOST),
+            carried: !drawing.components.is_empty(),
+            ..Self::default()
+        }
     }
 
     /// Adds what the backend takes all the time.
@@ -211,17 +218,29 @@ impl Estimate {
         Self { program: self.program + bytes, ..self }
     }
 
+    /// Sets what the surface takes, by what is expected of it.
+    fn and_surface(self, expected: &Expected, drawing: &Drawing) -> Self {
+        let surface = (drawing.vertex_bytes() + TILE_SHARE) * expected.vertices;
+        Self { surface, meshing: drawing.meshing_bytes(expected), ..self }
+    }
+
     /// Adds a bin of so many bytes of the DIF.
     fn add_bin(&mut self, field: u64) {
         self.index += Bins::TABLE_BYTES;
         self.field += field;
     }
 
+    /// Adds bytes of the DIF in wider cells.
+    fn add_wide(&mut self, bytes: u64) {
+        self.wide += bytes;
+        self.field += bytes;
+    }
+
     /// The peak with everything in memory.
     #[must_use]
     pub fn in_core(&self) -> u64 {
-        let sampling = self.input + self.particles + self.places.max(self.field);
-        let meshing = self.field + self.surface + self.beside_the_surface();
+        let sampling = self.input + self.particles + self.places.max(self.field - self.wide);
+        let meshing = self.meshing + self.field + self.surface + self.beside_the_surface();
         self.program + self.index + sampling.max(meshing)
     }
 
@@ -255,7 +274,8 @@ impl Estimate {
         if self.in_core() <= budget.0 {
             return Plan::InCore;
         }
-        let left = budget.0.saturating_sub(self.program + self.input + self.index).max(budget.0 / 8);
+        let left =
+            budget.0.saturating_sub(self.program + self.meshing + self.input + self.index).max(budget.0 / 8);
         // A DIF that is in memory whole leaves less for the surface, which is used once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
         // Beside the surface, and before that beside coded particles, there are stacks, and what the allocator keeps.
@@ -270,7 +290,8 @@ impl Estimate {
         match self.plan(budget) {
             Plan::OutOfCore(shares) => shares.surface,
             Plan::InCore => {
-                let others = self.program + self.index + self.field + self.beside_the_surface();
+                let others =
+                    self.program + self.meshing + self.index + self.field + self.beside_the_surface();
                 budget.0.saturating_sub(others)
             }
         }
@@ -283,7 +304,7 @@ impl Estimate {
             Plan::InCore => self.in_core(),
             Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
                 let sampling = self.input + particles + coded.min(self.particles).max(field);
-                self.program + self.index + sampling.max(field + surface.min(self.surface))
+                self.program + self.index + sampling.max(self.meshing + field + surface.min(self.surface))
             }
         }
     }

@@ -1,4 +1,4 @@
-//! How many vertices a surface will have, expected by how full of fluid the bins are.
+//! How many vertices a surface will have, and how many the blocks that have some, expected by how full of fluid the bins are.
 //!
 //! Dual marching cubes has a vertex on each edge of the grid that crosses the surface: as many as there are changes between outside and
 //! inside along all lines of the grid. Bins show of a line how its fluid begins and ends, whatever lies between, so a bin's face has as many
@@ -11,13 +11,33 @@
 use glam::IVec3;
 use hashbrown::HashMap;
 
-use crate::grid::{BIN, MortonKey};
+use crate::grid::{BIN, BLOCK, MortonKey};
 
 /// Vertices at a face between a full bin and an empty one: a wrinkled surface has more than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
 /// Cubed spacings around a particle that are empty where it has a surface of its own.
 const ALONE: i32 = 8;
+
+/// What is expected of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Expected {
+    pub(super) vertices: u64,
+    /// Vertices of the block that a vertex lies in, in the mean.
+    pub(super) in_its_block: u64,
+}
+
+impl Expected {
+    /// Of frames of which nothing is known.
+    pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
+
+    /// How many vertices are in so many blocks together, at the most, if no block has more than `most`.
+    pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
+        // One block can be full of spray where the others are like most, and few frames have twice what is expected.
+        let like_most = self.in_its_block.saturating_mul(2 * blocks).saturating_add(most);
+        (blocks * most).min(like_most).min(self.vertices.saturating_mul(2))
+    }
+}
 
 /// The share of a bin that is full, for bins that hold particles.
 type Shares = HashMap<IVec3, f32>;
@@ -27,14 +47,14 @@ pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }
 
-/// Vertices of the surface in those `bins` that are `meshed`, by the particles that each holds and those that a `full` one does. A particle
-/// by itself has so many `alone`.
-pub(super) fn vertices(
+/// The surface in those `bins`, in Morton order, that are `meshed`, by the particles that each holds and those that a `full` one does.
+/// A particle by itself has so many vertices `alone`.
+pub(super) fn surface(
     bins: impl Iterator<Item = (MortonKey, usize)> + Clone,
     full: f64,
     alone: f64,
     meshed: impl Fn(IVec3) -> bool,
-) -> u64 {
+) -> Expected {
     let share = |count: usize| (count as f64 / full).min(1.0) as f32;
     let shares: Shares = bins.clone().map(|(key, count)| (key.coord(), share(count))).collect();
     let of_bin = |(key, count): (MortonKey, usize)| {
@@ -55,25 +75,43 @@ pub(super) fn vertices(
         }
         FACE * change + count as f64 * alone * f64::from(1.0 - fullest).powi(ALONE)
     };
-    bins.map(of_bin).sum::<f64>() as u64
+    let (mut vertices, mut squares) = (0.0, 0.0);
+    // The block that is being added up: bins of one follow one another.
+    let (mut block, mut of_block) = (IVec3::MAX, 0.0);
+    for bin in bins {
+        let next = bin.0.coord().div_euclid(IVec3::splat(BLOCK / BIN));
+        if next != block {
+            squares += of_block * of_block;
+            (block, of_block) = (next, 0.0);
+        }
+        let of_bin = of_bin(bin);
+        of_block += of_bin;
+        vertices += of_bin;
+    }
+    squares += of_block * of_block;
+    let in_its_block = if vertices > 0.0 { squares / vertices } else { 0.0 };
+    Expected { vertices: vertices as u64, in_its_block: in_its_block as u64 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::CellBox;
 
-    /// Vertices of bins that hold so many particles where 4096 are a full one, in cells of one spacing.
-    fn vertices_of(bins: &[(IVec3, usize)]) -> u64 {
+    /// The surface of bins that hold so many particles where 4096 are a full one, in cells of one spacing.
+    fn surface_of(bins: &[(IVec3, usize)]) -> Expected {
         let bins = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
-        vertices(bins, 4096.0, vertices_alone(1.0), |_| true)
+        surface(bins, 4096.0, vertices_alone(1.0), |_| true)
+    }
+
+    fn vertices_of(bins: &[(IVec3, usize)]) -> u64 {
+        surface_of(bins).vertices
     }
 
     #[test]
     fn a_full_cube_has_the_vertices_of_its_faces_and_none_within() {
-        let cube: Vec<_> = (crate::grid::CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) })
-            .cubes(1)
-            .map(|bin| (bin, 4096))
-            .collect();
+        let cube: Vec<_> =
+            (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(3) }).cubes(1).map(|bin| (bin, 4096)).collect();
         assert_eq!(vertices_of(&cube), (6.0 * 9.0 * FACE) as u64);
     }
 
@@ -101,7 +139,32 @@ mod tests {
     #[test]
     fn bins_that_are_not_meshed_have_none_and_still_lie_beside_the_others() {
         let bins = [IVec3::ZERO, IVec3::X].map(|bin| (MortonKey::of(bin), 4096));
-        let first = vertices(bins.into_iter(), 4096.0, 14.0, |bin| bin == IVec3::ZERO);
-        assert_eq!(first, (5.0 * FACE) as u64);
+        let first = surface(bins.into_iter(), 4096.0, 14.0, |bin| bin == IVec3::ZERO);
+        assert_eq!(first.vertices, (5.0 * FACE) as u64);
+    }
+
+    #[test]
+    fn a_vertex_lies_in_a_block_of_as_many_as_most_vertices_do() {
+        // A drop by itself changes little where eight bins of one block are full.
+        let full = (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
+        let bins: Vec<_> = full.chain([(IVec3::splat(9), 1)]).collect();
+        let expected = surface_of(&bins);
+        let block = 24.0 * FACE;
+        assert!((expected.in_its_block as f64 / block - 1.0).abs() < 0.01, "{expected:?}");
+        assert!(expected.vertices as f64 > block + 10.0, "{expected:?}");
+        // Two such blocks have the same mean, and twice the vertices.
+        let beside: Vec<_> = bins.iter().map(|&(bin, count)| (bin + IVec3::new(40, 0, 0), count)).collect();
+        let both = surface_of(&[bins, beside].concat());
+        assert_eq!(both.in_its_block, expected.in_its_block);
+    }
+
+    #[test]
+    fn blocks_hold_neither_more_than_the_most_each_nor_much_more_than_the_whole_surface() {
+        let expected = Expected { vertices: 50_000, in_its_block: 1_000 };
+        assert_eq!(expected.vertices_of(1, 20_000), 20_000);
+        assert_eq!(expected.vertices_of(8, 20_000), 20_000 + 16_000);
+        assert_eq!(expected.vertices_of(1_000, 20_000), 100_000);
+        assert_eq!(expected.vertices_of(8, 900), 7_200);
+        assert_eq!(Expected::MOST.vertices_of(8, 20_000), 160_000);
     }
 }

@@ -19,7 +19,7 @@ use crate::particles::AttributeInfo;
 use crate::surface::attribute::vertex_values;
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
 use crate::surface::mesh::BlockMesh;
-use crate::surface::mesh::spool::{Spool, block_bytes};
+use crate::surface::mesh::spool::{Spool, blocks_bytes};
 use crate::surface::stitch::Stitched;
 use crate::system::control::{Control, Meter, Stage};
 use crate::system::timings::Timings;
@@ -154,7 +154,7 @@ impl<'a> CalibratedFrame<'a> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
         // Any of them may be full of spray.
-        let block = block_bytes(block_vertices(true), spool.vertex_bytes());
+        let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
         let meter = self.control.meter(Stage::Meshing, regions.len());
         let go_on = || meter.goes_on().then_some(()).ok_or(FrameError::Cancelled);

@@ -89,10 +89,10 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
 /// Bytes of a vertex's share of a tile.
 pub const TILE_SHARE: u64 = 4;
 
-/// Bytes of a block's surface of so many vertices, each of so many bytes without its tile.
+/// Bytes of the surface in so many blocks that have so many vertices together, each of so many bytes without its tile.
 #[must_use]
-pub fn block_bytes(vertices: u64, vertex_bytes: u64) -> u64 {
-    vertices * vertex_bytes + u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
+pub fn blocks_bytes(blocks: u64, vertices: u64, vertex_bytes: u64) -> u64 {
+    vertices * vertex_bytes + blocks * u64::from(BLOCK_TILES) * size_of::<Tile>() as u64
 }
 
 impl Spool {

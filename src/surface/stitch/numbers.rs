@@ -17,11 +17,11 @@ const TRIANGLES_A_VERTEX: u64 = 2;
 /// Bytes that a thread takes for each triangle of a block while it is written: three numbers, and four blocks' records.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 
-/// Bytes that each thread takes while the triangles of a block of so many vertices are numbered and written.
+/// Bytes that threads take while each numbers and writes the triangles of a block, of so many vertices together.
 #[must_use]
-pub fn writing_bytes(vertices: u64) -> u64 {
+pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
-    numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
+    threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
 }
 
 /// The numbers of the vertices on the edges that a block's triangles join. Of edges without a vertex nothing is known.
