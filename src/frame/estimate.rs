@@ -31,7 +31,7 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 pub struct Estimate {
     /// The program, its threads and its backend.
     pub program: u64,
-    /// What threads work in while the surface is made.
+    /// Bytes that threads work in while the surface is made.
     pub meshing: u64,
     /// An input that had to be unpacked or decoded, until its field is sampled.
     pub input: u64,
@@ -45,7 +45,7 @@ pub struct Estimate {
     pub spilled: u64,
     /// The DIF, at the most.
     pub field: u64,
-    /// Of the DIF the wider cells, which are made once it has been sampled.
+    /// The wider cells of the DIF, which are made once it has been sampled; they are part of `field`.
     pub wide: u64,
     /// The surface before it is written, as it is expected.
     pub surface: u64,
@@ -115,7 +115,7 @@ impl Drawing {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// What is expected of the surface in those bins, with what each holds, that are `meshed`.
+    /// The surface that is expected in those bins, with what each holds, that are `meshed`.
     fn surface(
         &self,
         bins: impl Iterator<Item = (MortonKey, usize)> + Clone,

@@ -19,7 +19,7 @@ const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 /// Cubed spacings around a particle that are empty where it has a surface of its own.
 const ALONE: i32 = 8;
 
-/// What is expected of a surface.
+/// Vertices that are expected of a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Expected {
     pub(super) vertices: u64,
@@ -28,7 +28,7 @@ pub(super) struct Expected {
 }
 
 impl Expected {
-    /// Of frames of which nothing is known.
+    /// The most there can be, for frames of which nothing is known.
     pub(super) const MOST: Self = Self { vertices: u64::MAX, in_its_block: u64::MAX };
 
     /// How many vertices are in so many blocks together, at the most, if no block has more than `most`.
