@@ -19,8 +19,9 @@ use crate::grid::{Domain, Grid, MortonKey, Unplaced};
 use crate::particles::{Particles, Unread};
 use crate::system::memory::empty_in_huge_pages;
 
-use super::bin_table::{BinTable, CUBE, Latest, NOWHERE, Placed};
+use super::bin_table::{BinTable, LatestNumbers, NOWHERE, Placed};
 use super::bins::{Bins, FREE_BITS, RECORD_BITS};
+use super::cubes::CUBE;
 use super::place::{BinCode, CHUNK, Placer, bin_coord};
 use super::slots::{Record, Slots};
 
@@ -350,7 +351,7 @@ impl BinPlan {
                 }
                 particles.release(range);
             } else {
-                let mut latest = Latest::of(particles.len());
+                let mut latest = LatestNumbers::of(particles.len());
                 let Ok(()) = placer.for_each_chunk(particles, range, |first, _, addresses| {
                     table.place_all(addresses, &mut latest, &mut placed);
                     put(first, &placed);
@@ -452,7 +453,7 @@ impl Counter {
         look: impl Fn(&[[f64; 3]]),
     ) -> RangeCount {
         let mut table = BinTable::default();
-        let mut latest = Latest::of(particles.len());
+        let mut latest = LatestNumbers::of(particles.len());
         let mut census = Census::default();
         let mut first_invalid = None;
         let mut kept = particles.len() <= self.room.places;

@@ -8,7 +8,8 @@ use std::hash::BuildHasher;
 use hashbrown::hash_table::Entry;
 use hashbrown::{DefaultHashBuilder, HashTable};
 
-use super::place::{Address, BinCode, COORD_BITS};
+use super::cubes::{CUBE, Latest, bin_of_cube, in_cube};
+use super::place::{Address, BinCode};
 use super::slots::Record;
 
 /// A particle's bin, by its rank in the table of its range, and its place there.
@@ -17,52 +18,8 @@ pub(super) type Placed = (u32, Record);
 /// The bin of a particle that is left out.
 pub(super) const NOWHERE: u32 = u32::MAX;
 
-/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the cache.
-const CUBE_BITS: u32 = 1;
-/// Bins of a cube.
-pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
-/// The bits of a bin's code that are the same for all bins of a cube.
-const CUBE_MASK: BinCode = {
-    let axis = (1 << CUBE_BITS) - 1;
-    !(axis | axis << COORD_BITS | axis << (2 * COORD_BITS))
-};
-
-/// The number of a bin in its cube.
-#[inline(always)]
-fn in_cube(bin: BinCode) -> u32 {
-    let axis = |a: u32| (bin >> (a * COORD_BITS)) as u32 & ((1 << CUBE_BITS) - 1);
-    axis(0) | axis(1) << CUBE_BITS | axis(2) << (2 * CUBE_BITS)
-}
-
-/// The code of a bin of a cube, by its number there.
-fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
-    let axis = |a: u32| (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS);
-    cube | axis(0) | axis(1) | axis(2)
-}
-
-/// A direct-mapped cache of cubes and their numbers in one table: of all cubes that are so many apart along each axis, that which was
-/// last asked for.
-pub(super) struct Latest {
-    /// The number of low bits of a cube's coordinate that index the cache, along each axis.
-    bits: u32,
-    cubes: Vec<(BinCode, u32)>,
-}
-
-impl Latest {
-    /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
-    pub(super) fn of(particles: usize) -> Self {
-        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
-        let bits = 3 + (doublings / 3).min(4);
-        Self { bits, cubes: vec![(BinCode::MAX, 0); 1 << (3 * bits)] }
-    }
-
-    #[inline(always)]
-    fn cube(&mut self, bin: BinCode) -> &mut (BinCode, u32) {
-        let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);
-        let at = axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits);
-        &mut self.cubes[at]
-    }
-}
+/// The numbers of cubes in one table that were last asked for.
+pub(super) type LatestNumbers = Latest<u32>;
 
 /// The bins that a range of particles touches, by cubes: a hash finds a cube, and a cube its bins.
 #[derive(Default)]
@@ -79,13 +36,9 @@ pub(super) struct BinTable {
 impl BinTable {
     /// The rank of a bin in this table, [`CUBE`] for each cube; a new cube is entered with no particles.
     #[inline(always)]
-    fn rank(&mut self, bin: BinCode, latest: &mut Latest) -> u32 {
-        let latest = latest.cube(bin);
-        let cube = bin & CUBE_MASK;
-        if latest.0 != cube {
-            *latest = (cube, self.found_cube(cube));
-        }
-        latest.1 << (3 * CUBE_BITS) | in_cube(bin)
+    fn rank(&mut self, bin: BinCode, latest: &mut LatestNumbers) -> u32 {
+        let number = *latest.of_cube(bin, |cube| self.found_cube(cube));
+        number << CUBE.ilog2() | in_cube(bin)
     }
 
     #[cold]
@@ -107,7 +60,12 @@ impl BinTable {
 
     /// For each particle the rank of its bin, and its place there. Whoever has these of many at once reads what belongs to their bins in a
     /// short loop: it waits for several lines of the cache at the same time.
-    pub(super) fn place_all(&mut self, addresses: &[Address], latest: &mut Latest, placed: &mut Vec<Placed>) {
+    pub(super) fn place_all(
+        &mut self,
+        addresses: &[Address],
+        latest: &mut LatestNumbers,
+        placed: &mut Vec<Placed>,
+    ) {
         placed.clear();
         placed.extend(addresses.iter().map(|address| match address.is_somewhere() {
             true => (self.rank(address.bin, latest), address.record),

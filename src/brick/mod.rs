@@ -7,6 +7,7 @@ mod bins;
 mod block;
 mod boxes;
 mod coarse;
+mod cubes;
 mod elias_fano;
 mod elsewhere;
 mod facts;

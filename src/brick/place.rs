@@ -10,6 +10,7 @@ use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
 use crate::particles::Particles;
 
 use super::bins::{AXIS_BITS, pack};
+use super::cubes::{CUBE, Latest, in_cube};
 use super::slots::Record;
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
@@ -67,26 +68,31 @@ pub(super) struct Placer {
 /// Leaves particles out that are in no bin that is wanted.
 struct Sieve {
     wanted: WantedBins,
-    /// A direct-mapped cache: of all bins that are so many apart along each axis, whether that is wanted which was last asked for.
-    known: Vec<(BinCode, bool)>,
+    known: Latest<KnownBins>,
 }
 
-impl Sieve {
-    /// Low bits of a bin's coordinate along each axis that index the cache.
-    const BITS: u32 = 4;
+/// What is known of a cube's bins, a bit for each.
+#[derive(Debug, Clone, Copy, Default)]
+struct KnownBins {
+    asked: u8,
+    wanted: u8,
+}
+const _: () = assert!(CUBE <= u8::BITS as usize);
 
-    fn new(wanted: WantedBins) -> Self {
-        Self { wanted, known: vec![(BinCode::MAX, false); 1 << (3 * Self::BITS)] }
+impl Sieve {
+    /// For so many particles.
+    fn new(wanted: WantedBins, particles: usize) -> Self {
+        Self { wanted, known: Latest::of(particles) }
     }
 
     #[inline(always)]
     fn holds(&mut self, bin: BinCode) -> bool {
-        let axis = |a: u32| (bin >> (a * COORD_BITS)) as usize & ((1 << Self::BITS) - 1);
-        let known = &mut self.known[axis(0) | axis(1) << Self::BITS | axis(2) << (2 * Self::BITS)];
-        if known.0 != bin {
-            *known = (bin, self.wanted.hold(bin_coord(bin)));
+        let (known, bit) = (self.known.of_cube(bin, |_| KnownBins::default()), 1 << in_cube(bin));
+        if known.asked & bit == 0 {
+            known.asked |= bit;
+            known.wanted |= if self.wanted.hold(bin_coord(bin)) { bit } else { 0 };
         }
-        known.1
+        known.wanted & bit != 0
     }
 
     fn keep(&mut self, addresses: &mut [Address]) {
@@ -125,7 +131,7 @@ impl Placer {
         let bounds = Bounds::of(self);
         let mut positions = vec![[0.0; 3]; CHUNK];
         let mut addresses = vec![Address::NOWHERE; CHUNK];
-        let mut sieve = self.wanted.map(Sieve::new);
+        let mut sieve = self.wanted.map(|wanted| Sieve::new(wanted, particles.len()));
         for first in range.clone().step_by(CHUNK) {
             let count = CHUNK.min(range.end - first);
             particles.positions(first, &mut positions[..count]);

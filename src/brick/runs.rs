@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::particles::{Particles, Unread};
 
 use super::bin::{BinPlan, RangePlan, Tuples, components};
-use super::bin_table::{Latest, NOWHERE};
+use super::bin_table::{LatestNumbers, NOWHERE};
 use super::bins::{FREE_BITS, tuple_bytes};
 use super::place::CHUNK;
 use super::spill::{SpilledBins, in_bin_of_run};
@@ -75,7 +75,7 @@ impl BinPlan {
         let threads = rayon::current_num_threads().min(ranges.len()).max(1);
         let as_counted = ranges.into_par_iter().map(|RangePlan { range, mut table, ranks, .. }| {
             let mut buffers = spilled.buffers(threads, buffer_bytes);
-            let mut latest = Latest::of(particles.len());
+            let mut latest = LatestNumbers::of(particles.len());
             let counts = table.counts().iter().zip(ranks);
             let expected = |(&left, bin)| Expected { at: *at_of_bin.get(bin as usize).unwrap_or(&0), left };
             let mut expected: Vec<Expected> = counts.map(expected).collect();

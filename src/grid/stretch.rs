@@ -78,11 +78,11 @@ impl Sight {
 
     /// The box of blocks that particles in a box of bins may tell in.
     fn blocks_of(&self, bins: CellBox) -> CellBox {
-        let (lowest, highest, edge) = (bins.lo * BIN, bins.hi * BIN - 1, IVec3::splat(BLOCK));
+        let (lowest, highest) = (bins.lo * BIN, bins.hi * BIN - 1);
+        // A shift divides as `div_euclid` does, and is done for each of many bins.
+        let block_of = |cell: IVec3| cell >> BLOCK.ilog2() as i32;
         // From the first that ends above the lowest cells to the last that begins below the highest.
-        let lo = (lowest - self.0.hi).div_euclid(edge) + 1;
-        let hi = (highest - self.0.lo).div_euclid(edge) + 1;
-        CellBox { lo, hi }
+        CellBox { lo: block_of(lowest - self.0.hi) + 1, hi: block_of(highest - self.0.lo) + 1 }
     }
 }
 
@@ -99,7 +99,14 @@ impl WantedBins {
     /// Whether a bin is one of them.
     #[must_use]
     pub fn hold(&self, bin: IVec3) -> bool {
-        self.sight.blocks(bin).any(|block| self.stretch.holds(block))
+        let Stretch { first, end } = self.stretch;
+        let blocks = self.sight.blocks_of(CellBox::cube(bin, 1));
+        // Keys grow along every axis, so that those of a box lie between its corners'.
+        let (least, most) = (MortonKey::of(blocks.lo), MortonKey::of(blocks.hi - 1));
+        if most < first || end <= least {
+            return false;
+        }
+        first <= least || most < end || blocks.cubes(1).any(|block| self.stretch.holds(block))
     }
 
     /// Whether any bin in a box of bins is one of them.

@@ -1,0 +1,54 @@
+//! Cubes of bins, and a small cache of what is known of them.
+
+use super::place::{BinCode, COORD_BITS};
+
+/// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the processor's cache.
+const CUBE_BITS: u32 = 1;
+/// Bins of a cube.
+pub(super) const CUBE: usize = 1 << (3 * CUBE_BITS);
+/// The bits of a bin's code that are the same for all bins of a cube.
+const CUBE_MASK: BinCode = {
+    let axis = (1 << CUBE_BITS) - 1;
+    !(axis | axis << COORD_BITS | axis << (2 * COORD_BITS))
+};
+
+/// The number of a bin in its cube.
+#[inline(always)]
+pub(super) fn in_cube(bin: BinCode) -> u32 {
+    let axis = |a: u32| (bin >> (a * COORD_BITS)) as u32 & ((1 << CUBE_BITS) - 1);
+    axis(0) | axis(1) << CUBE_BITS | axis(2) << (2 * CUBE_BITS)
+}
+
+/// The code of a bin of a cube, by its number there.
+pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
+    let axis = |a: u32| (number as BinCode >> (a * CUBE_BITS) & ((1 << CUBE_BITS) - 1)) << (a * COORD_BITS);
+    cube | axis(0) | axis(1) | axis(2)
+}
+
+/// A direct-mapped cache of what is known of cubes: of all cubes that are so many apart along each axis, that which was last asked for.
+pub(super) struct Latest<T> {
+    /// The number of low bits of a cube's coordinate that index the cache, along each axis.
+    bits: u32,
+    cubes: Vec<(BinCode, T)>,
+}
+
+impl<T: Copy + Default> Latest<T> {
+    /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
+    pub(super) fn of(particles: usize) -> Self {
+        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
+        let bits = 3 + (doublings / 3).min(4);
+        Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }
+    }
+
+    /// What is known of the cube that a bin lies in; `found` if another was asked for since.
+    #[inline(always)]
+    pub(super) fn of_cube(&mut self, bin: BinCode, found: impl FnOnce(BinCode) -> T) -> &mut T {
+        let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);
+        let latest = &mut self.cubes[axis(0) | axis(1) << self.bits | axis(2) << (2 * self.bits)];
+        let cube = bin & CUBE_MASK;
+        if latest.0 != cube {
+            *latest = (cube, found(cube));
+        }
+        &mut latest.1
+    }
+}
