@@ -217,7 +217,8 @@ fn place_all(bounds: &Bounds, positions: &[[f64; 3]], addresses: &mut [Address])
 mod tests {
     use glam::DVec3;
 
-    use crate::grid::BIN;
+    use crate::grid::stretch::{Sight, Stretch};
+    use crate::grid::{BIN, BLOCK, CellBox, MortonKey};
 
     use super::*;
 
@@ -228,6 +229,31 @@ mod tests {
             let steps = bin.to_array().map(|c| i64::from(c * BIN + 3) * i64::from(FRACTIONS) + 5);
             assert_eq!(bin_coord(Address::of(steps).bin), bin);
         }
+    }
+
+    #[test]
+    fn particles_are_left_out_whose_bins_are_not_wanted_in_whatever_order_bins_are_asked_for() {
+        let sight = Sight::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
+        let stretch =
+            Stretch { first: MortonKey::of(IVec3::splat(-9)), end: MortonKey::of(IVec3::new(7, -3, 2)) };
+        let wanted = WantedBins { stretch, sight };
+        // More bins along each axis than the cache has room for, each asked for several times.
+        let (edge, mut sieve) = (41, Sieve::new(wanted, 1));
+        let address = |i: i64| {
+            let at = i * 7919 % edge.pow(3);
+            let bin = [at, at / edge, at / edge.pow(2)].map(|c| c % edge - edge / 2);
+            Address::of(bin.map(|c| c * i64::from(BIN) * i64::from(FRACTIONS)))
+        };
+        let addresses: Vec<Address> = (0..3 * edge.pow(3)).map(address).chain([Address::NOWHERE]).collect();
+        let mut kept = addresses.clone();
+        sieve.keep(&mut kept);
+        let expected = addresses.iter().map(|&address| {
+            let held = address.is_somewhere() && wanted.hold(bin_coord(address.bin));
+            if held { address } else { Address::NOWHERE }
+        });
+        assert!(kept.iter().copied().eq(expected));
+        let left = kept.iter().filter(|address| address.is_somewhere()).count();
+        assert!(left > 1000 && left + 1000 < kept.len(), "{left} of {}", kept.len());
     }
 
     #[test]
