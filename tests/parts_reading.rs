@@ -11,7 +11,7 @@ use common::files::raw;
 use common::scene::Random;
 use common::shuffle;
 use meniscus::error::{Error, PartsError};
-use meniscus::{Parts, Reconstruction};
+use meniscus::{Parts, PeriodicMesh, Reconstruction};
 use tempfile::TempDir;
 
 /// A long pool along x, in the order of a simulation that goes through its cells: x by x. Blocks at its
@@ -160,5 +160,51 @@ fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_d
         let times = read as f64 / particles.len() as f64;
         let is_shuffled = input.ends_with("shuffled.xyz");
         assert!(if is_shuffled { times == 6.0 } else { times < 3.5 }, "{}: {times}", input.display());
+    }
+}
+
+/// Water in a periodic box along x and z, which is as long as some number of cells and a bit, up to a calm level: x by x.
+fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
+    let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));
+    let particle = |i: usize| {
+        let at = [i / 224, i / 28 % 8, i % 28].map(|c| c as f64 + 0.5);
+        let at = [at[0] * edge[0] / 403.0, 0.5 * at[1], at[2] * edge[2] / 28.0];
+        at.map(|x| x + 0.1 * random.unit())
+    };
+    let mut particles: Vec<_> = (0..403 * 224).map(particle).collect();
+    // On a face each, as single precision has it, where nothing else is.
+    particles.extend((0..20).map(|i| [200.2, 14.0, 0.4 * f64::from(i)]));
+    particles.extend((0..50).map(|i| [f64::from(i), 18.0, 13.7]));
+    (edge, particles)
+}
+
+#[test]
+fn the_parts_of_a_periodic_box_make_the_mesh_of_a_single_run() {
+    let folder = TempDir::new().unwrap();
+    let (edge, mut particles) = channel();
+    let faces = [Some([0.0, edge[0]]), None, Some([0.0, edge[2]])];
+    let input = folder.path().join("channel.xyz");
+    for (ordered, periodic_mesh) in
+        [(true, PeriodicMesh::Cut), (true, PeriodicMesh::Overlap), (false, PeriodicMesh::Cut)]
+    {
+        if !ordered {
+            shuffle(&mut particles, &mut Random::new(9));
+        }
+        fs::write(&input, raw(&particles)).unwrap();
+        let asked = asked().periodic(faces).periodic_mesh(periodic_mesh);
+        let in_single: Vec<_> = particles.iter().map(|p| p.map(|x| x as f32)).collect();
+        let expected = asked.run(&in_single[..]).unwrap().to_mesh().unwrap();
+        let parts = asked.parts(&input, folder.path().join("m.ply"), 9).overwrite();
+        let planned = parts.plan().unwrap();
+        let read: Vec<usize> = (0..9).map(|part| made(&parts, part).1).collect();
+        let merged = parts.merge().unwrap();
+        assert_eq!(merged.report().facts.census.binned, particles.len());
+        assert!(merged.to_mesh().unwrap() == expected, "{ordered} {periodic_mesh:?}");
+        for (part, &read) in planned.parts.iter().zip(&read) {
+            let enough = if ordered { part.kept as usize + 2 * 4096 } else { particles.len() };
+            assert!(read <= enough && (ordered || read == enough), "{read} for {part:?}");
+        }
+        let least = read.iter().min().unwrap();
+        assert!(!ordered || 2 * least < particles.len(), "{least} of {}", particles.len());
     }
 }

@@ -21,8 +21,8 @@ use crate::system::memory::empty_in_huge_pages;
 
 use super::bin_table::{BinTable, LatestNumbers, NOWHERE, Placed};
 use super::bins::{Bins, FREE_BITS, RECORD_BITS};
-use super::cubes::CUBE;
-use super::place::{BinCode, CHUNK, Placer, bin_coord};
+use super::cubes::{BinCode, CUBE, bin_coord};
+use super::place::{CHUNK, Placer, Sieve};
 use super::slots::{Record, Slots};
 
 /// Bins of a range whose particles' places are kept, at the most: as many as a record's free bits number, and the last stands for none.
@@ -290,6 +290,12 @@ impl BinPlan {
     /// How many particles each of them holds.
     pub fn counts(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         self.first.windows(2).map(|w| w[1] - w[0])
+    }
+
+    /// Bytes that each thread takes to look up the bins of so many particles, of which it may leave those out that are not `wanted`.
+    #[must_use]
+    pub fn lookup_bytes(particles: usize, wanted: bool) -> u64 {
+        LatestNumbers::bytes(particles) + if wanted { Sieve::bytes(particles) } else { 0 }
     }
 
     /// Bytes of the places that were kept.

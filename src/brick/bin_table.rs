@@ -8,8 +8,8 @@ use std::hash::BuildHasher;
 use hashbrown::hash_table::Entry;
 use hashbrown::{DefaultHashBuilder, HashTable};
 
-use super::cubes::{CUBE, Latest, bin_of_cube, in_cube};
-use super::place::{Address, BinCode};
+use super::cubes::{BinCode, CUBE, Latest, bin_of_cube, in_cube};
+use super::place::Address;
 use super::slots::Record;
 
 /// A particle's bin, by its rank in the table of its range, and its place there.

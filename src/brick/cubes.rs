@@ -1,6 +1,19 @@
-//! Cubes of bins, and a small cache of what is known of them.
+//! Codes of bins, cubes of bins, and a small cache of what is known of cubes.
 
-use super::place::{BinCode, COORD_BITS};
+use glam::IVec3;
+
+/// Bits of a bin's coordinate.
+pub const COORD_BITS: u32 = 21;
+
+/// A bin's three coordinates, of [`COORD_BITS`] each: cheaper than its Morton key.
+pub(super) type BinCode = u64;
+
+/// The coordinates of a bin, in bins.
+pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
+    let unused = i32::BITS - COORD_BITS;
+    let axis = |shift: u32| ((bin >> shift) as i32) << unused >> unused;
+    IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
+}
 
 /// Bins of a cube along each axis: counted side by side, a cube's counters fill a line of the processor's cache.
 const CUBE_BITS: u32 = 1;
@@ -35,12 +48,21 @@ pub(super) struct Latest<T> {
 impl<T: Copy + Default> Latest<T> {
     /// For so many particles, which may lie in any order: about as many cubes along each axis as a pool of them has.
     pub(super) fn of(particles: usize) -> Self {
-        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
-        let bits = 3 + (doublings / 3).min(4);
+        let bits = Self::bits(particles);
         Self { bits, cubes: vec![(BinCode::MAX, T::default()); 1 << (3 * bits)] }
     }
 
-    /// What is known of the cube that a bin lies in; `found` if another was asked for since.
+    fn bits(particles: usize) -> u32 {
+        let doublings = particles.next_power_of_two().ilog2().saturating_sub(20);
+        3 + (doublings / 3).min(4)
+    }
+
+    /// Bytes that it takes for so many particles.
+    pub(super) fn bytes(particles: usize) -> u64 {
+        (size_of::<(BinCode, T)>() as u64) << (3 * Self::bits(particles))
+    }
+
+    /// The entry of the cube that a bin lies in; `found` if another was asked for since.
     #[inline(always)]
     pub(super) fn of_cube(&mut self, bin: BinCode, found: impl FnOnce(BinCode) -> T) -> &mut T {
         let axis = |a: u32| (bin >> (a * COORD_BITS + CUBE_BITS)) as usize & ((1 << self.bits) - 1);

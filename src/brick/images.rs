@@ -45,11 +45,6 @@ struct Counts {
 }
 
 impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
-    /// Takes particles as they are.
-    pub fn none(particles: &'a P) -> Self {
-        Self { particles, images: None }
-    }
-
     /// Counts the images of particles, if their box is periodic: reads all of them once.
     ///
     /// # Errors
@@ -61,7 +56,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         periodic: Option<&'a Periodic>,
         invalid: InvalidParticles,
     ) -> Result<Self, BinError> {
-        let Some(periodic) = periodic else { return Ok(Self::none(particles)) };
+        let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
         let images = Images { placer, periodic, before: Vec::new(), astray: 0 };
         let mut before = Vec::new();

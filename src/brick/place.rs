@@ -2,7 +2,6 @@
 
 use std::ops::Range;
 
-use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::grid::stretch::WantedBins;
@@ -10,7 +9,7 @@ use crate::grid::{Domain, FRACTIONS, Grid, STEP_LIMIT, Unplaced};
 use crate::particles::Particles;
 
 use super::bins::{AXIS_BITS, pack};
-use super::cubes::{CUBE, Latest, in_cube};
+use super::cubes::{BinCode, COORD_BITS, CUBE, Latest, bin_coord, in_cube};
 use super::slots::Record;
 
 /// Particles decoded at once: small enough to stay in the first-level cache.
@@ -19,12 +18,6 @@ pub(super) const CHUNK: usize = 512;
 const RELEASE: usize = CHUNK << 3;
 /// Positions whose coordinates fill vectors of any width.
 const LANES: usize = 8;
-
-/// Bits of a bin's coordinate.
-pub const COORD_BITS: u32 = 21;
-
-/// A bin's three coordinates, of [`COORD_BITS`] each: cheaper than its Morton key.
-pub(super) type BinCode = u64;
 
 /// Where a particle is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,13 +42,6 @@ impl Address {
     }
 }
 
-/// The coordinates of a bin, in bins.
-pub(super) fn bin_coord(bin: BinCode) -> IVec3 {
-    let unused = i32::BITS - COORD_BITS;
-    let axis = |shift: u32| ((bin >> shift) as i32) << unused >> unused;
-    IVec3::new(axis(0), axis(COORD_BITS), axis(2 * COORD_BITS))
-}
-
 /// Places particles in the grid and the domain.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placer {
@@ -66,12 +52,12 @@ pub(super) struct Placer {
 }
 
 /// Leaves particles out that are in no bin that is wanted.
-struct Sieve {
+pub(super) struct Sieve {
     wanted: WantedBins,
     known: Latest<KnownBins>,
 }
 
-/// What is known of a cube's bins, a bit for each.
+/// Bits of a cube's bins, one for each: whether it was asked for, and whether it is wanted.
 #[derive(Debug, Clone, Copy, Default)]
 struct KnownBins {
     asked: u8,
@@ -83,6 +69,11 @@ impl Sieve {
     /// For so many particles.
     fn new(wanted: WantedBins, particles: usize) -> Self {
         Self { wanted, known: Latest::of(particles) }
+    }
+
+    /// Bytes that it takes for so many.
+    pub(super) fn bytes(particles: usize) -> u64 {
+        Latest::<KnownBins>::bytes(particles)
     }
 
     #[inline(always)]
@@ -215,7 +206,7 @@ fn place_all(bounds: &Bounds, positions: &[[f64; 3]], addresses: &mut [Address])
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DVec3, IVec3};
 
     use crate::grid::stretch::{Sight, Stretch};
     use crate::grid::{BIN, BLOCK, CellBox, MortonKey};
@@ -238,7 +229,7 @@ mod tests {
             Stretch { first: MortonKey::of(IVec3::splat(-9)), end: MortonKey::of(IVec3::new(7, -3, 2)) };
         let wanted = WantedBins { stretch, sight };
         // More bins along each axis than the cache has room for, each asked for several times.
-        let (edge, mut sieve) = (41, Sieve::new(wanted, 1));
+        let (edge, mut sieve) = (41_i64, Sieve::new(wanted, 1));
         let address = |i: i64| {
             let at = i * 7919 % edge.pow(3);
             let bin = [at, at / edge, at / edge.pow(2)].map(|c| c % edge - edge / 2);

@@ -47,7 +47,7 @@ pub enum PartsError {
         differing: String,
     },
     /// Particles that are not those that the plan was made for.
-    #[error("{}: it has changed since {} was made", input.display(), plan.display())]
+    #[error("{}: it is not what {} was made for, or has changed since", input.display(), plan.display())]
     Changed {
         /// The particles' file.
         input: PathBuf,

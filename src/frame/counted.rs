@@ -33,24 +33,10 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
 
     /// Takes a plan of all particles that was made before, by the same sampling.
     fn planned(particles: &'a P, sampling: &'a Sampling, plan: Option<BinPlan>) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, periodic, invalid, resources, .. } = sampling;
-        let domain = domain.as_ref();
-        let given = particles;
-        let particles = WithImages::of(given, grid, domain, periodic.as_ref(), *invalid);
-        given.check()?;
-        let particles = particles?;
-        resources.go_on()?;
-        let room = CountingRoom::within(resources.budget.0);
-        let plan = match plan {
-            Some(plan) => Ok(plan),
-            None => BinPlan::count(&particles, grid, domain, *invalid, room),
-        };
-        given.check()?;
-        let plan = match plan {
-            Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
-            plan => plan?,
-        };
-        resources.go_on()?;
+        let Sampling { grid, domain, invalid, .. } = sampling;
+        let (particles, plan) = Self::with_images(particles, sampling, *invalid, |particles, room| {
+            plan.map_or_else(|| BinPlan::count(particles, grid, domain.as_ref(), *invalid, room), Ok)
+        })?;
         let census = particles.census(plan.census());
         if census.binned == 0 {
             return Err(FrameError::NoParticles(census));
@@ -58,8 +44,31 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         Ok(Self { particles, sampling, plan, census, surfacing: Surfacing::PLAIN, stretch: Stretch::ALL })
     }
 
-    /// Counts the particles in some bins alone, of which there may be none; the others have been counted before, and refused or skipped
-    /// if they are invalid.
+    /// The particles with the images that they have in a periodic box, and their bins, as `count` finds them.
+    fn with_images(
+        given: &'a P,
+        sampling: &'a Sampling,
+        invalid: InvalidParticles,
+        count: impl FnOnce(&WithImages<'a, P>, CountingRoom) -> Result<BinPlan, BinError>,
+    ) -> Result<(WithImages<'a, P>, BinPlan), FrameError> {
+        let Sampling { grid, domain, periodic, resources, .. } = sampling;
+        let particles = WithImages::of(given, grid, domain.as_ref(), periodic.as_ref(), invalid);
+        given.check()?;
+        let particles = particles?;
+        resources.go_on()?;
+        let room = CountingRoom::within(resources.budget.0);
+        let plan = count(&particles, room);
+        given.check()?;
+        let plan = match plan {
+            Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
+            plan => plan?,
+        };
+        resources.go_on()?;
+        Ok((particles, plan))
+    }
+
+    /// Counts the particles in some bins alone, of which there may be none, and in a periodic box their images; the others have been
+    /// counted before, and refused or skipped if they are invalid.
     ///
     /// # Errors
     /// [`FrameError::OverBudget`].
@@ -69,17 +78,12 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         surfacing: &Surfacing,
         wanted: WantedBins,
     ) -> Result<Self, FrameError> {
-        let Sampling { grid, domain, resources, .. } = sampling;
-        debug_assert!(sampling.periodic.is_none(), "bins of parts are not wanted beyond the faces of a box");
-        let room = CountingRoom::within(resources.budget.0);
-        let plan = BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room);
-        particles.check()?;
-        let plan = match plan {
-            Err(BinError::TooManyBins { .. }) => return Err(over_budget(particles, sampling, room)),
-            plan => plan?,
+        let Sampling { grid, domain, .. } = sampling;
+        let count = |particles: &WithImages<'a, P>, room| {
+            BinPlan::count_wanted(particles, grid, domain.as_ref(), wanted, room)
         };
-        resources.go_on()?;
-        let (census, particles) = (plan.census(), WithImages::none(particles));
+        let (particles, plan) = Self::with_images(particles, sampling, InvalidParticles::Skip, count)?;
+        let census = plan.census();
         Ok(Self { particles, sampling, plan, census, surfacing: *surfacing, stretch: wanted.stretch })
     }
 
@@ -146,8 +150,10 @@ impl Sampling {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
             stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
         };
-        Estimate::of(bins, shape, &drawing, particles.resident_bytes(), near)
-            .and_backend(resources.host_bytes())
+        let lookup = BinPlan::lookup_bytes(particles.len(), stretch != Stretch::ALL);
+        let estimate = Estimate::of(bins, shape, &drawing, particles.resident_bytes(), near);
+        let sampling = rayon::current_num_threads() as u64 * lookup;
+        Estimate { sampling, ..estimate }.and_backend(resources.host_bytes())
     }
 
     /// Bytes of a surface that may be in memory where so many blocks of its meshes, and so many bins that hold particles, are listed

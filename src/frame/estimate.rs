@@ -31,6 +31,8 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 pub struct Estimate {
     /// The program, its threads and its backend.
     pub program: u64,
+    /// Bytes that threads work in until the field is sampled.
+    pub sampling: u64,
     /// Bytes that threads work in while the surface is made.
     pub meshing: u64,
     /// An input that had to be unpacked or decoded, until its field is sampled.
@@ -239,7 +241,7 @@ impl Estimate {
     /// The peak with everything in memory.
     #[must_use]
     pub fn in_core(&self) -> u64 {
-        let sampling = self.input + self.particles + self.places.max(self.field - self.wide);
+        let sampling = self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
         let meshing = self.meshing + self.field + self.surface + self.beside_the_surface();
         self.program + self.index + sampling.max(meshing)
     }
@@ -303,7 +305,7 @@ impl Estimate {
         match plan {
             Plan::InCore => self.in_core(),
             Plan::OutOfCore(Shares { particles, coded, field, surface }) => {
-                let sampling = self.input + particles + coded.min(self.particles).max(field);
+                let sampling = self.sampling + self.input + particles + coded.min(self.particles).max(field);
                 self.program + self.index + sampling.max(self.meshing + field + surface.min(self.surface))
             }
         }

@@ -4,11 +4,11 @@
 //! so that whatever looks beyond a face finds there what an infinitely repeated fluid would have. A box need not hold a whole
 //! number of cells: its edges may differ, and cells are cubes.
 
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use thiserror::Error;
 
 use super::units::shown;
-use super::{CELL_LIMIT, CellBox, Domain, FRACTIONS, Grid};
+use super::{BIN, CELL_LIMIT, CellBox, Domain, FRACTIONS, Grid};
 
 /// The names of the axes.
 const AXES: [char; 3] = ['x', 'y', 'z'];
@@ -194,6 +194,26 @@ impl Periodic {
         Ok(inside)
     }
 
+    /// Boxes of bins that hold the particles of a box of bins, as they were given, and all images that they can have.
+    pub fn with_images(&self, bins: CellBox) -> impl Iterator<Item = CellBox> + use<> {
+        let (period, edge) = (self.period, i64::from(BIN) * i64::from(FRACTIONS));
+        let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
+        let sides = sides(2).flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
+        // What is given on a face is on the lower one, whatever its coordinate is rounded to: along a periodic axis it may be a bin aside.
+        let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
+        let cells = self.cells().grown(self.reach + 1, self.reach + 1);
+        let reached = CellBox {
+            lo: cells.lo.div_euclid(IVec3::splat(BIN)),
+            hi: cells.hi.div_euclid(IVec3::splat(BIN)) + 1,
+        };
+        sides.map(move |sides| {
+            let moved = |corner: IVec3| [0, 1, 2].map(|a| i64::from(corner[a]) * edge + sides[a] * period[a]);
+            let lo = moved(bins.lo).map(|step| step.div_euclid(edge) as i32);
+            let hi = moved(bins.hi).map(|step| (step + edge - 1).div_euclid(edge) as i32);
+            CellBox { lo: IVec3::from(lo) - aside, hi: IVec3::from(hi) + aside }.intersection(&reached)
+        })
+    }
+
     /// Whether a particle is beyond the faces, or so near to one that it has images.
     #[must_use]
     pub fn is_near_face(&self, world: [f64; 3]) -> bool {
@@ -266,6 +286,35 @@ mod tests {
         assert_eq!(periodic.inside([1.100_001, 5.0, 0.0]), Err('x'));
         assert_eq!(periodic.inside([-1e-9, 5.0, 0.0]), Err('x'));
         assert_eq!(periodic.inside([0.5, 1e300, -2.001]), Err('z'), "y is open");
+    }
+
+    #[test]
+    fn particles_and_their_images_are_in_the_boxes_around_the_bins_that_they_are_given_in() {
+        let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.037).unwrap();
+        let faces = [Some([0.0, 24.1]), None, Some([-21.7, 1.3])];
+        let periodic = Periodic::new(&grid, faces, 40).unwrap();
+        let bin = |at: [f64; 3]| {
+            IVec3::from(grid.place(at).unwrap().map(|step| (step >> 13).div_euclid(i64::from(BIN)) as i32))
+        };
+        let mut images = 0;
+        for i in 0..5000 {
+            let share = |k: i32| f64::from(i * k % 4999) / 4999.0;
+            // Every few are on a face, as single precision has it.
+            let along = |[lo, hi]: [f64; 2], k: i32| match i * k % 11 {
+                0 => f64::from(lo as f32),
+                1 => f64::from(hi as f32),
+                _ => lo + share(k) * (hi - lo),
+            };
+            let given = [along([0.0, 24.1], 7), 30.0 * share(13), along([-21.7, 1.3], 17)];
+            let around: Vec<CellBox> = periodic.with_images(CellBox::cube(bin(given), 1)).collect();
+            assert_eq!(around.len(), 9, "y is open");
+            let inside = periodic.inside(given).unwrap();
+            for at in periodic.images(&grid, inside, grid.place(inside).unwrap()).chain([inside]) {
+                assert!(around.iter().any(|bins| bins.contains(bin(at))), "{at:?} of {given:?}");
+                images += 1;
+            }
+        }
+        assert!(images > 7000, "{images}");
     }
 
     #[test]

@@ -4,17 +4,22 @@ use std::io;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
+use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 
 use super::frame_files::files_of;
+use super::input::file_and_step;
 
-/// Size and time of a file, which tell it from what it was before.
+/// Sizes, times and names of an input's files, and its frame's number: they tell it from others, and from what it was before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
-    /// The file's size.
+    /// The size of all files.
     pub bytes: u64,
-    /// Time at which it was written, in nanoseconds.
+    /// Time at which the newest was written, in nanoseconds.
     pub modified: u64,
+    /// CRC-32 of each file's name, size and time, and of the frame's number.
+    #[serde(default)]
+    pub files: u32,
 }
 
 impl Stamp {
@@ -23,13 +28,81 @@ impl Stamp {
     /// # Errors
     /// Where the system has none.
     pub fn of(path: &Path) -> io::Result<Self> {
-        let mut all = Self { bytes: 0, modified: 0 };
+        let (mut bytes, mut newest, mut files) = (0, 0, Hasher::new());
         for file in files_of(path) {
             let metadata = file.metadata()?;
             let since = metadata.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-            all.bytes += metadata.len();
-            all.modified = all.modified.max(since.as_nanos() as u64);
+            let (size, modified) = (metadata.len(), since.as_nanos() as u64);
+            // Folders are left out: they may have other names on other machines.
+            files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
+            [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
+            (bytes, newest) = (bytes + size, newest.max(modified));
         }
-        Ok(all)
+        // A file that holds one frame has no number.
+        if let (_, Some(step)) = file_and_step(path) {
+            files.update(&step.to_le_bytes());
+        }
+        Ok(Self { bytes, modified: newest, files: files.finalize() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, File};
+    use std::path::PathBuf;
+    use std::time::Duration;
+
+    use super::*;
+
+    /// Writes a file whose time is so many seconds.
+    fn write(path: PathBuf, bytes: &[u8], seconds: u64) -> PathBuf {
+        fs::write(&path, bytes).unwrap();
+        File::options()
+            .write(true)
+            .open(&path)
+            .unwrap()
+            .set_modified(UNIX_EPOCH + Duration::from_secs(seconds))
+            .unwrap();
+        path
+    }
+
+    #[test]
+    fn a_stamp_tells_files_of_one_size_and_time_by_their_names_and_not_by_their_folders() {
+        let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let stamp = |folder: &Path, name: &str, bytes: &[u8], seconds: u64| {
+            Stamp::of(&write(folder.join(name), bytes, seconds)).unwrap()
+        };
+        let first = stamp(folder.path(), "a.xyz", b"particles", 7);
+        assert_eq!((first.bytes, first.modified), (9, 7_000_000_000));
+        assert_eq!(first, stamp(other.path(), "a.xyz", b"particles", 7));
+        let others = [("b.xyz", "particles", 7), ("a.xyz", "particle", 7), ("a.xyz", "particles", 8)];
+        for (name, bytes, seconds) in others {
+            assert_ne!(
+                first,
+                stamp(folder.path(), name, bytes.as_bytes(), seconds),
+                "{name} {bytes} {seconds}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_stamp_tells_which_frame_of_a_file_it_is_of() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = write(folder.path().join("sim.h5part"), b"frames", 7);
+        let of_step = |step: u64| Stamp::of(&PathBuf::from(format!("{}#{step}", file.display()))).unwrap();
+        assert_eq!(of_step(3), of_step(3));
+        assert_ne!(of_step(3), of_step(10));
+    }
+
+    #[test]
+    fn a_stamp_tells_a_piece_that_was_replaced_by_an_older_one_of_its_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let stamp = |of_second: u64| {
+            write(folder.path().join("Part_p01_0003.bi4"), b"piece", of_second);
+            Stamp::of(&write(folder.path().join("Part_p00_0003.bi4"), b"first", 7)).unwrap()
+        };
+        let [older, old] = [stamp(3), stamp(5)];
+        assert_eq!((older.bytes, older.modified), (old.bytes, old.modified));
+        assert_ne!(older, old);
     }
 }

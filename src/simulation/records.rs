@@ -241,7 +241,12 @@ mod tests {
             normals: true,
             attributes: Vec::new(),
         };
-        Record { input: Stamp { bytes: 9, modified: 7 }, fingerprint, mesh, crc: crc32fast::hash(b"mesh") }
+        Record {
+            input: Stamp { bytes: 9, modified: 7, files: 2 },
+            fingerprint,
+            mesh,
+            crc: crc32fast::hash(b"mesh"),
+        }
     }
 
     fn names(folder: &Path) -> Vec<String> {

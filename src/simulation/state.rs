@@ -137,7 +137,7 @@ mod tests {
     fn frozen(calibration: Calibration) -> Frozen {
         Frozen {
             frame: 1,
-            input: Stamp { bytes: 1, modified: u64::MAX },
+            input: Stamp { bytes: 1, modified: u64::MAX, files: 3 },
             spacing: Some(0.1 + 0.2),
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,

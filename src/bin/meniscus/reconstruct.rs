@@ -56,7 +56,7 @@ fn dry_run(options: &Options, opened: &Opened, format: MeshFormat) -> Result<Str
     };
     let mut text = format!(
         "would reconstruct {} particles with cells of {} into {output}\n\
-         memory: about {memory} of {budget}; all in memory would take {in_core}\nscratch: {scratch}",
+         memory: about {memory:.2} of {budget}; all in memory would take {in_core:.2}\nscratch: {scratch}",
         census.binned,
         shown(cell_size),
     );

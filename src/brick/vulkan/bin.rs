@@ -10,7 +10,7 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use thiserror::Error;
 
-use crate::brick::place::bin_coord;
+use crate::brick::cubes::bin_coord;
 use crate::brick::{BinError, Census, InvalidParticles};
 use crate::grid::{Domain, Grid, MortonKey};
 use crate::vulkan::{

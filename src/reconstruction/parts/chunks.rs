@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::brick::WithBoxes;
 use crate::grid::stretch::WantedBins;
-use crate::grid::{CellBox, Domain, Grid};
+use crate::grid::{CellBox, Domain, Grid, Periodic};
 use crate::io::{PieceChunk, Pieces};
 use crate::particles::Particles;
 
@@ -60,8 +60,12 @@ pub(super) fn watched<'a>(
 }
 
 impl Reading {
-    /// The chunks that may hold particles in bins that are wanted, of all of an input.
-    pub(super) fn of(chunks: &[Chunk], wanted: WantedBins) -> Self {
+    /// The chunks that may hold particles that are in bins that are wanted, or have images there in a periodic box, of all of an input.
+    pub(super) fn of(chunks: &[Chunk], wanted: WantedBins, periodic: Option<&Periodic>) -> Self {
+        let touches = |bins: CellBox| match periodic {
+            None => wanted.touch(bins),
+            Some(periodic) => periodic.with_images(bins).any(|bins| wanted.touch(bins)),
+        };
         let mut reading = Self::default();
         let mut before = 0;
         for piece in chunks.chunk_by(|one, other| one.particles.piece == other.particles.piece) {
@@ -70,7 +74,7 @@ impl Reading {
                 let first = end;
                 end += particles.count;
                 match reading.ranges.last_mut() {
-                    _ if !bins.is_some_and(|bins| wanted.touch(bins)) => {}
+                    _ if !bins.is_some_and(touches) => {}
                     Some(range) if range.end == first => range.end = end,
                     _ => reading.ranges.push(first..end),
                 }
@@ -181,12 +185,12 @@ mod tests {
             chunk(3, 10, far),
             chunk(3, 1, near),
         ];
-        let reading = Reading::of(&chunks, wanted);
+        let reading = Reading::of(&chunks, wanted, None);
         assert_eq!(reading.pieces, [0, 3]);
         assert_eq!(reading.counts, [25, 21]);
         // Of the pieces that are opened, one after the other; those that follow one another are one.
         assert_eq!(reading.ranges, [10..35, 45..46]);
         assert_eq!(reading.count(), 26);
-        assert!(Reading::of(&chunks[3..5], wanted).is_empty());
+        assert!(Reading::of(&chunks[3..5], wanted, None).is_empty());
     }
 }

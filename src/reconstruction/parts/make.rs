@@ -84,8 +84,8 @@ impl Parts {
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
             };
             // What is seen depends on whether attributes are carried, and on no more of them.
-            let (_, bins) = wanted((0..plan.attributes.len()).collect())?;
-            let reading = Reading::of(&plan.chunks, bins);
+            let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
+            let reading = Reading::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
                 return Ok(Meshed::nothing(plan, 0));
             }

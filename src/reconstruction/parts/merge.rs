@@ -107,7 +107,8 @@ fn drawn(
     mut report: Report,
     timings: &mut Timings,
 ) -> Result<Drawn, Error> {
-    let FrameFacts { grid, domain, census, spacing, .. } = report.facts;
+    let FrameFacts { grid, census, spacing, .. } = report.facts;
+    let walls = report.facts.mesh_walls(checked.surfacing.periodic_mesh);
     let Joined { spool, occupied, lacking, bins } = joined;
     let iso = plan.calibration.and_then(|known| known.iso());
     if spool.is_empty() {
@@ -115,7 +116,7 @@ fn drawn(
     }
     let share = sampling.merging_share(&checked.surfacing, &components(plan), spool.len() as u64, bins);
     let crossings = iso.unwrap_or(Isovalue::NO_DISTANCE);
-    let surface = Stitched::new(spool, grid, domain, crossings, plan.attributes.clone());
+    let surface = Stitched::new(spool, grid, walls, crossings, plan.attributes.clone());
     let resources = &checked.resources;
     let in_scratch = |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
 
@@ -129,7 +130,8 @@ fn drawn(
     report.warnings = of_particles(&report.facts, crowding, lacking, plan.mean_symmetry);
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
-    let shortfall = spacing.map(|spacing| Shortfall::of(&surface, None, census.binned, spacing)).transpose();
+    let own = report.facts.own_cells();
+    let shortfall = spacing.map(|spacing| Shortfall::of(&surface, own, census.binned, spacing)).transpose();
     checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
     timings.done("merge");
 

@@ -108,7 +108,7 @@ pub struct Planned {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct PartShare {
-    /// Particles in its blocks: all parts' together are all of the frame.
+    /// Particles in its blocks, with their images in a periodic box: all parts' together are all of the frame.
     pub particles: u64,
     /// Particles that it keeps: those, and what decides their blocks from around.
     pub kept: u64,
@@ -199,11 +199,6 @@ impl Parts {
         }
         if is_packed(&self.input) {
             let with = Conflict::Packed(self.input.clone());
-            return Err(Unfit { setting: Setting::Parts, with }.into());
-        }
-        if checked.asked.periodic.is_some() {
-            // The bins that decide a part's field would lie behind the opposite face.
-            let with = Conflict::Setting(Setting::Periodic);
             return Err(Unfit { setting: Setting::Parts, with }.into());
         }
         if let Some(method) = checked.asked.baseline {
