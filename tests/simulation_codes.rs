@@ -1,4 +1,6 @@
 //! Frames of large simulation codes in HDF5, each written by its own library: what is there is read, and whatever is damaged is refused.
+//!
+//! `MENISCUS_EVERY_BYTE=1` cuts each file at every byte, and flips each.
 #![cfg(feature = "hdf5")]
 #![allow(clippy::unwrap_used)]
 
@@ -278,6 +280,8 @@ fn what_lies_in_a_file_as_it_is_takes_neither_memory_nor_scratch() {
 fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation() {
     let folder = copied("gadget");
     let path = |name: &str| folder.path().join(name.split('#').next().unwrap());
+    // Every byte takes minutes.
+    let every = std::env::var_os("MENISCUS_EVERY_BYTE").is_some();
     for (name, _) in FRAMES {
         let step = name.split_once('#').map(|(_, step)| format!("#{step}")).unwrap_or_default();
         let whole = fs::read(data(name.split('#').next().unwrap())).unwrap();
@@ -293,7 +297,12 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };
-        let prefixes = (0..whole.len()).step_by(if whole.len() > 20_000 { 41 } else { 3 });
+        let stride = |[small, large]: [usize; 2]| match every {
+            true => 1,
+            false if whole.len() > 20_000 => large,
+            false => small,
+        };
+        let prefixes = (0..whole.len()).step_by(stride([3, 41]));
         for length in prefixes {
             // What is cut off may have been padding.
             if let Ok(found) = read(&whole[..length]) {
@@ -301,7 +310,7 @@ fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation()
             }
         }
         let mut random = 12345u64;
-        for at in (0..whole.len()).step_by(if whole.len() > 20_000 { 13 } else { 3 }) {
+        for at in (0..whole.len()).step_by(stride([3, 13])) {
             random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
             let mut bytes = whole.clone();
             bytes[at] ^= [0x01, 0x80, 0xff][(random >> 33) as usize % 3];

@@ -85,7 +85,7 @@ fn describe(info: &Info) -> String {
             let source = spacing_source.as_deref().unwrap_or_default();
             line("spacing", spacing.map_or("unknown".into(), |s| format!("{}, from {source}", shown(s))));
             if let Some(bytes) = memory_bytes {
-                line("memory", format!("about {} by default", ByteSize(*bytes)));
+                line("memory", format!("about {:.2} by default", ByteSize(*bytes)));
             }
             format!("{}: {format}", file.display())
         }
