@@ -276,8 +276,9 @@ impl Estimate {
         if self.in_core() <= budget.0 {
             return Plan::InCore;
         }
+        let threads = self.sampling.max(self.meshing);
         let left =
-            budget.0.saturating_sub(self.program + self.meshing + self.input + self.index).max(budget.0 / 8);
+            budget.0.saturating_sub(self.program + threads + self.input + self.index).max(budget.0 / 8);
         // A DIF that is in memory whole leaves less for the surface, which is used once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
         // Beside the surface, and before that beside coded particles, there are stacks, and what the allocator keeps.
