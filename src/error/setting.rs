@@ -72,8 +72,6 @@ pub enum Conflict {
     Method(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
-    /// A setting that excludes it.
-    Setting(Setting),
     /// A frame that was sampled already, otherwise than is asked for now.
     Sampled,
     /// The format of the mesh.
@@ -106,7 +104,6 @@ impl fmt::Display for Unfit {
             Conflict::Packed(path) => {
                 write!(f, "{}: {setting} needs the particles themselves", path.display())
             }
-            Conflict::Setting(other) => write!(f, "{setting} does not go with {other}"),
             Conflict::Sampled => {
                 write!(f, "{setting} needs the particles themselves, and the frame is sampled already")
             }

@@ -11,7 +11,7 @@
 use glam::IVec3;
 use hashbrown::HashMap;
 
-use crate::grid::{BIN, BLOCK, MortonKey};
+use crate::grid::{BIN, MortonKey, block_of_bin};
 
 /// Vertices at a face between a full bin and an empty one: a wrinkled surface has more than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
@@ -79,7 +79,7 @@ pub(super) fn surface(
     // The block that is being added up: bins of one follow one another.
     let (mut block, mut of_block) = (IVec3::MAX, 0.0);
     for bin in bins {
-        let next = bin.0.coord().div_euclid(IVec3::splat(BLOCK / BIN));
+        let next = block_of_bin(bin.0.coord());
         if next != block {
             squares += of_block * of_block;
             (block, of_block) = (next, 0.0);

@@ -242,6 +242,12 @@ impl MortonKey {
     }
 }
 
+/// The block that a bin lies in, counted in blocks.
+#[must_use]
+pub fn block_of_bin(bin: IVec3) -> IVec3 {
+    bin.div_euclid(IVec3::splat(BLOCK / BIN))
+}
+
 /// The Morton index of a cube among the siblings in a parent of at most 2^10 cubes an axis.
 #[must_use]
 pub fn local_morton(local: IVec3) -> usize {

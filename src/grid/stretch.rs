@@ -2,7 +2,7 @@
 
 use glam::IVec3;
 
-use super::{BIN, BLOCK, CellBox, MortonKey};
+use super::{BIN, BLOCK, CellBox, MortonKey, block_of_bin};
 
 /// Blocks that follow one another along the Morton curve: from a key to just before another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl Stretch {
     /// Whether it holds the block that a bin lies in.
     #[must_use]
     pub fn holds_bin(&self, bin: IVec3) -> bool {
-        self.holds(bin.div_euclid(IVec3::splat(BLOCK / BIN)))
+        self.holds(block_of_bin(bin))
     }
 }
 

@@ -105,7 +105,6 @@ fn unfit_options(unfit: &Unfit) -> String {
             format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
         }
         (Conflict::Method(_), _) => format!("{given} has no meaning for this --method"),
-        (Conflict::Setting(other), _) => format!("{given} does not go with {}", option(*other)),
         (Conflict::Packed(path), _) => format!("{}: {given} needs the particles themselves", path.display()),
         (Conflict::Format { path, .. }, Setting::Compression) => {
             format!("{}: --compress goes with .glb", path.display())

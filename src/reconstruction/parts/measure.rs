@@ -8,7 +8,7 @@ use crate::frame::estimate::Estimate;
 use crate::frame::{Counted, Frame as Engine, Sampling};
 use crate::grid::stretch::{Sight, Stretch};
 use crate::grid::units::MemoryBudget;
-use crate::grid::{BIN, BLOCK, MortonKey};
+use crate::grid::{MortonKey, block_of_bin};
 use crate::io::input::open_wanted;
 use crate::io::stamp::Stamp;
 use crate::io::whole::sweep;
@@ -183,7 +183,7 @@ impl Parts {
 
 /// The block of a bin.
 fn block_of(bin: MortonKey) -> MortonKey {
-    MortonKey::of(bin.coord().div_euclid(glam::IVec3::splat(BLOCK / BIN)))
+    MortonKey::of(block_of_bin(bin.coord()))
 }
 
 /// How long the blocks take that hold any of some particles by bin, or that a surface may pass through in so many cells: in particles
