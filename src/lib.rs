@@ -205,14 +205,14 @@ pub use brick::{Census, FrameFacts};
 pub use error::{Cause, Error};
 pub use field::calibration::{Calibrated, Calibration, Plateau};
 pub use field::indicator::{Indicator, IndicatorKind};
-pub use frame::Shortfall;
+pub use frame::{Coincident, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
 pub use particles::{Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, Doubt, Emptiness, Frame, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
-    Reconstruction, Report, SpacingSource, Surface, Warning,
+    Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
+    Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
 pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing, Simulation,

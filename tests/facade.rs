@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use common::files::{bytes_of, data, raw};
 use common::program::command;
 use common::{fill, splashes};
-use meniscus::error::{Cause, Conflict, Error, Setting};
+use meniscus::error::{Cause, Conflict, Error, Setting, Untold};
 use meniscus::internals::baselines::Method;
 use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::FrameError;
@@ -158,7 +158,10 @@ fn errors_name_the_file_and_lead_to_their_source() {
     let in_file = Reconstruction::new().run_file(&none).unwrap_err();
     assert!(in_file.to_string().starts_with(none.to_str().unwrap()), "{in_file}");
     let in_memory = Reconstruction::new().run(&[[1.0_f64; 3], [2.0, 9.0, 1.0]][..]).unwrap_err();
-    assert!(matches!(in_memory, Error::NoSpacing { path: None, particles: 2 }), "{in_memory}");
+    assert!(
+        matches!(in_memory, Error::NoSpacing { path: None, particles: 2, why: Untold::TooFew, .. }),
+        "{in_memory}"
+    );
     let missing = Reconstruction::new().spacing(0.5).attributes(["heat"]).run(&ball()[..]).unwrap_err();
     assert!(matches!(&missing, Error::NoAttribute { name, .. } if name == "heat"), "{missing}");
     let empty = Reconstruction::new().spacing(1.0).run(&[[f64::NAN; 3]; 0]).unwrap_err();

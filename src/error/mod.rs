@@ -12,6 +12,7 @@ use thiserror::Error;
 pub use crate::brick::BinError;
 pub use crate::field::calibration::{Remedy, TooFine};
 pub use crate::field::indicator::IndicatorKind;
+pub use crate::field::spacing::Untold;
 pub use crate::frame::FrameError;
 pub use crate::frame::estimate::OverBudget;
 pub use crate::grid::units::{UnitError, shown, significant};
@@ -125,18 +126,30 @@ pub enum Error {
     #[error("threads cannot be started: {0}")]
     Threads(String),
     /// The spacing is not given, not in the file, and cannot be estimated.
-    #[error("{}the spacing of {particles} particles cannot be estimated", file(path.as_deref()))]
+    #[error(
+        "{}the spacing of {particles} particles cannot be estimated: {why}{}",
+        file(path.as_deref()),
+        suggestion(*suggested)
+    )]
     NoSpacing {
         /// The file, if the particles are of one.
         path: Option<PathBuf>,
         /// How many particles it has.
         particles: usize,
+        /// The reason.
+        why: Untold,
+        /// The spacing that the nearest neighbours suggest.
+        suggested: Option<f64>,
     },
 }
 
 /// The begin of a message on a file, if it is on one.
 fn file(path: Option<&Path>) -> String {
     path.map_or(String::new(), |path| format!("{}: ", path.display()))
+}
+
+fn suggestion(suggested: Option<f64>) -> String {
+    suggested.map_or(String::new(), |d| format!("; their nearest neighbours suggest {}", significant(d, 3)))
 }
 
 fn to_simplify(threads: Option<usize>) -> String {

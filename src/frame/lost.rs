@@ -11,10 +11,12 @@ use rayon::prelude::*;
 use crate::brick::{Bins, unpack};
 use crate::field::calibration::Fullness;
 use crate::grid::stretch::Stretch;
-use crate::grid::{BIN, BLOCK, CellBox, TILE, local_from_morton};
+use crate::grid::{BIN, BLOCK, CellBox, Grid, TILE, local_from_morton};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{TileMask, bits, cell_of_bit};
 use crate::surface::stitch::Stitched;
+
+use super::coincident::{Coincident, Found};
 
 /// Tiles of a bin along an axis: as many as a tile has cells, so that a mask of cells is one of tiles, too.
 const SIDE: i32 = BIN / TILE;
@@ -30,6 +32,7 @@ pub struct Occupied {
     /// The cells whose particles count, where those of others are images.
     own: Option<CellBox>,
     full: Fullness,
+    coincident: Found,
 }
 
 /// A bin that holds particles, as it is kept in a file.
@@ -55,6 +58,12 @@ impl Occupied {
     /// Begins with none; particles outside of `own` cells, if those are given, are images that do not count.
     pub(super) fn among(own: Option<CellBox>) -> Self {
         Self { own, ..Self::default() }
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.bins.is_empty()
     }
 
     /// The bins in a stretch of blocks.
@@ -91,10 +100,21 @@ impl Occupied {
                 });
                 full.cells = held.iter().map(|held| u64::from(held.count_ones())).sum();
             }
-            Ok((coord, full, tiles))
+            let coincident = match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
+                None => Found::among(coord, contents.packed()),
+                Some(own) => {
+                    let is_own = |&&record: &&u64| {
+                        own.contains(coord * BIN + IVec3::from(unpack(record).0.map(|at| at as i32)))
+                    };
+                    let records: Vec<u64> = contents.packed().iter().filter(is_own).copied().collect();
+                    Found::among(coord, &records)
+                }
+            };
+            Ok((coord, full, tiles, coincident))
         };
         let added: Vec<_> = (0..bins.keys().len()).into_par_iter().map(of_bin).collect::<io::Result<_>>()?;
-        for (coord, full, tiles) in added.into_iter().filter(|(.., tiles)| *tiles != 0) {
+        for (coord, full, tiles, coincident) in added.into_iter().filter(|(_, _, tiles, _)| *tiles != 0) {
+            self.coincident.add(&coincident);
             self.full.particles += full.particles;
             self.full.cells += full.cells;
             self.bins.push((coord, u32::try_from(full.particles).unwrap_or(u32::MAX), tiles));
@@ -105,6 +125,12 @@ impl Occupied {
     /// How full cells are: all that hold particles, which are so many unless some are images.
     pub(super) fn fullness(&self, all_cells: u64) -> Fullness {
         Fullness { cells: if self.own.is_some() { self.full.cells } else { all_cells }, ..self.full }
+    }
+
+    /// The particles that are in the same place as another one, on a grid.
+    #[must_use]
+    pub fn coincident(&self, grid: &Grid) -> Option<Coincident> {
+        self.coincident.report(grid, self.bins.iter().map(|&(bin, particles, _)| (bin, u64::from(particles))))
     }
 
     /// How many times as many particles there are, at the least, as particles so many cells apart leave room for in the tiles that they

@@ -6,6 +6,7 @@
 //! Speed and memory are in `speed.md`, a page of the docs.
 
 mod binned;
+mod coincident;
 mod counted;
 mod error;
 pub mod estimate;
@@ -19,6 +20,7 @@ mod shortfall;
 mod sink;
 mod surface;
 
+pub use coincident::Coincident;
 pub use counted::Counted;
 pub use error::FrameError;
 pub use lost::{Occupied, OccupiedBin};
@@ -37,6 +39,7 @@ use crate::baselines::Method;
 use crate::brick::{Bins, FrameFacts};
 use crate::field::calibration::{Calibration, indicate};
 use crate::field::indicator::SampledDif;
+use crate::field::spacing::spacing_by_clouds;
 use crate::frame::estimate::Estimate;
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
@@ -315,6 +318,21 @@ impl Frame {
     #[must_use]
     pub fn crowding(&self) -> Option<f64> {
         Some(self.occupied.crowding(self.facts().spacing_cells()?))
+    }
+
+    /// The particles that are in the same place as another one, if there are any. None of a frame that was sampled before.
+    #[must_use]
+    pub fn coincident(&self) -> Option<Coincident> {
+        self.occupied.coincident(&self.facts().grid)
+    }
+
+    /// The spacing that a frame's samples show, if it was sampled before, and was not looked at when it was.
+    #[must_use]
+    pub fn spacing_by_samples(&self) -> Option<f64> {
+        match &self.field {
+            Field::Dif { sampled, .. } if self.occupied.is_empty() => spacing_by_clouds(sampled),
+            _ => None,
+        }
     }
 
     /// The tiles that hold particles: none of a frame that was sampled before.

@@ -1,14 +1,16 @@
 //! How wide cells are, by a spacing that is given, in the file, in a scene beside it, or estimated: in this order.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use crate::field::indicator::IndicatorKind;
-use crate::field::spacing::Spacings;
+use crate::field::spacing::Plane;
 use crate::frame::FieldRequest;
 use crate::grid::units::shown;
+
+use super::spacing::{Doubt, SpacingSource};
 
 /// Edge of a cell, as it is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,92 +43,6 @@ pub struct Source<'a> {
     pub spacing: Option<f64>,
 }
 
-/// Writes a path down as it is shown: not every one is text.
-fn as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
-    to.collect_str(&path.display())
-}
-
-/// Where a spacing comes from.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum SpacingSource {
-    /// The caller.
-    Given,
-    /// The particles' file.
-    File,
-    /// A scene beside it.
-    Scene(#[serde(serialize_with = "as_text")] PathBuf),
-    /// The particles themselves.
-    Estimated,
-}
-
-impl fmt::Display for SpacingSource {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Given => f.write_str("as given"),
-            Self::File => f.write_str("from the file"),
-            Self::Scene(path) => write!(f, "from {}", path.display()),
-            Self::Estimated => f.write_str("estimated from the particles"),
-        }
-    }
-}
-
-/// Why a spacing may not be that of the particles.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Doubt {
-    /// The particles are of two resolutions.
-    TwoResolutions {
-        /// How far most are apart, and how far the others.
-        spacings: [f64; 2],
-        /// The spacing that all are taken to have.
-        taken: f64,
-    },
-    /// The scene that lies beside them need not be theirs.
-    OtherScene {
-        /// The scene's file.
-        #[serde(serialize_with = "as_text")]
-        path: PathBuf,
-        /// The spacing that it says.
-        said: f64,
-        /// The spacing by the particles' density.
-        found: f64,
-    },
-}
-
-impl Doubt {
-    /// By how much the spacing of a scene may differ from what its particles look like.
-    const SCENE: f64 = 2.0;
-
-    pub(super) fn of(taken: f64, scene: Option<&Path>, found: Spacings) -> Option<Self> {
-        if let Some(spacings) = found.two {
-            return Some(Self::TwoResolutions { spacings, taken });
-        }
-        let agree = 1.0 / Self::SCENE..=Self::SCENE;
-        let path = scene.filter(|_| !agree.contains(&(taken / found.mean)))?.to_owned();
-        Some(Self::OtherScene { path, said: taken, found: found.mean })
-    }
-}
-
-impl fmt::Display for Doubt {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TwoResolutions { spacings: [one, other], taken } => write!(
-                f,
-                "the particles are of two resolutions, {} and {} apart, and all are taken to be {} apart",
-                shown(*one),
-                shown(*other),
-                shown(*taken)
-            ),
-            Self::OtherScene { path, said, found } => write!(
-                f,
-                "{} says that particles are {} apart, by their density they are {}",
-                path.display(),
-                shown(*said),
-                shown(*found)
-            ),
-        }
-    }
-}
-
 /// Edge of the cells of a frame, and the spacing that it was taken from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -135,8 +51,43 @@ pub struct Cells {
     pub size: f64,
     /// Distance between neighbouring particles, where it is known, and where it is known from.
     pub spacing: Option<(f64, SpacingSource)>,
+    /// A corner of the cells, where it was chosen because the particles are far from the origin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
+    /// The slab that particles in a plane stand for: they are of a simulation in two dimensions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub slab: Option<Slab>,
     /// Why the spacing may be wrong.
-    pub doubt: Option<Doubt>,
+    pub doubts: Vec<Doubt>,
+}
+
+/// A slab across an axis, one spacing thick.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Slab {
+    /// 0, 1 or 2 for x, y or z.
+    pub axis: usize,
+    /// Its faces along that axis.
+    pub faces: [f64; 2],
+}
+
+impl Slab {
+    /// The slab around a plane of particles.
+    #[must_use]
+    pub fn around(plane: Plane, spacing: f64) -> Self {
+        Self { axis: plane.axis, faces: [plane.at - spacing / 2.0, plane.at + spacing / 2.0] }
+    }
+}
+
+impl fmt::Display for Slab {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let axis = ["x", "y", "z"].get(self.axis).copied().unwrap_or_default();
+        let [lo, hi] = self.faces.map(shown);
+        let at = shown((self.faces[0] + self.faces[1]) / 2.0);
+        write!(
+            f,
+            "all particles lie in the plane {axis} = {at}: a slab from {lo} to {hi}, one spacing thick, is meshed"
+        )
+    }
 }
 
 impl Cells {
@@ -153,6 +104,10 @@ impl fmt::Display for Cells {
         match &self.spacing {
             Some((spacing, source)) => write!(f, "spacing {} ({source}), cell size {size}", shown(*spacing)),
             None => write!(f, "spacing not known, taken to be the cell size; cell size {size}"),
+        }?;
+        match self.origin {
+            Some(origin) => write!(f, ", origin {}", origin.map(shown).join(",")),
+            None => Ok(()),
         }
     }
 }

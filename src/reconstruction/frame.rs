@@ -1,5 +1,6 @@
 //! A frame that was sampled once, to be packed, or to be drawn as often as one likes.
 
+use std::mem::take;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -16,7 +17,7 @@ use super::builder::Reconstruction;
 use super::checked::{Checked, Ready};
 use super::output::PackedOutput;
 use super::surface::Surface;
-use super::warning::{Warning, of_frame};
+use super::warning::{Warning, of_frame, with_doubts};
 use super::{Cells, ChosenSampling, Packed, Source};
 
 /// A frame that was sampled: its discrete indicator function, and whatever its surface has to know of the particles.
@@ -78,7 +79,8 @@ impl Frame {
     /// Doubts about the frame, its spacing and its attributes.
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
-        self.ready.threads.install(|| of_frame(&self.sampled.engine))
+        let cells = self.sampled.cells.as_ref();
+        self.ready.threads.install(|| with_doubts(cells, of_frame(&self.sampled.engine)))
     }
 
     /// The axis that points up in the particles, as it was asked for or by the kind of file.
@@ -126,6 +128,7 @@ impl Frame {
         let report = &mut drawn.report;
         (report.cells, report.moved, report.timings) =
             (self.sampled.cells.clone(), self.sampled.moved, timings);
+        report.warnings = with_doubts(report.cells.as_ref(), take(&mut report.warnings));
         report.threads = threads.current_num_threads();
         checked.go_on()?;
         let (threads, asked) = (threads.into(), checked.asked.clone());

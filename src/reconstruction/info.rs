@@ -9,21 +9,19 @@ use serde::Serialize;
 use crate::brick::InvalidParticles;
 use crate::error::Error;
 use crate::field::indicator::SampledDif;
-use crate::field::spacing;
 use crate::frame::{Counted, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
 use crate::io::bytes::Unpacking;
 use crate::io::input::{KNOWN, file_and_step, holds_mesh, is_known, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::read_mesh;
-use crate::io::scene::spacing_beside;
 use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::io::{ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::measure::measure;
 use crate::system::memory::default_memory;
 
-use super::{Attributes, SamplingRequest, Source};
+use super::{Attributes, Cells, SamplingRequest, Slab, Source, SpacingSource};
 
 /// Contents of a file.
 #[derive(Debug, Clone, Serialize)]
@@ -64,6 +62,14 @@ pub struct ParticlesInfo {
     pub spacing: Option<f64>,
     /// Where the spacing comes from.
     pub spacing_source: Option<String>,
+    /// Why the spacing may be wrong.
+    pub spacing_doubts: Vec<String>,
+    /// Why there is no spacing.
+    pub spacing_unknown: Option<String>,
+    /// The spacing that nearest neighbours suggest, where there is none.
+    pub nearest_neighbours: Option<f64>,
+    /// The slab that is meshed, where all particles lie in a plane.
+    pub slab: Option<Slab>,
     /// Bytes that reconstructing in memory takes by default.
     pub memory_bytes: Option<u64>,
 }
@@ -190,14 +196,16 @@ fn particles(path: &Path, particle_type: Option<&str>) -> Result<ParticlesInfo, 
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);
-    let (spacing, spacing_source) = if let Some(spacing) = file.spacing {
-        (Some(spacing), Some("the file".to_owned()))
-    } else if let Some((spacing, scene)) = spacing_beside(path) {
-        (Some(spacing), Some(scene.display().to_string()))
-    } else {
-        let estimate = spacing::estimate(particles);
-        (estimate, estimate.map(|_| "an estimate".to_owned()))
+    let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
+    let source = Source { path: Some(path), spacing: file.spacing };
+    let (cells, spacing_unknown) = match request.cells(particles, source) {
+        Ok(cells) => (Some(cells), None),
+        Err(Error::NoSpacing { why, suggested, .. }) => (None, Some((why.to_string(), suggested))),
+        Err(_) => (None, None),
     };
+    let known = cells.as_ref().and_then(|cells| cells.spacing.clone());
+    let (nearest_neighbours, spacing_unknown) =
+        spacing_unknown.map_or((None, None), |(why, suggested)| (suggested, Some(why)));
     Ok(ParticlesInfo {
         file: path.to_owned(),
         format: file.format,
@@ -208,22 +216,29 @@ fn particles(path: &Path, particle_type: Option<&str>) -> Result<ParticlesInfo, 
         ghosts: file.ghosts,
         box_size: file.box_size,
         unit_metres: file.unit_metres,
-        memory_bytes: spacing.and_then(|spacing| memory(particles, spacing)),
-        spacing,
-        spacing_source,
+        memory_bytes: cells.as_ref().and_then(|cells| memory(particles, cells)),
+        spacing: known.as_ref().map(|(spacing, _)| *spacing),
+        spacing_source: known.map(|(_, source)| match source {
+            SpacingSource::Scene(scene) => scene.display().to_string(),
+            SpacingSource::Estimated => "an estimate".to_owned(),
+            SpacingSource::File | SpacingSource::Given | SpacingSource::State | SpacingSource::Packed => {
+                "the file".to_owned()
+            }
+        }),
+        slab: cells.as_ref().and_then(|cells| cells.slab),
+        spacing_doubts: cells
+            .map_or(Vec::new(), |cells| cells.doubts.iter().map(ToString::to_string).collect()),
+        spacing_unknown,
+        nearest_neighbours,
     })
 }
 
 /// The bytes that reconstructing by default takes.
-fn memory(particles: &impl Particles, spacing: f64) -> Option<u64> {
-    let request = SamplingRequest {
-        spacing: Some(spacing),
-        invalid: InvalidParticles::Skip,
-        ..SamplingRequest::default()
-    };
-    let cells = request.cells(particles, Source::default()).ok()?;
+fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
+    let request = SamplingRequest { invalid: InvalidParticles::Skip, ..SamplingRequest::default() };
+    let request = request.in_slab(cells.slab);
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
-    let grid = request.grid(cells.size).ok()?;
+    let grid = request.grid_of(cells).ok()?;
     let carried = Attributes::Velocity.among(particles.attributes()).ok()?;
     let sampling = request.sampling_on(grid, request.field, cells.spacing(), carried, resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;

@@ -7,15 +7,19 @@ use glam::DVec3;
 use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
-use crate::field::spacing::{Part, Spacings, spacings};
+use crate::field::spacing::{
+    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Neighbours, Plane, Share, Untold, evidence,
+    look_at, show_all,
+};
 use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
-use crate::grid::{Domain, DomainError, Grid, Periodic};
+use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic};
 use crate::io::scene::spacing_beside;
 use crate::particles::Particles;
 
-use super::cells::{CellSize, Cells, Doubt, Source, SpacingSource};
+use super::cells::{CellSize, Cells, Slab, Source};
 use super::lattice::on_sound_grid;
+use super::spacing::{Doubt, SpacingSource, is_suspicious};
 
 /// How particles are to be sampled, whatever they are.
 #[derive(Debug, Clone)]
@@ -109,58 +113,144 @@ impl SamplingRequest {
         self.walls.map(|[lo, hi]| Domain::new(grid, lo, hi)).transpose()
     }
 
+    /// The request for a slab's particles: walls are its faces. Walls and periodic faces of the caller's own come first.
+    #[must_use]
+    pub fn in_slab(&self, slab: Option<Slab>) -> Self {
+        let mut request = self.clone();
+        if let Some(Slab { axis, faces: [lo, hi] }) = slab.filter(|slab| self.is_open(slab.axis)) {
+            let walls = request.walls.get_or_insert([DVec3::NEG_INFINITY, DVec3::INFINITY]);
+            (walls[0][axis], walls[1][axis]) = (lo, hi);
+        }
+        request
+    }
+
+    /// Whether the caller asked for nothing where the fluid ends along an axis.
+    fn is_open(&self, axis: usize) -> bool {
+        self.walls.is_none_or(|[lo, _]| !lo[axis].is_finite())
+            && self.periodic.is_none_or(|(faces, _)| faces[axis].is_none())
+    }
+
+    /// The spacing that the caller, the file or a scene beside it gives.
+    fn given(&self, from: Source<'_>) -> Option<(f64, SpacingSource)> {
+        let scene = || {
+            let (spacing, path) = spacing_beside(from.path?)?;
+            Some((spacing, SpacingSource::Scene(path)))
+        };
+        let of_caller = self.spacing.map(|spacing| (spacing, SpacingSource::Given));
+        of_caller.or(from.spacing.map(|spacing| (spacing, SpacingSource::File))).or_else(scene)
+    }
+
     /// Chooses the cells for particles. Only where cells have a size of their own and no kernels are drawn can the spacing be
     /// unknown: the filters are then as wide as for particles a cell apart.
     ///
     /// # Errors
     /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
     pub fn cells(&self, particles: &(impl Particles + ?Sized), from: Source<'_>) -> Result<Cells, Error> {
-        self.cells_by(particles, from, || spacings(particles))
+        match self.given(from) {
+            Some((spacing, source)) => {
+                let look = look_at(particles, spacing);
+                self.cells_for_given(particles, spacing, source, look, None)
+            }
+            None => self.cells_by_evidence(particles, from, evidence(particles)),
+        }
     }
 
-    fn cells_by(
+    /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for particles whose spacing is known.
+    fn cells_of(
         &self,
-        particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
-        spacings: impl FnOnce() -> Option<Spacings>,
+        spacing: f64,
+        source: SpacingSource,
+        middle: Option<DVec3>,
+        plane: Option<Plane>,
     ) -> Result<Cells, Error> {
-        let path = || from.path.map(Path::to_owned);
-        let mut doubt = None;
-        let (spacing, source) = if let Some(spacing) = self.spacing {
-            (spacing, SpacingSource::Given)
-        } else if let Some(spacing) = from.spacing {
-            (spacing, SpacingSource::File)
-        } else if let Some((spacing, scene)) = from.path.and_then(spacing_beside) {
-            doubt = spacings().and_then(|found| Doubt::of(spacing, Some(&scene), found));
-            (spacing, SpacingSource::Scene(scene))
-        } else if particles.is_empty() {
-            return Err(Error::Frame { path: path(), fault: FrameError::NoParticles(Census::default()) });
-        } else {
-            let found = spacings();
-            let estimate = found.map(|found| found.mean);
-            doubt = found.and_then(|found| Doubt::of(found.mean, None, found));
-            let estimate = match (self.cell_size(), self.field) {
-                (CellSize::Length(size), FieldRequest::Indicator(asked)) => {
-                    // Nobody asks for cells that are refused: then it was spray that was estimated.
-                    let grid = self.grid(size)?;
-                    let fits = |&spacing: &f64| {
-                        Surfacing::PLAIN.refuse_too_fine(asked, Some(spacing), &grid).is_ok()
-                    };
-                    let Some(spacing) = estimate.filter(fits) else {
-                        return Ok(Cells { size, spacing: None, doubt: None });
-                    };
-                    Some(spacing)
-                }
-                _ => estimate,
-            };
-            let none = || Error::NoSpacing { path: path(), particles: particles.len() };
-            (estimate.ok_or_else(none)?, SpacingSource::Estimated)
-        };
         let size = match self.cell_size() {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => positive_length("the cell size", ratio * spacing)?,
         };
-        Ok(Cells { size, spacing: Some((spacing, source)), doubt })
+        let slab = plane.filter(|plane| self.is_open(plane.axis));
+        let slab = slab.map(|plane| Slab::around(plane, spacing));
+        Ok(Cells {
+            size,
+            spacing: Some((spacing, source)),
+            origin: self.origin_for(middle, size),
+            slab,
+            doubts: Vec::new(),
+        })
+    }
+
+    /// A corner for cells of particles around `middle`, where the grid around the origin would not reach them with half of its cells.
+    fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
+        let middle = middle.filter(|_| self.origin.is_none())?;
+        let reach = f64::from(CELL_LIMIT) / 2.0 * size;
+        // Along the axes that need it, in whole cells.
+        let origin = middle.to_array().map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
+        (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
+    }
+
+    /// The cells for a spacing that was given, with doubts about it where a look at its scale does not bear it out.
+    fn cells_for_given(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        spacing: f64,
+        source: SpacingSource,
+        look: Option<Look>,
+        evidence_at_hand: Option<Evidence>,
+    ) -> Result<Cells, Error> {
+        let all_is_well = look.as_ref().is_some_and(|look| {
+            let coarse = look.place.step.is_some_and(|step| Doubt::is_coarse(step, spacing));
+            look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
+        });
+        // A scene need not be that of the particles, and says nothing of a second resolution.
+        let is_scene = matches!(source, SpacingSource::Scene(_));
+        let evidence = match evidence_at_hand {
+            None if !all_is_well || is_scene => evidence(particles),
+            at_hand => at_hand,
+        };
+        let place = evidence.as_ref().map(|evidence| evidence.place).or(look.as_ref().map(|look| look.place));
+        let (middle, plane) = (place.map(|place| place.middle), place.and_then(|place| place.plane));
+        let mut cells = self.cells_of(spacing, source.clone(), middle, plane)?;
+        if let Some(evidence) = &evidence {
+            let at_scale = look.as_ref().map_or(&evidence.neighbours, |look| &look.neighbours);
+            cells.doubts = Doubt::of_given(spacing, &source, at_scale, evidence);
+        }
+        Ok(cells)
+    }
+
+    /// The cells by what the particles say.
+    fn cells_by_evidence(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        evidence: Option<Evidence>,
+    ) -> Result<Cells, Error> {
+        let path = || from.path.map(Path::to_owned);
+        if particles.is_empty() {
+            return Err(Error::Frame { path: path(), fault: FrameError::NoParticles(Census::default()) });
+        }
+        let place = evidence.as_ref().map(|evidence| evidence.place);
+        let middle = place.map(|place| place.middle);
+        let estimate = evidence.as_ref().map_or(Err(Untold::TooFew), Evidence::estimate);
+        if let (CellSize::Length(size), FieldRequest::Indicator(asked)) = (self.cell_size(), self.field) {
+            // Nobody asks for cells that are refused: then it was spray that was estimated.
+            let grid = self.grid(size)?;
+            let fits = |estimate: &Estimate| {
+                Surfacing::PLAIN.refuse_too_fine(asked, Some(estimate.spacing), &grid).is_ok()
+            };
+            if !estimate.as_ref().is_ok_and(fits) {
+                let origin = self.origin_for(middle, size);
+                return Ok(Cells { size, spacing: None, origin, slab: None, doubts: Vec::new() });
+            }
+        }
+        let estimate = estimate.map_err(|why| Error::NoSpacing {
+            path: path(),
+            particles: particles.len(),
+            why,
+            suggested: evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
+        })?;
+        let plane = place.and_then(|place| place.plane);
+        let mut cells = self.cells_of(estimate.spacing, SpacingSource::Estimated, middle, plane)?;
+        cells.doubts = evidence.map_or(Vec::new(), |evidence| Doubt::of_estimate(&estimate, &evidence));
+        Ok(cells)
     }
 
     /// Chooses how to sample particles, whose attributes numbered in `carried` go to the vertices.
@@ -189,12 +279,15 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let Some((plan, part)) = self.counted(particles, from, &resources) else {
-            return self.sampling(particles, from, carried, resources);
+        let (cells, counted) = if particles.len() > ALL && self.periodic.is_none() {
+            self.cells_and_plan(particles, from, &resources)?
+        } else {
+            (self.cells(particles, from)?, None)
         };
-        let cells = self.cells_by(particles, from, || part.spacings(particles))?;
         let chosen = self.sampling_in(cells, particles, carried, resources)?;
-        Ok(ChosenSampling { plan: (!chosen.moved).then_some(plan), ..chosen })
+        let unmoved = !chosen.moved && chosen.cells.slab.is_none();
+        let same = |(grid, _): &(Grid, BinPlan)| unmoved && chosen.sampling.grid == *grid;
+        Ok(ChosenSampling { plan: counted.filter(same).map(|(_, plan)| plan), ..chosen })
     }
 
     fn sampling_in(
@@ -204,8 +297,9 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let grid = self.grid(cells.size)?;
-        let sampling = self.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
+        let grid = self.grid_of(&cells)?;
+        let request = self.in_slab(cells.slab);
+        let sampling = request.sampling_on(grid, self.field, cells.spacing(), carried, resources)?;
         if self.origin.is_some() {
             return Ok(ChosenSampling { sampling, cells, moved: false, plan: None });
         }
@@ -214,26 +308,89 @@ impl SamplingRequest {
         Ok(ChosenSampling { sampling, cells, moved, plan: None })
     }
 
-    /// Counts particles, and takes what tells their spacing meanwhile, which is to be estimated, on a grid that does not depend on it:
-    /// one reading less of many particles. Whatever fails will fail again where it is reported.
-    fn counted(
+    /// The grid of cells that were chosen.
+    ///
+    /// # Errors
+    /// [`Error::Unit`].
+    pub fn grid_of(&self, cells: &Cells) -> Result<Grid, Error> {
+        match cells.origin {
+            Some(origin) => Ok(Grid::new(origin.into(), cells.size)?),
+            None => self.grid(cells.size),
+        }
+    }
+
+    /// Chooses the cells for many particles, which are counted while their neighbours are looked for: one reading less. Of the count comes
+    /// the grid that it was made on. Whatever fails will fail again where it is reported.
+    fn cells_and_plan(
         &self,
         particles: &(impl Particles + ?Sized),
         from: Source<'_>,
         resources: &Resources,
-    ) -> Option<(BinPlan, Part)> {
-        let (CellSize::Length(size), None, None, None) =
-            (self.cell_size(), self.spacing, from.spacing, self.periodic)
-        else {
-            return None;
+    ) -> Result<(Cells, Option<(Grid, BinPlan)>), Error> {
+        let count = |cell_size: f64, look: &(dyn Fn(&[[f64; 3]]) + Sync)| {
+            let grid = self.grid(cell_size).ok()?;
+            let domain = self.domain(&grid).ok()?;
+            let room = CountingRoom::within(resources.budget.0);
+            let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
+            Some((grid, plan.ok()?))
         };
-        let part = Part::of(particles.len())?;
-        let grid = self.grid(size).ok()?;
-        let domain = self.domain(&grid).ok()?;
-        let room = CountingRoom::within(resources.budget.0);
-        let look = |positions: &[[f64; 3]]| part.look(positions);
-        let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look).ok()?;
-        Some((plan, part))
+        let size = |spacing: f64| match self.cell_size() {
+            CellSize::Length(size) => size,
+            CellSize::Spacings(ratio) => ratio * spacing,
+        };
+        let share = Share::of(particles.len());
+        if let Some((spacing, source)) = self.given(from) {
+            let in_cubes = InCubes::new(Cubes::for_spacing(spacing));
+            let is_scene = matches!(source, SpacingSource::Scene(_));
+            let counted = count(size(spacing), &|positions| {
+                in_cubes.look(positions);
+                if is_scene {
+                    share.look(positions);
+                }
+            });
+            let look = match counted {
+                Some(_) => Look::of(in_cubes.sample()),
+                None => look_at(particles, spacing),
+            };
+            let draft = counted.as_ref().filter(|_| is_scene).and_then(|_| Draft::of(share));
+            let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
+            return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, counted));
+        }
+        let mut counted = None;
+        // Of cells that do not depend on the spacing, half of it is the most usual size.
+        let usual = |size: f64| 2.0 * size;
+        let mut sample = None;
+        if let CellSize::Length(size) = self.cell_size() {
+            let in_cubes = InCubes::new(Cubes::for_spacing(usual(size)));
+            let look = |positions: &[[f64; 3]]| {
+                share.look(positions);
+                in_cubes.look(positions);
+            };
+            counted = count(size, &look);
+            if counted.is_none() {
+                return Ok((self.cells(particles, from)?, None));
+            }
+            sample = Some(in_cubes.sample());
+        } else {
+            show_all(particles, |positions| share.look(positions));
+        }
+        let Some(draft) = Draft::of(share) else {
+            return Ok((self.cells_by_evidence(particles, from, None)?, counted));
+        };
+        sample =
+            sample.filter(|_| matches!(self.cell_size(), CellSize::Length(size) if draft.suits(usual(size))));
+        if let (None, None, Some(known)) = (&counted, &sample, draft.counted()) {
+            let in_cubes = draft.in_cubes();
+            counted = count(size(known.mean), &|positions| in_cubes.look(positions));
+            sample = counted.is_some().then(|| in_cubes.sample());
+        }
+        let sample = sample.unwrap_or_else(|| {
+            let in_cubes = draft.in_cubes();
+            show_all(particles, |positions| in_cubes.look(positions));
+            in_cubes.sample()
+        });
+        let evidence = draft.with(Neighbours::of(sample));
+        Ok((self.cells_by_evidence(particles, from, Some(evidence))?, counted))
     }
 
     /// Samples on a grid that is known, by a field whose mu0 may be known.

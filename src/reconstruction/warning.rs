@@ -5,17 +5,17 @@ use std::fmt;
 use crate::brick::FrameFacts;
 use crate::field::calibration::{Calibrated, ON_CORNERS, Plateau};
 use crate::field::indicator::{IndicatorKind, SampledDif};
-use crate::frame::{Frame as Engine, FrameError, Shortfall};
+use crate::frame::{Coincident, Frame as Engine, FrameError, Shortfall};
 use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::output::MeshFormat;
 use crate::surface::simplify::TooSmall;
 
-use super::Doubt;
+use super::{Cells, Doubt};
 
 /// Particles that are so many times too dense for their spacing are half as far apart.
 const CROWDED: f64 = 8.0;
 
-/// Particles in no surface that are not worth a word.
+/// Particles in no surface, or in the same place as others, that are not worth a word.
 const FEW: u64 = 10;
 
 /// A doubt about a surface, or about the request for it.
@@ -30,6 +30,13 @@ pub enum Warning {
         times: f64,
         /// The spacing that they are taken to have.
         spacing: f64,
+    },
+    /// Particles are in the same place as others.
+    Coincident {
+        /// How many, where, and whether far from others.
+        found: Coincident,
+        /// How many particles there are.
+        of: usize,
     },
     /// Some particles lack a value of an attribute.
     Lacking {
@@ -132,6 +139,21 @@ impl fmt::Display for Warning {
                     shown(*spacing)
                 )
             }
+            Self::Coincident { found, of } => {
+                let Coincident { particles, most, at, alone, .. } = found;
+                let at = at.map(|c| significant(c, 6)).join(", ");
+                write!(f, "{particles} of {of} particles are in the same place as another one")?;
+                match (*alone, *most) {
+                    (true, most) => {
+                        write!(
+                            f,
+                            "; {most} are at ({at}), far from all others, like slots that are not in use"
+                        )
+                    }
+                    (false, most) if most > 2 => write!(f, "; {most} are at ({at})"),
+                    (false, _) => write!(f, ", such as at ({at})"),
+                }
+            }
             Self::Lacking { attribute, without, of } => write!(
                 f,
                 "{without} of {of} particles have no {attribute} that is a finite number of 32 bits: the others alone tell that \
@@ -176,8 +198,21 @@ impl fmt::Display for Warning {
 pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     let mut warnings: Vec<_> = engine.warnings().into_iter().map(Warning::MadeGood).collect();
     let mean = engine.dif().and_then(mean_symmetry);
-    warnings.extend(of_particles(engine.facts(), engine.crowding(), engine.lacking_attributes(), mean));
+    let (facts, coincident) = (engine.facts(), engine.coincident());
+    let packed = facts.spacing.zip(engine.spacing_by_samples());
+    warnings.extend(packed.and_then(|(said, found)| Doubt::of_packed(said, found)).map(Warning::Spacing));
+    warnings.extend(of_particles(facts, engine.crowding(), coincident, engine.lacking_attributes(), mean));
     warnings
+}
+
+/// Warnings with the doubts about the spacing before them, which say more than that particles are crowded.
+pub(crate) fn with_doubts(cells: Option<&Cells>, mut warnings: Vec<Warning>) -> Vec<Warning> {
+    let doubts = cells.map_or(&[][..], |cells| &cells.doubts);
+    if doubts.iter().any(|doubt| matches!(doubt, Doubt::Contradicted { .. })) {
+        warnings.retain(|warning| !matches!(warning, Warning::Crowded { .. }));
+    }
+    let doubts = doubts.iter().cloned().map(Warning::Spacing);
+    doubts.chain(warnings).collect()
 }
 
 /// The mean indicator of full cells, for symmetry.
@@ -185,17 +220,20 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
     (sampled.indicator.kind() == IndicatorKind::Symmetry).then(|| sampled.dif.mean_of_full())
 }
 
-/// Doubts about particles: by how many times as many there are as have room, by how many lack a value of an attribute, and by
+/// Doubts about particles: by how many times as many there are as have room, by those in the same place, by how many lack a value of an attribute, and by
 /// the mean that symmetry makes of them.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
+    coincident: Option<Coincident>,
     lacking: impl Iterator<Item = (&'a str, usize)>,
     mean_symmetry: Option<f64>,
 ) -> Vec<Warning> {
     let spacing = facts.spacing.unwrap_or_default();
     let crowded = crowding.filter(|&times| times > CROWDED);
     let mut warnings: Vec<_> = crowded.map(|times| Warning::Crowded { times, spacing }).into_iter().collect();
+    let coincident = coincident.filter(|found| found.particles > FEW);
+    warnings.extend(coincident.map(|found| Warning::Coincident { found, of: facts.census.binned }));
     warnings.extend(lacking.map(|(name, without)| Warning::Lacking {
         attribute: name.to_owned(),
         without,

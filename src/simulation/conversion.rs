@@ -53,6 +53,7 @@ impl Conversion<'_> {
         frames: &[FrameFile],
     ) -> Result<Option<(u64, ParticleFile)>, Error> {
         let Self { setup, store, division, .. } = self;
+        self.unchecked.store(known.is_some(), Ordering::Relaxed);
         let measured = || {
             let resources = Resources { budget: division.alone, ..setup.checked.resources.clone() };
             setup.state(store, frames, &resources)

@@ -284,13 +284,16 @@ impl fmt::Display for Event<'_> {
 
 impl fmt::Display for Frozen {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { spacing, spacing_source, cell_size, origin, calibration, .. } = self;
+        let Self { spacing, spacing_source, cell_size, origin, slab, calibration, .. } = self;
         if let (Some(spacing), Some(source)) = (spacing, spacing_source) {
             write!(f, "spacing {} ({source}), ", shown(*spacing))?;
         }
         write!(f, "cell size {}", shown(*cell_size))?;
         if *origin != [0.0; 3] {
             write!(f, ", origin {}", origin.map(shown).join(","))?;
+        }
+        if let Some(slab) = slab {
+            write!(f, "; {slab}")?;
         }
         if let Some(mean) = calibration.and_then(|known| known.mean()) {
             write!(f, ", mu0 {}", significant(mean.particles(), 4))?;

@@ -9,7 +9,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::{ParticleFile, ReadError};
-use crate::reconstruction;
+use crate::reconstruction::{self, Doubt, Slab};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
@@ -17,6 +17,14 @@ use super::watch::Watch;
 
 /// Frames that are looked at for one that is deep enough to measure: of those that are there the first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
+
+/// What was measured on one frame.
+struct OneMeasured {
+    frozen: Frozen,
+    trust: Trust,
+    /// Doubts about its spacing.
+    doubts: Vec<Doubt>,
+}
 
 impl Setup<'_> {
     /// Measures what all frames have in common, and keeps it; the frame that it was measured on may still be open.
@@ -40,7 +48,7 @@ impl Setup<'_> {
     ) -> Result<(Frozen, Option<ParticleFile>), Error> {
         let idle = self.simulation.watch;
         let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
-        let mut best: Option<(FrameFile, Frozen, Trust)> = None;
+        let mut best: Option<(FrameFile, OneMeasured)> = None;
         let mut first_error = None;
         let mut looked_at = 0;
         let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
@@ -57,21 +65,21 @@ impl Setup<'_> {
                 }
                 looked_at += 1;
                 self.go_on()?;
-                let lattice = best.as_ref().filter(|(.., trust)| *trust == Trust::Lattice);
-                let lattice = lattice.map(|(_, frozen, _)| frozen);
+                let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
+                let lattice = lattice.map(|(_, known)| &known.frozen);
                 match self.measure_on(&frame, lattice, resources) {
-                    Ok((frozen, Trust::Sound, file)) => {
-                        let (path, trust) = (&*frame.path, Trust::Sound);
-                        self.tell(Event::Measured { path, frozen: &frozen, trust });
-                        return Ok((frozen, file));
+                    Ok((found, file)) if found.trust == Trust::Sound => {
+                        self.tell_measured(&frame, &found);
+                        return Ok((found.frozen, file));
                     }
-                    Ok((frozen, trust, _)) => {
+                    Ok((found, _)) => {
                         // Spray is farther apart than fluid, whose spacing would be estimated too large by it.
-                        let is_better = |(_, known, by): &(FrameFile, Frozen, Trust)| {
-                            *by < trust || *by == trust && known.spacing > frozen.spacing
+                        let is_better = |(_, known): &(FrameFile, OneMeasured)| {
+                            known.trust < found.trust
+                                || known.trust == found.trust && known.frozen.spacing > found.frozen.spacing
                         };
                         if best.as_ref().is_none_or(is_better) {
-                            best = Some((frame, frozen, trust));
+                            best = Some((frame, found));
                         }
                     }
                     // What is too fine for one frame, by its mu0 or where its lattice lies, need not be for another.
@@ -97,13 +105,19 @@ impl Setup<'_> {
             }
         }
         match (best, first_error) {
-            (Some((FrameFile { path, .. }, frozen, trust)), _) => {
-                self.tell(Event::Measured { path: &path, frozen: &frozen, trust });
-                Ok((frozen, None))
+            (Some((frame, found)), _) => {
+                self.tell_measured(&frame, &found);
+                Ok((found.frozen, None))
             }
             (None, Some(error)) => Err(error),
             (None, None) => Err(SimulationError::NoFrames(self.inputs.describe()).into()),
         }
+    }
+
+    /// Tells what was measured, on which frame, and why its spacing may be wrong.
+    fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
+        found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(doubt)));
+        self.tell(Event::Measured { path: &frame.path, frozen: &found.frozen, trust: found.trust });
     }
 
     /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one did.
@@ -112,7 +126,7 @@ impl Setup<'_> {
         frame: &FrameFile,
         lattice: Option<&Frozen>,
         resources: &Resources,
-    ) -> Result<(Frozen, Trust, Option<ParticleFile>), Error> {
+    ) -> Result<(OneMeasured, Option<ParticleFile>), Error> {
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
@@ -122,8 +136,8 @@ impl Setup<'_> {
             self.checked.asked.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
-            let frozen = frozen(frame.number, input, sampled.facts.spacing, None, measured);
-            return Ok((frozen, measured.trust, None));
+            let frozen = frozen(frame.number, input, sampled.facts.spacing, None, None, measured);
+            return Ok((OneMeasured { frozen, trust: measured.trust, doubts: Vec::new() }, None));
         }
         let file = open_wanted(
             path,
@@ -133,22 +147,22 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
-        cells.doubt.iter().for_each(|doubt| self.tell(Event::Doubted(doubt)));
         let (grid, field) = match lattice {
             Some(frozen) => (frozen.grid()?, frozen.field(request.field)),
-            None => (request.grid(cells.size)?, request.field),
+            None => (request.grid_of(&cells)?, request.field),
         };
+        let request = request.in_slab(cells.slab);
         let sampling = request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
         let settled = lattice.is_some() || request.origin.is_some();
         let stays = if settled { Origin::Given } else { Origin::Free };
         let measured =
             measure(&file.particles, &sampling, stays, &self.checked.surfacing).map_err(in_file)?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
-        let mut frozen = frozen(frame.number, input, cells.spacing(), source, measured);
+        let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);
         if let Some(first) = lattice {
             (frozen.spacing, frozen.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((frozen, measured.trust, Some(file)))
+        Ok((OneMeasured { frozen, trust: measured.trust, doubts: cells.doubts }, Some(file)))
     }
 }
 
@@ -157,8 +171,9 @@ fn frozen(
     input: Stamp,
     spacing: Option<f64>,
     spacing_source: Option<String>,
+    slab: Option<Slab>,
     Measured { grid, calibration, .. }: Measured,
 ) -> Frozen {
     let (cell_size, origin) = (grid.cell_size(), grid.origin().to_array());
-    Frozen { frame, input, spacing, spacing_source, cell_size, origin, calibration }
+    Frozen { frame, input, spacing, spacing_source, cell_size, origin, slab, calibration }
 }

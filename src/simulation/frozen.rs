@@ -9,7 +9,7 @@ use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
-use crate::reconstruction::{as_numbers, moved, origin_for_lattice};
+use crate::reconstruction::{Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
 /// Measured on one frame, the same for all.
@@ -27,6 +27,9 @@ pub struct Frozen {
     pub cell_size: f64,
     /// Origin of the grid.
     pub origin: [f64; 3],
+    /// The slab that particles in a plane stand for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub slab: Option<Slab>,
     /// Makes the frames alike; `None` for kernels, which have nothing to measure.
     #[serde(flatten, with = "as_numbers")]
     pub calibration: Option<Calibration>,

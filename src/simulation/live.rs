@@ -3,14 +3,15 @@
 use std::sync::Arc;
 
 use crate::brick::{Census, FrameFacts};
-use crate::error::Error;
+use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
 use crate::frame::{Counted, FieldRequest, Frame, FrameError};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Checked, Drawn, Emptiness, Kept, Ready, Reconstruction, Report, SinglePrecision, Surface, Warning,
+    self, Checked, Doubt, Drawn, Emptiness, Kept, Ready, Reconstruction, Report, SinglePrecision, Slab,
+    Surface, Warning,
 };
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
@@ -47,13 +48,15 @@ pub struct LiveSimulation {
 }
 
 /// Measurements that the frames share.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Known {
     grid: Grid,
     field: FieldRequest,
     spacing: Option<f64>,
+    slab: Option<Slab>,
     calibration: Option<Calibration>,
     trust: Trust,
+    doubts: Vec<Doubt>,
 }
 
 impl LiveSimulation {
@@ -125,12 +128,15 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, field, spacing, calibration, .. }) = *known else {
-            return Err(Error::NoSpacing { path: None, particles: particles.len() });
+        let Some(Known { grid, field, spacing, slab, calibration, ref doubts, .. }) = *known else {
+            let (particles, why) = (particles.len(), Untold::TooFew);
+            return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
+        let doubts = doubts.clone();
         let carried = checked.asked.carried(particles.attributes(), None)?;
         let resources = checked.resources.clone();
-        let sampling = checked.sampling.sampling_on(grid, field, spacing, carried, resources)?;
+        let request = checked.sampling.in_slab(slab);
+        let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
         checked.resources.control.begins(Stage::Counting);
         let counted = Counted::for_surface(particles, &sampling, &checked.surfacing, None)?;
         checked.resources.control.ends(Stage::Counting);
@@ -150,13 +156,14 @@ impl LiveSimulation {
             drawn => drawn?,
         };
         drawn.report.timings = timings;
+        drawn.report.warnings.splice(0..0, doubts.into_iter().map(Warning::Spacing));
         Ok(drawn)
     }
 
     /// Facts of a frame without particles, on unit cells as long as nothing says of others.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.ready.checked.sampling;
-        let (grid, spacing) = match self.known {
+        let (grid, spacing) = match &self.known {
             Some(known) => (known.grid, known.spacing),
             None => {
                 let none: [[f64; 3]; 0] = [];
@@ -190,11 +197,18 @@ fn measured(
     let cells = request.cells(particles, reconstruction::Source::default())?;
     let (grid, field, spacing) = match lattice {
         Some(known) => (known.grid, known.field, known.spacing),
-        None => (request.grid(cells.size)?, request.field, cells.spacing()),
+        None => (request.grid_of(&cells)?, request.field, cells.spacing()),
     };
-    let sampling =
-        request.sampling_on(grid, field, cells.spacing(), Vec::new(), checked.resources.clone())?;
+    let (slab, doubts) = (cells.slab, cells.doubts.clone());
+    let sampling = request.in_slab(slab).sampling_on(
+        grid,
+        field,
+        cells.spacing(),
+        Vec::new(),
+        checked.resources.clone(),
+    )?;
     let stays = if lattice.is_some() || request.origin.is_some() { Origin::Given } else { Origin::Free };
     let Measured { grid, calibration, trust } = measure(particles, &sampling, stays, &checked.surfacing)?;
-    Ok(Known { grid, field: known_field(request.field, calibration.as_ref()), spacing, calibration, trust })
+    let field = known_field(request.field, calibration.as_ref());
+    Ok(Known { grid, field, spacing, slab, calibration, trust, doubts })
 }

@@ -1,8 +1,9 @@
 //! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
-use super::event::LeftOut;
+use super::event::{Event, LeftOut};
 use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::inputs::FrameFile;
@@ -21,8 +22,8 @@ use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, Warning, coordinate_width,
-    merged, refuse_same_file, usual_up,
+    Checked, Doubt, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
+    coordinate_width, merged, refuse_same_file, usual_up,
 };
 use crate::surface::mesh::bounds::Bounded;
 use crate::surface::mesh::source::MeshSource;
@@ -225,6 +226,10 @@ impl Conversion<'_> {
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, carried, opening)?;
+        if let Some(spacing) = frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
+            let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
+            doubts.iter().for_each(|doubt| self.setup.tell(Event::Doubted(doubt)));
+        }
         stage(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
         timings.done("count");

@@ -75,7 +75,7 @@ impl Setup<'_> {
     ) -> Result<Sampling, Error> {
         let request = &self.checked.sampling;
         let field = frozen.field(request.field);
-        request.sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
+        request.in_slab(frozen.slab).sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
     }
 
     /// The division of the machine among so many frames.

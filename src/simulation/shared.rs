@@ -25,6 +25,8 @@ pub(super) struct Conversion<'a> {
     pub(super) division: Division,
     pub(super) gate: Gate,
     pub(super) stop: AtomicBool,
+    /// Whether the spacing is of a state that was kept, and no frame was looked at for doubts about it yet.
+    pub(super) unchecked: AtomicBool,
 }
 
 /// Measurements that all frames share.
@@ -37,7 +39,8 @@ impl<'a> Conversion<'a> {
     pub(super) fn new(setup: &'a Setup<'a>, format: MeshFormat, store: Store, frames: usize) -> Self {
         let division = setup.division(frames);
         let (settled, gate) = (OnceLock::new(), Gate::new(division.lanes, setup.checked.threads));
-        Self { setup, format, store, settled, division, gate, stop: AtomicBool::new(false) }
+        let [stop, unchecked] = [(); 2].map(|()| AtomicBool::new(false));
+        Self { setup, format, store, settled, division, gate, stop, unchecked }
     }
 
     /// The caller's handle to end the work early.

@@ -141,6 +141,7 @@ mod tests {
             spacing: Some(0.1 + 0.2),
             spacing_source: Some("a test".into()),
             cell_size: 0.1 + 0.7,
+            slab: None,
             origin: [1e-17, -0.1, 1.0 / 3.0],
             calibration: Some(calibration),
         }

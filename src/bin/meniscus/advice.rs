@@ -3,9 +3,9 @@
 use bytesize::ByteSize;
 use meniscus::error::{
     BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, Setting,
-    SimulationError, TooFine, Unfit, UnitError, Unread, WriteFault,
+    SimulationError, TooFine, Unfit, UnitError, Unread, Untold, WriteFault, shown, significant,
 };
-use meniscus::{Doubt, Emptiness, TooSmall, Warning};
+use meniscus::{Doubt, Emptiness, Mistake, TooSmall, Warning};
 
 use crate::method::MethodName;
 use crate::options::Options;
@@ -118,6 +118,9 @@ fn unfit_options(unfit: &Unfit) -> String {
 
 fn advice(error: &Error) -> String {
     match error {
+        Error::NoSpacing { why: Untold::SinglePrecision { .. }, .. } => {
+            "; store them in double precision, or nearer to the origin, or give --spacing"
+        }
         Error::NoSpacing { .. } => "; give --spacing, --radius or --cell-size",
         Error::Write(error) => match error.fault {
             WriteFault::Exists => "; --overwrite replaces it",
@@ -172,8 +175,15 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
 /// A doubt about a spacing in words, and what to do about it.
 pub fn doubted(doubt: &Doubt) -> String {
     match doubt {
-        Doubt::OtherScene { .. } => format!("{doubt}: --spacing says which"),
-        _ => format!("{doubt}; --spacing says another"),
+        Doubt::Contradicted { said, found, mistake: Some(Mistake::Radius), .. } => {
+            format!("{doubt}; use --radius {} or --spacing {}", shown(*said), significant(*found, 3))
+        }
+        Doubt::Contradicted { found, .. } => format!("{doubt}; use --spacing {}", significant(*found, 3)),
+        Doubt::SinglePrecision { .. } => {
+            format!("{doubt}; store them in double precision, or nearer to the origin")
+        }
+        Doubt::TwoResolutions { .. } => format!("{doubt}; --spacing says another"),
+        _ => format!("{doubt}; give --spacing if you know it"),
     }
 }
 
@@ -186,6 +196,7 @@ fn on_lost(smoothed: bool) -> &'static str {
 pub fn warned(warning: &Warning, options: Option<&Options>) -> String {
     match warning {
         Warning::Spacing(doubt) => doubted(doubt),
+        Warning::Coincident { found, .. } if found.alone => format!("{warning}; --domain can leave them out"),
         Warning::Crowded { .. } => format!("{warning}: is their --spacing right?"),
         Warning::OnCorners { origin, .. } => {
             let corner = origin.map(|x| x.to_string()).join(",");

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use clap::Args;
 use meniscus::Error;
-use meniscus::error::shown;
+use meniscus::error::{shown, significant};
 use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info_of_type};
 
 use crate::advice::say_error;
@@ -61,6 +61,10 @@ fn describe(info: &Info) -> String {
             attributes,
             spacing,
             spacing_source,
+            spacing_doubts,
+            spacing_unknown,
+            nearest_neighbours,
+            slab,
             memory_bytes,
             ghosts,
             box_size,
@@ -83,7 +87,15 @@ fn describe(info: &Info) -> String {
             }
             line("attributes", names(attributes));
             let source = spacing_source.as_deref().unwrap_or_default();
-            line("spacing", spacing.map_or("unknown".into(), |s| format!("{}, from {source}", shown(s))));
+            let unknown = || {
+                let why = spacing_unknown.as_deref().map_or(String::new(), |why| format!(": {why}"));
+                let suggested =
+                    nearest_neighbours.map(|d| format!("; nearest neighbours suggest {}", significant(d, 3)));
+                format!("unknown{why}{}", suggested.unwrap_or_default())
+            };
+            line("spacing", spacing.map_or_else(unknown, |s| format!("{}, from {source}", shown(s))));
+            spacing_doubts.iter().for_each(|doubt| line("", format!("warning: {doubt}")));
+            slab.iter().for_each(|slab| line("plane", slab.to_string()));
             if let Some(bytes) = memory_bytes {
                 line("memory", format!("about {:.2} by default", ByteSize(*bytes)));
             }

@@ -7,7 +7,8 @@ use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
 use meniscus::mesh::MeshSource;
 use meniscus::{
-    Calibrated, Cells, Census, IndicatorKind, Isovalue, Opened, Plateau, Report, Timings, Warning,
+    Calibrated, Cells, Census, Doubt, IndicatorKind, Isovalue, Opened, Plateau, Report, SpacingSource,
+    Timings, Warning,
 };
 
 use crate::advice::{doubted, warned};
@@ -34,7 +35,8 @@ pub fn report_cells(
 ) {
     let by = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
     notes.say(format!("{cells}{by}"));
-    cells.doubt.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
+    cells.slab.iter().for_each(|slab| notes.say(slab.to_string()));
+    cells.doubts.iter().for_each(|doubt| notes.warn(&doubted(doubt)));
     if let Some(corner) = moved_to {
         let corner = corner.map(shown).join(",");
         notes.say(format!("all particles stand on a lattice: the grid's origin is {corner}"));
@@ -139,7 +141,13 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Says what may be wrong with a surface, and what to do about it, by what else was asked for.
+/// Says what may be wrong with a surface, and what to do about it, by what else was asked for. Doubts about the spacing were said when
+/// it was chosen.
 pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
-    warnings.iter().for_each(|warning| notes.warn(&warned(warning, options)));
+    let was_said = |warning: &&Warning| match warning {
+        Warning::Spacing(Doubt::Contradicted { source, .. }) => *source != SpacingSource::Packed,
+        warning => matches!(warning, Warning::Spacing(_)),
+    };
+    let others = warnings.iter().filter(|warning| !was_said(warning));
+    others.for_each(|warning| notes.warn(&warned(warning, options)));
 }

@@ -148,6 +148,7 @@ impl Parts {
         let sampled = engine.dif();
         let (mean, mean_symmetry) =
             (sampled.and_then(|sampled| sampled.indicator.mean()), sampled.and_then(mean_symmetry));
+        let coincident = engine.coincident();
         drop(engine);
         let shared = shared(&bins, &cuts, sampling.sight(asked, surfacing));
         let parts = shares(&bins, &cuts, &shared);
@@ -166,6 +167,7 @@ impl Parts {
             calibration,
             measured: measured.map(Into::into),
             mean_symmetry,
+            coincident,
             attributes: carried_infos(particles.attributes(), &sampling.carried),
             parts,
             chunks,

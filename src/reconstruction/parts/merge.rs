@@ -10,7 +10,7 @@ use crate::reconstruction::draw::{Drawn, Kept};
 use crate::reconstruction::orientation::usual_up;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
-use crate::reconstruction::warning::of_particles;
+use crate::reconstruction::warning::{of_particles, with_doubts};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::surface::stitch::Stitched;
@@ -127,7 +127,8 @@ fn drawn(
     let crowding = report.facts.spacing_cells().map(|spacing| occupied.crowding(spacing));
     let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
-    report.warnings = of_particles(&report.facts, crowding, lacking, plan.mean_symmetry);
+    let warnings = of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
+    report.warnings = with_doubts(report.cells.as_ref(), warnings);
     report.lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();

@@ -10,7 +10,7 @@ use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, PartsError};
 use crate::field::calibration::{Calibrated, Calibration, Plateau};
 use crate::field::indicator::{Amount, Indicator, IndicatorKind, IndicatorRequest};
-use crate::frame::{FieldRequest, Sampling};
+use crate::frame::{Coincident, FieldRequest, Sampling};
 use crate::grid::stretch::Stretch;
 use crate::grid::units::MeanCount;
 use crate::grid::{Grid, MortonKey};
@@ -54,6 +54,9 @@ pub(super) struct Plan {
     pub(super) measured: Option<Measured>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
+    /// Particles in the same place as others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) coincident: Option<Coincident>,
     /// Attributes that go to the vertices.
     pub(super) attributes: Vec<AttributeInfo>,
     pub(super) parts: Vec<Share>,
@@ -198,7 +201,8 @@ impl Plan {
             kernels => kernels,
         };
         let resources = checked.resources.clone();
-        checked.sampling.sampling_on(self.grid()?, field, self.cells.spacing(), carried, resources)
+        let request = checked.sampling.in_slab(self.cells.slab);
+        request.sampling_on(self.grid()?, field, self.cells.spacing(), carried, resources)
     }
 
     /// The facts of the whole frame.

@@ -87,9 +87,7 @@ impl MeniscusMesh {
     pub fn new(surface: Surface) -> Self {
         let outline = surface.mesh().outline();
         let report = surface.report();
-        let doubt = report.cells.as_ref().and_then(|cells| cells.doubt.as_ref());
-        let warnings = doubt.map(ToString::to_string).into_iter();
-        let warnings = warnings.chain(report.warnings.iter().map(ToString::to_string));
+        let warnings = report.warnings.iter().map(ToString::to_string);
         Self {
             names: outline.attributes.iter().map(|info| c_text(info.name.as_str())).collect(),
             warnings: warnings.map(c_text).collect(),

@@ -1,0 +1,299 @@
+//! The particles' spacing by their number density deep in the fluid.
+//!
+//! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles are counted in cells a few
+//! spacings wide, and only in those whose 26 neighbours hold particles too, which leaves out surfaces. Where the fluid is thin,
+//! such cells hold gaps as well, and the spacing comes out too large.
+
+use glam::{DVec3, IVec3};
+use hashbrown::HashMap;
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use super::sample::SHARE;
+use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
+use crate::grid::{BIN, FRACTIONS, Grid, STEP_LIMIT};
+use crate::particles::Bounds;
+
+/// Particles a counting cell should hold: first choice, and what thin layers are tried with.
+const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
+/// Interior cells that make an estimate worth having.
+const ENOUGH_CELLS: usize = 8;
+/// Counting cells at the most: spray fills one each.
+const MOST_CELLS: usize = 1 << 24;
+/// Counting cells of a box around all particles that are listed, whether they hold any or not.
+const MOST_LISTED: f64 = (1 << 21) as f64;
+
+/// Particles that are counted one after another.
+const CHUNK: usize = 1 << 16;
+
+/// Particles whose cells are found at once.
+const AT_ONCE: usize = 256;
+
+/// Finds the cells of particles, of which those of `grid` are sixteenths, numbered from one below the first. They are found as the grid
+/// places particles; one beyond it has the number of none.
+#[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
+fn cells_of(grid: &Grid, positions: &[[f64; 3]], cells: &mut [[u32; 3]]) {
+    let in_cells = 1.0 / f64::from(BIN) / f64::from(FRACTIONS);
+    for (cell, &position) in cells.iter_mut().zip(positions) {
+        let steps = grid.cells_from_world(position).map(|c| (c * f64::from(FRACTIONS)).floor());
+        let within = steps.iter().fold(true, |all, s| all & (-STEP_LIMIT..STEP_LIMIT).contains(s));
+        *cell = steps.map(|s| if within { ((s * in_cells).floor() + 1.0) as i32 as u32 } else { u32::MAX });
+    }
+}
+
+/// How far apart particles are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spacings {
+    /// The one that holds for all, or would if they were even.
+    pub mean: f64,
+    /// Where they are plainly of two resolutions: the spacing of most, and that of the others.
+    pub two: Option<[f64; 2]>,
+}
+
+impl Spacings {
+    /// Times a factor.
+    #[must_use]
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { mean: self.mean * factor, two: self.two.map(|two| two.map(|spacing| spacing * factor)) }
+    }
+}
+
+/// Estimates the spacings of finite particles, within their bounds, where interior cells hold at least `enough_share` of them.
+#[must_use]
+pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> Option<Spacings> {
+    let Bounds { lo, hi, finite } = *bounds;
+    let extent = hi - lo;
+    let volume: f64 = extent.to_array().iter().map(|e| e.max(1e-3 * extent.max_element())).product();
+    let mut cell = (TARGETS[0] * volume / finite as f64).cbrt();
+    if !(cell.is_finite() && cell > 0.0) {
+        return None;
+    }
+    let counts = |origin: DVec3, cell: f64| Counts::of(particles, [lo, hi], origin, cell);
+    TARGETS.iter().find_map(|&target| {
+        let at_corner;
+        (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
+        let placements = (SHARE / particles.len().max(1)).clamp(1, 8) as u32;
+        // Shifts by multiples of the golden ratio's powers spread evenly.
+        let shifts = (0..placements).map(|i| {
+            let i = f64::from(i);
+            DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
+        });
+        let mut inside = at_corner.interior();
+        for shift in shifts.skip(1) {
+            inside.extend(counts(lo - shift * cell, cell)?.interior());
+        }
+        let (total, cells) = (inside.iter().sum::<usize>(), inside.len());
+        let enough = cells >= ENOUGH_CELLS * placements as usize
+            && total as f64 >= enough_share * f64::from(placements) * finite as f64;
+        enough.then(|| {
+            // Coarse particles have their inside in wider cells.
+            let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
+            Spacings {
+                mean: cell * (cells as f64 / total as f64).cbrt(),
+                two: two_of(inside, cell).or_else(wider),
+            }
+        })
+    })
+}
+
+/// A share of the fluid's volume, or of its particles, that is a part of its own.
+const PART: f64 = 0.05;
+/// Particles in the cells of such a part, at the least: of fewer, spray cannot be told.
+const ENOUGH_IN_CELL: usize = 4;
+/// The share of such a part's cells whose counts are like each other.
+const EVEN: f64 = 0.8;
+
+/// The spacings of two resolutions, by the counts of interior cells of edge `cell`: there are two kinds of cells, each with
+/// counts of its own, and fewer cells between them. A fluid that thins out into spray has cells of every count.
+fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
+    counts.sort_unstable();
+    let total: usize = counts.iter().sum();
+    let mut below = 0;
+    // Where most particles are.
+    let most = *counts.iter().find(|&&count| {
+        below += count;
+        2 * below >= total
+    })?;
+    // Cells, and particles in them, with counts in a range of multiples of that.
+    let of = |from: f64, to: f64| {
+        let [from, to] =
+            [from, to].map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
+        &counts[from..to]
+    };
+    let cells = |part: &[usize]| part.len() as f64;
+    let particles = |part: &[usize]| part.iter().sum::<usize>() as f64;
+    let is_even = |part: &[usize]| {
+        let median = part[part.len() / 2];
+        let near = part.iter().filter(|&&count| count <= 2 * median && median <= 2 * count);
+        median >= ENOUGH_IN_CELL && near.count() as f64 > EVEN * cells(part)
+    };
+    let (thin, thinner) = (of(0.25, 0.5), of(0.0, 0.25));
+    let (dense, denser) = (of(2.0, 4.0), of(4.0, f64::INFINITY));
+    let other = if cells(thinner) >= PART * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
+        thinner
+    } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense) {
+        denser
+    } else {
+        return None;
+    };
+    let spacing = |part: &[usize]| cell * (cells(part) / particles(part)).cbrt();
+    is_even(other).then(|| [spacing(of(0.5, 2.0)), spacing(other)])
+}
+
+/// Particles by cell.
+enum Counts {
+    /// In a box of cells, x fastest.
+    Listed { size: [usize; 3], counts: Vec<u32> },
+    /// In the cells that hold any.
+    Hashed(HashMap<IVec3, usize>),
+}
+
+impl Counts {
+    /// Counts particles between two corners in the cells of edge `cell` that begin at `origin`.
+    fn of(particles: &[[f64; 3]], corners: [DVec3; 2], origin: DVec3, cell: f64) -> Option<Self> {
+        // Sixteen times finer, its bins are the cells.
+        let grid = Grid::new(origin, cell / f64::from(BIN)).ok()?;
+        // Cells are numbered from one below the first, so that each has neighbours.
+        let last = ((corners[1] - origin) / cell).floor() + 1.0;
+        let size = (last + 2.0).to_array();
+        if !(size.iter().product::<f64>() <= MOST_LISTED) {
+            let room = CountingRoom { bins: MOST_CELLS, places: 0 };
+            let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
+            return Some(Self::Hashed(
+                plan.keys().iter().map(|key| key.coord()).zip(plan.counts()).collect(),
+            ));
+        }
+        let size = size.map(|size| size as usize);
+        let none = || vec![0_u32; size.iter().product()];
+        let count = |chunk: &[[f64; 3]]| {
+            let (mut counts, mut cells) = (none(), [[0; 3]; AT_ONCE]);
+            for positions in chunk.chunks(AT_ONCE) {
+                let cells = &mut cells[..positions.len()];
+                cells_of(&grid, positions, cells);
+                for [x, y, z] in cells.iter().map(|cell| cell.map(|c| c as usize)) {
+                    if let Some(count) = counts.get_mut(x + size[0] * (y + size[1] * z)) {
+                        *count += 1;
+                    }
+                }
+            }
+            counts
+        };
+        let all = particles.par_chunks(CHUNK).map(count).reduce_with(|mut sum, counts| {
+            sum.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+            sum
+        });
+        Some(Self::Listed { size, counts: all.unwrap_or_else(none) })
+    }
+
+    /// The counts in cells with the same corner that are twice as wide.
+    fn twice_as_wide(&self) -> Self {
+        match self {
+            Self::Listed { size, counts } => {
+                let half = |c: usize| (c - 1) / 2 + 2;
+                let wide = size.map(half);
+                let mut sums = vec![0; wide.iter().product()];
+                for (row, counts) in counts.chunks_exact(size[0]).enumerate() {
+                    let [y, z] = [row % size[1], row / size[1]].map(|c| c.div_ceil(2));
+                    let first = wide[0] * (y + wide[1] * z);
+                    counts.iter().enumerate().for_each(|(x, count)| sums[first + x.div_ceil(2)] += count);
+                }
+                Self::Listed { size: wide, counts: sums }
+            }
+            Self::Hashed(counts) => {
+                let mut sums = HashMap::new();
+                counts.iter().for_each(|(cell, count)| *sums.entry(cell >> 1).or_default() += count);
+                Self::Hashed(sums)
+            }
+        }
+    }
+
+    /// The counts of cells that hold particles.
+    fn filled(&self) -> Vec<usize> {
+        match self {
+            Self::Listed { counts, .. } => counts.iter().filter(|&&n| n > 0).map(|&n| n as usize).collect(),
+            Self::Hashed(counts) => counts.values().copied().collect(),
+        }
+    }
+
+    /// The counts of cells whose 26 neighbours hold particles as well.
+    fn interior(&self) -> Vec<usize> {
+        match self {
+            Self::Listed { size: [x, y, _], counts } => {
+                let around = |index: usize| {
+                    [0, x * y, 2 * x * y].iter().all(|layer| {
+                        [0, *x, 2 * x].iter().all(|row| {
+                            let first = index + layer + row - x * y - x - 1;
+                            counts[first..first + 3].iter().all(|&count| count > 0)
+                        })
+                    })
+                };
+                // What begins below here, or ends above, has no particles.
+                let inner = x * y + x + 1..counts.len().saturating_sub(x * y + x + 1);
+                let inner = inner.filter(|&index| counts[index] > 0 && around(index));
+                inner.map(|index| counts[index] as usize).collect()
+            }
+            Self::Hashed(counts) => {
+                let around = |cell: IVec3| {
+                    (0..27).all(|i| counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1)))
+                };
+                counts.iter().filter(|&(&cell, _)| around(cell)).map(|(_, &count)| count).collect()
+            }
+        }
+    }
+}
+
+/// A cell size at which the typical particle shares its cell with about `target` others, and the counts in such cells.
+fn cell_for(counts: impl Fn(f64) -> Option<Counts>, target: f64, mut cell: f64) -> Option<(f64, Counts)> {
+    for _ in 0..12 {
+        let counted = counts(cell)?;
+        let mut sizes = counted.filled();
+        sizes.sort_unstable();
+        let binned: usize = sizes.iter().sum();
+        let mut below = 0;
+        let typical = sizes.into_iter().find(|size| {
+            below += size;
+            2 * below >= binned
+        })?;
+        if (0.6..1.6).contains(&(typical as f64 / target)) {
+            return Some((cell, counted));
+        }
+        cell *= (target / typical as f64).cbrt().clamp(0.1, 10.0);
+    }
+    Some((cell, counts(cell)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::bounds;
+
+    /// A lattice with a spacing that does not divide a cell.
+    fn lattice(side: i32) -> Vec<[f64; 3]> {
+        let place = |i: i32| [i % side, i / side % side, i / (side * side)];
+        (0..side.pow(3)).map(|i| place(i).map(|c| 1.037 * f64::from(c) - 3.3)).collect()
+    }
+
+    #[test]
+    fn cells_in_a_list_and_in_a_table_hold_the_same() {
+        let particles = lattice(23);
+        let near = bounds(&particles[..]).unwrap();
+        for (shift, cell) in [(0.0, 3.1), (0.7, 2.0), (1.3, 5.5)] {
+            let of =
+                |far: f64| Counts::of(&particles, [near.lo, near.hi + far], near.lo - shift, cell).unwrap();
+            let (listed, hashed) = (of(0.0), of(1e6));
+            assert!(matches!(listed, Counts::Listed { .. }) && matches!(hashed, Counts::Hashed(_)));
+            let sorted = |mut counts: Vec<usize>| {
+                counts.sort_unstable();
+                counts
+            };
+            assert_eq!(sorted(listed.filled()), sorted(hashed.filled()));
+            assert_eq!(sorted(listed.interior()), sorted(hashed.interior()));
+            let twice =
+                [listed.twice_as_wide(), hashed.twice_as_wide()].map(|twice| sorted(twice.interior()));
+            assert_eq!(twice[0], twice[1]);
+            let wide = Counts::of(&particles, [near.lo, near.hi], near.lo - shift, 2.0 * cell).unwrap();
+            assert_eq!(twice[0], sorted(wide.interior()));
+            assert!(!twice[0].is_empty() && listed.interior().len() > twice[0].len());
+        }
+    }
+}

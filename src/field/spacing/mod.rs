@@ -1,0 +1,345 @@
+//! The spacing of particles, told by themselves: the edge of the cube that a particle fills, (volume / number)^(1/3).
+//!
+//! Two estimates check each other. [`density`] counts particles in cells, which is right in deep fluid and too large in thin
+//! fluid with gaps. [`neighbours`] measures the density around single particles. Where both agree, the count holds;
+//! where they do not, or nothing is deep enough to count, the neighbours do, and the [`Estimate`] says so.
+//!
+//! Up to [`ALL`] particles are read once and held. Of more, one reading takes an even share to count, and a second one all
+//! in some cubes to look for neighbours: that one can be had with whatever else reads the particles next.
+
+mod clouds;
+mod density;
+mod neighbours;
+mod sample;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use crate::grid::units::shown;
+use crate::particles::{Bounds, Particles, bounds, finite_chunks};
+
+pub use clouds::spacing_by_clouds;
+pub use density::Spacings;
+pub use neighbours::Neighbours;
+pub use sample::{Cubes, InCubes, Sample, Share};
+
+use sample::SHARE;
+
+/// Particles that are held in memory to tell their spacing: as many as an even [`Share`] may hold.
+pub const ALL: usize = 2 * SHARE;
+/// Particles all of which are searched for neighbours.
+const SEARCHED: usize = 1 << 15;
+/// Share of the particles in interior cells that makes the count of a part worth having.
+const ENOUGH_SHARE: f64 = 1.0 / 16.0;
+/// The fewest places from which a spacing is told.
+const FEWEST: usize = 8;
+/// A share of deep particles below which the fluid is thin.
+const THIN: f64 = 0.15;
+
+/// What particles say of their spacing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// Finite particles.
+    pub particles: usize,
+    /// By counting.
+    pub counted: Option<Spacings>,
+    /// By nearest neighbours.
+    pub neighbours: Neighbours,
+    /// By where they are.
+    pub place: Place,
+}
+
+/// Where particles are, and how finely that is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// The plane in which all particles lie, if they do.
+    pub plane: Option<Plane>,
+    /// The step of the coordinates, where all are numbers of 32 bits.
+    pub step: Option<f64>,
+    /// A middle of the particles, which stray ones do not move.
+    pub middle: DVec3,
+}
+
+/// A plane across an axis, in which all particles of a simulation in two dimensions lie.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    /// 0, 1 or 2 for x, y or z.
+    pub axis: usize,
+    /// Its coordinate.
+    pub at: f64,
+}
+
+/// An estimated spacing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// The estimate.
+    pub spacing: f64,
+    /// The spacings of two resolutions, where there plainly are two: of most particles, and of the others.
+    pub two: Option<[f64; 2]>,
+    /// Whether the fluid is too thin, or too ragged, to be sure of it.
+    pub thin: bool,
+}
+
+/// A reason for which particles do not tell their spacing.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Untold {
+    /// There are too few.
+    #[error("too few to tell it")]
+    TooFew,
+    /// Nearly all are in the same few places.
+    #[error("they are in {places} places only")]
+    Coincident {
+        /// The number of places.
+        places: usize,
+    },
+    /// Their coordinates are too coarse.
+    #[error(
+        "so far from the origin their coordinates, stored in single precision, move in steps of {}",
+        shown(*step)
+    )]
+    SinglePrecision {
+        /// The step of the coordinates.
+        step: f64,
+    },
+}
+
+/// An even share of the particles that was counted: what is known before their neighbours are.
+#[derive(Debug)]
+pub struct Draft {
+    particles: usize,
+    counted: Option<Spacings>,
+    /// The scale at which neighbours are to be looked for.
+    scale: f64,
+    place: Place,
+}
+
+/// Estimates the spacing of particles; `None` where they do not tell it.
+#[must_use]
+pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
+    evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
+}
+
+/// Reads the particles once, or if they are more than [`ALL`] twice, for what they say of their spacing; `None` where none is finite.
+#[must_use]
+pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
+    if particles.len() <= ALL {
+        return of_all(gathered(particles));
+    }
+    let share = Share::of(particles.len());
+    show_all(particles, |positions| share.look(positions));
+    let draft = Draft::of(share)?;
+    let in_cubes = draft.in_cubes();
+    show_all(particles, |positions| in_cubes.look(positions));
+    Some(draft.with(Neighbours::of(in_cubes.sample())))
+}
+
+/// Reads the particles once, for what their neighbours say of a spacing that is known; `None` where no particle was seen.
+#[must_use]
+pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
+    if particles.len() <= SEARCHED {
+        return Look::of(Sample { positions: gathered(particles), cubes: None });
+    }
+    let in_cubes = InCubes::new(Cubes::for_spacing(spacing));
+    show_all(particles, |positions| in_cubes.look(positions));
+    Look::of(in_cubes.sample())
+}
+
+/// A look at a sample of particles, at the scale of a spacing that is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Look {
+    /// What their neighbours say.
+    pub neighbours: Neighbours,
+    /// Where they are; the sample may lie in a plane where not all do.
+    pub place: Place,
+}
+
+impl Look {
+    /// Looks at a sample; `None` where it is empty.
+    #[must_use]
+    pub fn of(sample: Sample) -> Option<Self> {
+        let (_, place) = placed(&sample.positions)?;
+        Some(Self { neighbours: Neighbours::of(sample), place })
+    }
+}
+
+/// Reads the finite positions of all particles, some at once, in no order.
+pub fn show_all(particles: &(impl Particles + ?Sized), look: impl Fn(&[[f64; 3]]) + Sync) {
+    finite_chunks(particles).for_each(|positions| look(&positions));
+}
+
+/// The finite positions of all particles, in their order.
+fn gathered(particles: &(impl Particles + ?Sized)) -> Vec<[f64; 3]> {
+    const CHUNK: usize = 1 << 12;
+    let mut all = vec![[0.0; 3]; particles.len()];
+    all.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, positions)| {
+        particles.positions(chunk * CHUNK, positions);
+        particles.release(chunk * CHUNK..chunk * CHUNK + positions.len());
+    });
+    all.retain(|position| DVec3::from(*position).is_finite());
+    all
+}
+
+/// What all particles say.
+fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
+    let (bounds, place) = placed(&positions)?;
+    let particles = positions.len();
+    let count = |positions: &[[f64; 3]]| {
+        let spacings = |enough_share| density::spacings(positions, &bounds, enough_share);
+        match (place.plane, particles > SHARE) {
+            (Some(_), _) => None,
+            (None, true) => spacings(ENOUGH_SHARE).or_else(|| spacings(0.0)),
+            (None, false) => spacings(0.0),
+        }
+    };
+    let mut counted = count(&positions);
+    let look = |positions: &[[f64; 3]], counted: Option<Spacings>| match counted {
+        Some(counted) if positions.len() > SEARCHED => {
+            let in_cubes = InCubes::new(Cubes::for_spacing(counted.mean));
+            positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
+            Neighbours::of(in_cubes.sample())
+        }
+        _ => Neighbours::of(Sample { positions: positions.to_vec(), cubes: None }),
+    };
+    let mut neighbours = look(&positions, counted);
+    if neighbours.coincident > 0 {
+        let positions = distinct(positions);
+        counted = count(&positions);
+        neighbours = Neighbours { coincident: particles - positions.len(), ..look(&positions, counted) };
+    }
+    Some(Evidence { particles, counted, neighbours, place })
+}
+
+/// One of those in each place.
+fn distinct(mut positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    positions.par_sort_unstable_by_key(|&position| sample::scattered(position));
+    positions.dedup();
+    positions
+}
+
+impl Draft {
+    /// Counts a share; `None` where it holds nothing.
+    #[must_use]
+    pub fn of(share: Share) -> Option<Self> {
+        let (part, positions) = share.taken();
+        let (bounds, place) = placed(&positions)?;
+        let particles = (positions.len() as f64 / part).round() as usize;
+        // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
+        let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
+        let counted = counted.map(|counted| counted.scaled(part.cbrt()));
+        let scale = counted.map(|counted| counted.mean).or_else(|| {
+            // Of a sheet or a thread the share thins out more than of a solid; cubes may be too wide then, and hold more.
+            let nearest = Neighbours::of(Sample { positions, cubes: None }).nearest?;
+            Some(nearest[2] / 2.0)
+        });
+        Some(Self { particles, counted, scale: scale.unwrap_or(1.0), place })
+    }
+
+    /// The spacing by counting.
+    #[must_use]
+    pub fn counted(&self) -> Option<Spacings> {
+        self.counted
+    }
+
+    /// Takes all particles in some cubes, to be shown all particles.
+    #[must_use]
+    pub fn in_cubes(&self) -> InCubes {
+        InCubes::new(Cubes::for_spacing(self.scale))
+    }
+
+    /// Whether neighbours that were looked for at the scale of a spacing show what is to be seen.
+    #[must_use]
+    pub fn suits(&self, spacing: f64) -> bool {
+        within(spacing / self.scale, 2.5)
+    }
+
+    /// What the particles say, with what the neighbours of those in some cubes do.
+    #[must_use]
+    pub fn with(self, neighbours: Neighbours) -> Evidence {
+        let Self { particles, counted, place, .. } = self;
+        Evidence { particles, counted, neighbours, place }
+    }
+}
+
+/// Where particles are; `None` where there are none.
+fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
+    let bounds = bounds(positions)?;
+    let Bounds { lo, hi, .. } = bounds;
+    let extent = hi - lo;
+    /// Of the largest extent: coordinates that were rounded to 32 bits, or turned, differ by no more.
+    const FLAT: f64 = 1e-6;
+    let flat: Vec<usize> = (0..3).filter(|&a| extent[a] <= FLAT * extent.max_element()).collect();
+    let plane = match flat[..] {
+        [axis] => Some(Plane { axis, at: (lo[axis] + hi[axis]) / 2.0 }),
+        _ => None,
+    };
+    // A few are enough, whichever come first in the file.
+    let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
+    let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
+    let mut some: Vec<[f64; 3]> = positions.iter().filter(some).copied().collect();
+    if some.is_empty() {
+        some = vec![lo.into(), hi.into()];
+    }
+    // Stray particles do not move a median.
+    let middle = DVec3::from([0, 1, 2].map(|axis| {
+        let half = some.len() / 2;
+        some.select_nth_unstable_by(half, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
+    }));
+    let single = |c: &f64| f64::from(*c as f32) == *c;
+    let is_single = some.as_flattened().iter().all(single);
+    let far = middle.abs().max_element() as f32;
+    let step = is_single.then(|| f64::from(far.next_up() - far));
+    Some((bounds, Place { plane, step, middle }))
+}
+
+impl Evidence {
+    /// Estimates the spacing.
+    ///
+    /// # Errors
+    /// [`Untold`].
+    pub fn estimate(&self) -> Result<Estimate, Untold> {
+        let places = self.particles - self.neighbours.coincident;
+        if places < FEWEST {
+            return Err(if self.particles >= 4 * FEWEST {
+                Untold::Coincident { places }
+            } else {
+                Untold::TooFew
+            });
+        }
+        let estimate = self.estimated().ok_or(Untold::TooFew)?;
+        match self.place.step {
+            // Places on a grid of such steps are never nearer than one.
+            Some(step) if step > 0.7 * estimate.spacing => Err(Untold::SinglePrecision { step }),
+            _ => Ok(estimate),
+        }
+    }
+
+    fn estimated(&self) -> Option<Estimate> {
+        let Self { counted, neighbours, .. } = self;
+        if let Some(Spacings { mean, two: Some(two) }) = *counted {
+            return Some(Estimate { spacing: mean, two: Some(two), thin: false });
+        }
+        let sure = |spacing| Some(Estimate { spacing, two: None, thin: false });
+        let unsure = |spacing| Some(Estimate { spacing, two: None, thin: true });
+        let counted = counted.map(|counted| counted.mean);
+        let suggested = neighbours.suggested();
+        match (counted, neighbours.measured()) {
+            _ if self.place.plane.is_some() => sure(neighbours.plane.or(suggested)?),
+            (Some(counted), Some(_)) if neighbours.bear_out(counted) => sure(counted),
+            (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
+            (None, Some((measured, share))) if share >= THIN => sure(measured),
+            // Cells so small or so wide that no neighbourhood was seen.
+            (Some(counted), None) if suggested.is_none() => unsure(counted),
+            _ => unsure(suggested?),
+        }
+    }
+}
+
+/// Whether a ratio is within a factor of 1.
+fn within(ratio: f64, factor: f64) -> bool {
+    (1.0 / factor..factor).contains(&ratio)
+}
+
+#[cfg(test)]
+mod tests;

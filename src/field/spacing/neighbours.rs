@@ -1,0 +1,411 @@
+//! Distances between nearest neighbours: they tell the spacing where counting cannot, in thin fluid and in few particles.
+//!
+//! Deep in the fluid the k-th neighbour's distance tells the density: a ball of that radius holds k particles
+//! (Mack and Rosenblatt 1979, <https://doi.org/10.1016/0047-259X(79)90065-4>). Averaged over k = 8 to 20 it is within 3 % for
+//! lattices, liquids and particles placed at random. A particle counts as deep if its neighbours surround it: their
+//! centroid is near, and their second moments are nearly equal in all directions. In a sheet the same holds in its plane.
+
+use std::f64::consts::PI;
+use std::ops::{Range, RangeInclusive};
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::sample::{Sample, scattered};
+
+/// Neighbours that are looked for.
+const NEIGHBOURS: usize = 20;
+/// Neighbours whose distances tell the density of deep particles: as many as complete shells of a lattice balance.
+const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
+/// Neighbours whose distances tell the density in the plane of a sheet.
+const OF_SHEET: RangeInclusive<usize> = 4..=8;
+/// Neighbours whose distances tell the density where all particles lie in a plane, ...
+const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
+/// ... and by how much they are farther than those of random particles would be: lattices, jittered or not, are within 1.5 % then.
+const FARTHER: f64 = 1.03;
+/// The distance from a deep particle to the centroid of its neighbours is less than this share of the farthest one's.
+const CENTRED: f64 = 0.2;
+/// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and 0 in a plane.
+const ROUND: f64 = 0.5;
+/// The same, below which neighbours lie in a plane, ...
+const FLAT: f64 = 0.2;
+/// ... in which they lie around: 4 (sum of principal minors) / trace^2 is 1 in a disc, 0 on a line.
+const DISC: f64 = 0.6;
+/// The share of flat neighbourhoods in sheets of a single layer.
+const SHEETS: f64 = 0.6;
+/// The third neighbour is farther than the second by more than this factor along threads of single particles.
+const THREAD: f64 = 1.35;
+/// Count and neighbours agree within this factor.
+const AGREED: f64 = 1.07;
+/// The share of the queried particles, and their number, that tells something of all.
+const ENOUGH_SHARE: f64 = 0.04;
+const ENOUGH: usize = 8;
+/// Particles are queried in proportion to their number, within these bounds.
+const FEWEST_QUERIES: usize = 400;
+const MOST_QUERIES: usize = 2048;
+const PARTICLES_A_QUERY: usize = 32;
+
+/// What the nearest neighbours of a sample of particles say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Neighbours {
+    /// Particles whose neighbours were looked for.
+    pub queried: usize,
+    /// Share of the queried particles whose third neighbour lies within what the sample shows.
+    pub near: f64,
+    /// The median distances to the first four neighbours, among the most densely packed particles.
+    pub nearest: Option<[f64; 4]>,
+    /// The spacing by the density around particles that neighbours surround, and their share.
+    pub solid: Option<(f64, f64)>,
+    /// The spacings by the density around each of them, in ascending order.
+    pub(super) solids: Vec<f64>,
+    /// The spacing by the density in the plane of sheets of a single layer, where most particles are in such.
+    pub sheet: Option<f64>,
+    /// The spacing by the density in the plane, where all particles lie in one.
+    pub plane: Option<f64>,
+    /// Scatter of the density over that of particles that are placed at random, for 12 and for 20 neighbours.
+    pub scatter: Option<[f64; 2]>,
+    /// Particles of the sample that are in the same place as another one, at the least.
+    pub coincident: usize,
+}
+
+/// The neighbours of one particle.
+struct Neighbourhood {
+    /// In ascending order; infinite beyond what the sample shows.
+    distances: [f64; NEIGHBOURS],
+    /// Whether they surround it.
+    solid: bool,
+    /// Whether they lie in a plane.
+    flat: bool,
+    /// Whether they surround it in a plane.
+    sheet: bool,
+    /// Whether more of them do.
+    plane: bool,
+}
+
+impl Neighbours {
+    /// Looks at a sample.
+    #[must_use]
+    pub fn of(sample: Sample) -> Self {
+        let Sample { positions, cubes } = sample;
+        let all = positions.len();
+        // In the order of their numbers the first are as good as any, wherever they stand in their file.
+        let mut numbered: Vec<(u64, [f64; 3])> =
+            positions.into_par_iter().map(|position| (scattered(position), position)).collect();
+        numbered.par_sort_unstable_by_key(|&(number, _)| number);
+        let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
+        positions.dedup();
+        let coincident = all - positions.len();
+        let wanted = (positions.len() / PARTICLES_A_QUERY).clamp(FEWEST_QUERIES, MOST_QUERIES);
+        let shown = |&point: &[f64; 3]| {
+            let shown = cubes.map_or(Some(f64::INFINITY), |of| of.shown_around(point))?;
+            Some((point, shown))
+        };
+        let asked: Vec<([f64; 3], f64)> = positions.iter().filter_map(shown).take(wanted).collect();
+        let tree = Tree::new(positions);
+        let found: Vec<Neighbourhood> =
+            asked.par_iter().map(|&(point, shown)| Neighbourhood::of(&tree, point, shown)).collect();
+        Self::told_by(&found, coincident)
+    }
+
+    fn told_by(all: &[Neighbourhood], coincident: usize) -> Self {
+        let queried = all.len();
+        let enough = |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
+        // Spray around the fluid is none of its business: the closest packed particles are told by their third neighbours.
+        let mut thirds: Vec<f64> = all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
+        let near = thirds.len() as f64 / queried.max(1) as f64;
+        thirds.sort_unstable_by(f64::total_cmp);
+        let packed = densest(&thirds).unwrap_or(f64::INFINITY);
+        let packed: Vec<&Neighbourhood> = all.iter().filter(|of| of.distances[2] <= 2.0 * packed).collect();
+        let nearest = (packed.len() >= 4).then(|| {
+            [0, 1, 2, 3]
+                .map(|k| median(packed.iter().map(|of| of.distances[k]).collect()).unwrap_or_default())
+        });
+        let solid: Vec<&Neighbourhood> = all.iter().filter(|of| of.solid).collect();
+        let density = |of: &&Neighbourhood| of.spacing(OF_SOLID, |k| (k * 0.75 / PI).cbrt());
+        let mut solids: Vec<f64> = solid.iter().map(density).collect();
+        solids.sort_unstable_by(f64::total_cmp);
+        let by_solid = densest(&solids).filter(|_| enough(solids.len()));
+        let flat = packed.iter().filter(|of| of.flat).count() as f64;
+        let sheet: Vec<f64> =
+            packed.iter().filter(|of| of.sheet).map(|of| of.spacing(OF_SHEET, |k| (k / PI).sqrt())).collect();
+        let plane =
+            all.iter().filter(|of| of.plane).map(|of| of.spacing(OF_PLANE, |k| FARTHER * (k / PI).sqrt()));
+        let plane: Vec<f64> = plane.collect();
+        Self {
+            queried,
+            near,
+            plane: enough(plane.len()).then(|| median(plane)).flatten(),
+            nearest: nearest.filter(|nearest| nearest[2].is_finite() && nearest[2] > 0.0),
+            solid: by_solid.map(|spacing| (spacing, solid.len() as f64 / queried as f64)),
+            sheet: (enough(sheet.len()) && flat > SHEETS * packed.len() as f64)
+                .then(|| median(sheet))
+                .flatten(),
+            scatter: (solid.len() >= 200).then(|| [12, 20].map(|k| scatter(&solid, k))),
+            solids,
+            coincident,
+        }
+    }
+
+    /// Whether some of the fluid is as dense as a spacing says, and deep.
+    #[must_use]
+    pub fn has_solid(&self, spacing: f64) -> bool {
+        const SOME: f64 = 0.02;
+        let below = |ratio: f64| self.solids.partition_point(|&solid| solid < ratio * spacing);
+        let there = below(1.25) - below(0.8);
+        there >= ENOUGH && there as f64 >= SOME * self.queried as f64
+    }
+
+    /// The spacing that the nearest neighbours suggest, without a look at how many there are.
+    #[must_use]
+    pub fn suggested(&self) -> Option<f64> {
+        let [first, second, third, fourth] = self.nearest?;
+        // In order three or four neighbours are a spacing away, and in a compressed liquid somewhat less. In disorder the fourth is
+        // already farther.
+        let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
+        let near = third + order * (fourth - third);
+        let suggested = if third > THREAD * second {
+            (first + second) / 2.0
+        } else {
+            self.sheet.filter(|sheet| (0.8..1.25).contains(&(sheet / third))).unwrap_or(near)
+        };
+        (suggested.is_finite() && suggested > 0.0).then_some(suggested)
+    }
+
+    /// The spacing by the density around deep particles, if it fits the distances of their nearest neighbours: of sheets or
+    /// threads close to each other it does not. With it comes the share of such particles.
+    #[must_use]
+    pub fn measured(&self) -> Option<(f64, f64)> {
+        let [_, second, third, _] = self.nearest?;
+        let (spacing, share) = self.solid?;
+        let fits = (0.85..1.07).contains(&(spacing / self.by_third()?));
+        (fits && third <= THREAD * second).then_some((spacing, share))
+    }
+
+    /// The distance to the third neighbour, as a spacing: it is nearer in disorder, by 14 % where particles are placed at random.
+    fn by_third(&self) -> Option<f64> {
+        let [first, _, third, fourth] = self.nearest?;
+        let disorder = (0.72 - first / fourth).clamp(0.0, 0.15);
+        Some(third * (1.0 + disorder))
+    }
+
+    /// Whether a spacing by counting is that of the neighbours, too.
+    #[must_use]
+    pub fn bear_out(&self, counted: f64) -> bool {
+        let Some(((measured, _), by_third)) = self.measured().zip(self.by_third()) else { return false };
+        (1.0 / AGREED..AGREED).contains(&(counted / measured)) && counted < 1.06 * by_third
+    }
+
+    /// Whether particles are placed as at random: no fluid keeps them so, but spray is.
+    #[must_use]
+    pub fn is_random(&self) -> bool {
+        /// Particles of FLIP that were seeded eight to a cell have 0.8.
+        const RANDOM: f64 = 0.93;
+        self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
+    }
+}
+
+impl Neighbourhood {
+    fn of(tree: &Tree, point: [f64; 3], shown: f64) -> Self {
+        let nearest = tree.nearest(point);
+        let mut distances = [f64::INFINITY; NEIGHBOURS];
+        let found = &nearest.found[..nearest.count];
+        for (distance, (squared, _)) in distances.iter_mut().zip(found) {
+            let length = squared.sqrt();
+            *distance = if length <= shown { length } else { f64::INFINITY };
+        }
+        let moments = |count: usize| {
+            let farthest = distances[count - 1];
+            farthest.is_finite().then(|| Moments::of(&found[..count], farthest))
+        };
+        let (near, all) = (moments(*OF_SHEET.end()), moments(NEIGHBOURS));
+        let in_plane = |of: &Moments| of.round < FLAT && of.disc > DISC;
+        let flat = near.as_ref().is_some_and(in_plane);
+        Self {
+            distances,
+            solid: all.as_ref().is_some_and(|of| of.centroid < CENTRED && of.round > ROUND),
+            plane: all.is_some_and(|of| of.centroid < CENTRED && in_plane(&of)),
+            flat,
+            sheet: flat && near.is_some_and(|of| of.centroid < CENTRED),
+        }
+    }
+
+    /// The spacing, where the mean number of particles nearer than `radius(k)` spacings is k.
+    fn spacing(&self, neighbours: RangeInclusive<usize>, radius: impl Fn(f64) -> f64) -> f64 {
+        let count = neighbours.clone().count() as f64;
+        // The k-th distance's median is that at which k - 1/3 are expected.
+        neighbours.map(|k| self.distances[k - 1] / radius(k as f64 - 1.0 / 3.0)).sum::<f64>() / count
+    }
+}
+
+/// Where the neighbours of a particle are, in units of the farthest one's distance.
+struct Moments {
+    centroid: f64,
+    round: f64,
+    disc: f64,
+}
+
+impl Moments {
+    fn of(near: &[(f64, DVec3)], farthest: f64) -> Self {
+        let (mut sum, mut second) = (DVec3::ZERO, DMat3::ZERO);
+        for at in near.iter().map(|&(_, at)| at / farthest) {
+            sum += at;
+            second += DMat3::from_cols(at * at.x, at * at.y, at * at.z);
+        }
+        let [x, y, z] = [second.x_axis, second.y_axis, second.z_axis];
+        let trace = x.x + y.y + z.z;
+        let minors = x.x * y.y - x.y * y.x + x.x * z.z - x.z * z.x + y.y * z.z - y.z * z.y;
+        Self {
+            centroid: sum.length() / near.len() as f64,
+            round: 27.0 * second.determinant() / trace.powi(3),
+            disc: 4.0 * minors / trace.powi(2),
+        }
+    }
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The typical one of values in ascending order: of the lowest group that holds a tenth of them within a factor of 1.25.
+fn densest(values: &[f64]) -> Option<f64> {
+    const WITHIN: f64 = 1.25;
+    const GROUP: f64 = 0.1;
+    let group = |first: usize| values.partition_point(|&value| value <= WITHIN * values[first]) - first;
+    let enough = (GROUP * values.len() as f64).max(4.0);
+    let lowest = (0..values.len()).find(|&first| group(first) as f64 >= enough)?;
+    // Up from its flank.
+    let end = values.partition_point(|&value| value <= 1.3 * values[lowest]);
+    let best = (lowest..end).rev().max_by_key(|&first| group(first))?;
+    Some(values[best + group(best) / 2])
+}
+
+/// Standard deviation of the density around particles, over that of random ones, by quantiles.
+fn scatter(solid: &[&Neighbourhood], k: usize) -> f64 {
+    let mut volumes: Vec<f64> = solid.iter().map(|of| of.distances[k - 1].powi(3)).collect();
+    volumes.sort_unstable_by(f64::total_cmp);
+    let quantile = |share: f64| volumes[(share * (volumes.len() - 1) as f64) as usize];
+    // A normal distribution holds 68 % between these two.
+    (quantile(0.84) - quantile(0.16)) / 2.0 / quantile(0.5) * (k as f64).sqrt()
+}
+
+/// Points halved along their longest axis again and again, each in the middle of its range.
+struct Tree {
+    points: Vec<[f64; 3]>,
+    /// The axis along which the range is halved whose middle it is.
+    axes: Vec<u8>,
+}
+
+/// Points of a range that is not halved.
+const LEAF: usize = 12;
+
+/// The nearest of the points that were seen, in the order of their distances.
+struct Nearest {
+    found: [(f64, DVec3); NEIGHBOURS],
+    count: usize,
+}
+
+impl Nearest {
+    fn farthest(&self) -> f64 {
+        if self.count == NEIGHBOURS { self.found[NEIGHBOURS - 1].0 } else { f64::INFINITY }
+    }
+
+    /// Takes a point if it is one of the nearest; one in the same place is none.
+    #[inline]
+    fn see(&mut self, at: DVec3) {
+        let squared = at.length_squared();
+        if squared >= self.farthest() || squared == 0.0 {
+            return;
+        }
+        let mut slot = self.count.min(NEIGHBOURS - 1);
+        while slot > 0 && self.found[slot - 1].0 > squared {
+            self.found[slot] = self.found[slot - 1];
+            slot -= 1;
+        }
+        self.found[slot] = (squared, at);
+        self.count = (self.count + 1).min(NEIGHBOURS);
+    }
+}
+
+impl Tree {
+    fn new(mut points: Vec<[f64; 3]>) -> Self {
+        let mut axes = vec![0; points.len()];
+        halve(&mut points, &mut axes);
+        Self { points, axes }
+    }
+
+    /// The nearest other points, seen from `point`, in the order of their distances.
+    fn nearest(&self, point: [f64; 3]) -> Nearest {
+        let mut nearest = Nearest { found: [(0.0, DVec3::ZERO); NEIGHBOURS], count: 0 };
+        self.search(0..self.points.len(), point.into(), &mut nearest);
+        nearest
+    }
+
+    fn search(&self, range: Range<usize>, point: DVec3, nearest: &mut Nearest) {
+        if range.len() <= LEAF {
+            self.points[range].iter().for_each(|&other| nearest.see(DVec3::from(other) - point));
+            return;
+        }
+        let middle = range.start + range.len() / 2;
+        let axis = usize::from(self.axes[middle]);
+        let at = DVec3::from(self.points[middle]) - point;
+        nearest.see(at);
+        let halves = [range.start..middle, middle + 1..range.end];
+        let own = usize::from(at[axis] < 0.0);
+        self.search(halves[own].clone(), point, nearest);
+        if at[axis] * at[axis] < nearest.farthest() {
+            self.search(halves[1 - own].clone(), point, nearest);
+        }
+    }
+}
+
+fn halve(points: &mut [[f64; 3]], axes: &mut [u8]) {
+    if points.len() <= LEAF {
+        return;
+    }
+    let (mut lo, mut hi) = (DVec3::MAX, DVec3::MIN);
+    for &point in &*points {
+        (lo, hi) = (lo.min(point.into()), hi.max(point.into()));
+    }
+    let size = hi - lo;
+    let axis = (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).unwrap_or(0);
+    let middle = points.len() / 2;
+    points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
+    axes[middle] = axis as u8;
+    let (below, above) = points.split_at_mut(middle);
+    let (axes_below, axes_above) = axes.split_at_mut(middle);
+    rayon::join(|| halve(below, axes_below), || halve(&mut above[1..], &mut axes_above[1..]));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tree_finds_what_a_look_at_all_points_finds() {
+        let coordinate = |i: u32| f64::from(i.wrapping_mul(2_654_435_761) >> 8) / f64::from(1 << 20);
+        let points: Vec<[f64; 3]> = (0..1500)
+            .map(|i| [coordinate(3 * i), coordinate(3 * i + 1), 0.1 * coordinate(3 * i + 2)])
+            .collect();
+        let tree = Tree::new(points.clone());
+        for &point in points.iter().step_by(7) {
+            let mut all: Vec<f64> =
+                points.iter().map(|&p| (DVec3::from(p) - DVec3::from(point)).length_squared()).collect();
+            all.sort_unstable_by(f64::total_cmp);
+            let found = tree.nearest(point);
+            let squares: Vec<f64> = found.found.iter().map(|(squared, _)| *squared).collect();
+            assert_eq!(squares, all[1..=NEIGHBOURS]);
+        }
+        let few = Tree::new(points[..5].to_vec());
+        assert_eq!(few.nearest(points[0]).count, 4);
+    }
+
+    #[test]
+    fn the_lowest_group_is_found_below_a_larger_one() {
+        let mut values: Vec<f64> = (0..100).map(|i| 1.0 + 0.001 * f64::from(i)).collect();
+        values.extend((0..800).map(|i| 5.0 + 0.01 * f64::from(i)));
+        values.insert(0, 0.1);
+        assert!((densest(&values).unwrap() - 1.05).abs() < 0.02);
+        assert_eq!(densest(&[1.0, 2.0, 4.0]), None);
+    }
+}

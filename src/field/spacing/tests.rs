@@ -1,0 +1,238 @@
+use hashbrown::HashSet;
+
+use super::*;
+
+/// A number from 0 to 1 that is as good as random.
+fn unit(seed: u64) -> f64 {
+    (sample::scattered([seed as f64 + 0.5; 3]) % (1 << 20)) as f64 / f64::from(1 << 20)
+}
+
+/// A box of particles a unit apart, each moved by up to `jitter` along each axis.
+fn layers(counts: [usize; 3], jitter: f64) -> Vec<[f64; 3]> {
+    let [x, y, z] = counts;
+    (0..x * y * z)
+        .map(|i| {
+            let place = [i % x, i / x % y, i / (x * y)];
+            [0, 1, 2].map(|axis| place[axis] as f64 + jitter * (2.0 * unit((3 * i + axis) as u64) - 1.0))
+        })
+        .collect()
+}
+
+/// Copies, turned against all axes.
+fn turned(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
+    particles.into_iter().map(|p| (turn * DVec3::from(p) + 3.1).into()).collect()
+}
+
+/// Bars, or sheets where they are as wide as long, `gap` empty layers apart.
+fn bars(size: [usize; 3], gap: usize, jitter: f64) -> Vec<[f64; 3]> {
+    let of = |at: [usize; 2]| {
+        let mut bar = layers(size, jitter);
+        let step = [size[1] + gap, size[2] + gap];
+        bar.iter_mut().for_each(|p| {
+            p[1] += (at[0] * step[0]) as f64;
+            p[2] += (at[1] * step[1]) as f64;
+        });
+        bar
+    };
+    let rows = if size[0] == size[1] { 1 } else { 5 };
+    turned((0..5 * rows).flat_map(|i| of([i / 5, i % 5])).collect())
+}
+
+fn estimated(particles: &[[f64; 3]]) -> Estimate {
+    evidence(particles).unwrap().estimate().unwrap()
+}
+
+fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let share = Share::of(particles.len());
+    particles.chunks(1000).for_each(|positions| share.look(positions));
+    share.taken().1
+}
+
+#[test]
+fn many_particles_tell_the_same_in_any_order() {
+    let mut particles = layers([120; 3], 1.0 / 3.0);
+    let first = evidence(&particles[..]).unwrap();
+    let spacing = first.estimate().unwrap().spacing;
+    assert!((spacing - 1.0).abs() < 0.01, "{spacing}");
+    assert!(part_of(&particles).len() < particles.len(), "all were taken");
+    particles.reverse();
+    particles.push([f64::NAN; 3]);
+    assert_eq!(evidence(&particles[..]), Some(first));
+}
+
+#[test]
+fn a_share_of_a_lattice_is_as_good_as_random_whatever_its_spacing() {
+    for spacing in [1.0, 1.0 / 64.0, 0.02] {
+        let side = 110;
+        let of = |i: usize| [i % side, i / side % side, i / (side * side)].map(|c| c as f64 * spacing);
+        let particles: Vec<[f64; 3]> = (0..side * side * side).map(of).collect();
+        let part = part_of(&particles);
+        for axis in 0..3 {
+            let column = |p: &[f64; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]].map(f64::to_bits);
+            let columns: HashSet<[u64; 2]> = part.iter().map(column).collect();
+            assert!(100 * columns.len() > 99 * side * side, "{} columns along {axis}", columns.len());
+        }
+        let estimated = estimated(&particles).spacing;
+        assert!((estimated / spacing - 1.0).abs() < 0.005, "{estimated} of {spacing}");
+    }
+}
+
+#[test]
+fn a_layer_too_thin_for_a_share_to_count_is_told_by_its_neighbours() {
+    let particles = layers([500, 500, 10], 1.0 / 3.0);
+    let part = part_of(&particles);
+    let bounds = bounds(&part[..]).unwrap();
+    assert_eq!(density::spacings(&part, &bounds, ENOUGH_SHARE), None);
+    let spacing = estimated(&particles).spacing;
+    assert!((spacing - 1.0).abs() < 0.05, "{spacing}");
+}
+
+#[test]
+fn deep_fluid_is_counted_and_never_called_thin() {
+    for side in [16, 30] {
+        for jitter in [0.0, 0.1, 0.3, 0.5] {
+            let found = estimated(&layers([side; 3], jitter));
+            assert!((found.spacing - 1.0).abs() < 0.02 && !found.thin, "{side} {jitter}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn a_hundred_particles_are_enough() {
+    for jitter in [0.0, 0.2, 0.4] {
+        let found = estimated(&turned(layers([5, 5, 4], jitter)));
+        assert!((found.spacing - 1.0).abs() < 0.12 && !found.thin, "{jitter}: {found:?}");
+    }
+}
+
+#[test]
+fn bars_and_sheets_with_gaps_are_told_by_neighbours_and_called_thin() {
+    for width in 1..=5 {
+        for gap in [1, 3, 5] {
+            for jitter in [0.1, 0.3] {
+                for size in [[40, width, width], [40, 40, width]] {
+                    let found = estimated(&bars(size, gap, jitter));
+                    let error = (found.spacing - 1.0).abs();
+                    assert!(error < 0.12 || found.thin && error < 0.25, "{size:?} {gap} {jitter}: {found:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn shells_are_told_by_the_density_in_them() {
+    let shell: Vec<[f64; 3]> = (0..20_000)
+        .map(|i| {
+            let (z, turn) = (2.0 * unit(2 * i) - 1.0, std::f64::consts::TAU * unit(2 * i + 1));
+            let round = (1.0 - z * z).sqrt();
+            let radius = (20_000.0 / 4.0 / std::f64::consts::PI).sqrt();
+            [radius * round * turn.cos(), radius * round * turn.sin(), radius * z]
+        })
+        .collect();
+    let found = estimated(&shell);
+    assert!((found.spacing - 1.0).abs() < 0.05 && found.thin, "{found:?}");
+}
+
+#[test]
+fn spray_around_a_fluid_does_not_hide_its_spacing() {
+    let mut particles = turned(layers([30; 3], 0.3));
+    particles.extend((0..90_000).map(|i| [0, 1, 2].map(|axis| 500.0 * unit(7 * i + axis) - 200.0)));
+    let found = estimated(&particles);
+    assert!((found.spacing - 1.0).abs() < 0.05, "{found:?}");
+}
+
+#[test]
+fn random_places_are_told_from_those_of_a_fluid() {
+    let random: Vec<[f64; 3]> =
+        (0..30_000).map(|i| [0, 1, 2].map(|axis| 31.0 * unit(3 * i + axis))).collect();
+    assert!(evidence(&random[..]).unwrap().neighbours.is_random());
+    // Eight in each cell, as FLIP seeds them.
+    let seeded: Vec<[f64; 3]> = (0..27_000)
+        .map(|i| {
+            let cell = [i / 8 % 15, i / 120 % 15, i / 1800];
+            [0, 1, 2].map(|axis| 2.0 * (cell[axis] as f64 + unit((3 * i + axis) as u64)))
+        })
+        .collect();
+    for fluid in [seeded, layers([30; 3], 0.5)] {
+        assert!(!evidence(&fluid[..]).unwrap().neighbours.is_random());
+    }
+}
+
+#[test]
+fn duplicates_and_clumps_are_kept_out() {
+    let once = layers([24; 3], 0.3);
+    let alone = estimated(&once);
+    let twice = [once.clone(), once.clone()].concat();
+    let parked = [once.clone(), vec![[90.0; 3]; 20_000]].concat();
+    let parked_inside = [vec![once[100]; 9_000], once.clone()].concat();
+    for (particles, coincident) in [(twice, once.len()), (parked, 19_999), (parked_inside, 9_000)] {
+        let all = evidence(&particles[..]).unwrap();
+        assert_eq!(all.neighbours.coincident, coincident);
+        let found = all.estimate().unwrap();
+        assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
+    }
+    let places = |particles: &[[f64; 3]]| evidence(particles).unwrap().estimate();
+    assert_eq!(places(&[[1.0; 3]; 500]), Err(Untold::Coincident { places: 1 }));
+    assert_eq!(places(&[[1.0; 3], [2.0; 3]]), Err(Untold::TooFew));
+}
+
+#[test]
+fn a_plane_across_an_axis_is_found_and_measured_in_it() {
+    for axis in 0..3 {
+        let mut particles = layers([50, 40, 1], 0.2);
+        particles.iter_mut().for_each(|p| {
+            p[2] = 0.25;
+            p.rotate_right((axis + 1) % 3);
+        });
+        let found = evidence(&particles[..]).unwrap();
+        assert_eq!(found.place.plane, Some(Plane { axis, at: 0.25 }));
+        let estimate = found.estimate().unwrap();
+        assert!((estimate.spacing - 1.0).abs() < 0.03 && !estimate.thin, "{estimate:?}");
+    }
+    let tilted = turned(layers([50, 40, 1], 0.0));
+    assert_eq!(evidence(&tilted[..]).unwrap().place.plane, None);
+    let line = layers([50, 1, 1], 0.0);
+    assert_eq!(evidence(&line[..]).unwrap().place.plane, None);
+}
+
+#[test]
+fn single_precision_is_told_with_its_step() {
+    let at = |from: f64| -> Vec<[f64; 3]> {
+        let single = |c: f64| f64::from((0.05 * c + from) as f32);
+        layers([20; 3], 0.3).into_iter().map(|p| p.map(single)).collect()
+    };
+    let far = evidence(&at(300_000.0)[..]).unwrap();
+    assert_eq!(far.place.step, Some(0.03125));
+    assert!(far.estimate().is_ok());
+    let farther = evidence(&at(3e6)[..]).unwrap();
+    assert_eq!(farther.estimate(), Err(Untold::SinglePrecision { step: 0.25 }));
+    let double: Vec<[f64; 3]> = layers([20; 3], 0.3).into_iter().map(|p| p.map(|c| 0.05 * c + 3e6)).collect();
+    let double = evidence(&double[..]).unwrap();
+    assert_eq!(double.place.step, None);
+    assert!((double.estimate().unwrap().spacing / 0.05 - 1.0).abs() < 0.02);
+}
+
+#[test]
+fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
+    let particles = layers([60; 3], 0.3);
+    let sample_of = |chunk: usize, reverse: bool| {
+        let in_cubes = InCubes::new(Cubes::for_spacing(1.0));
+        let mut chunks: Vec<_> = particles.chunks(chunk).collect();
+        if reverse {
+            chunks.reverse();
+        }
+        chunks.iter().for_each(|positions| in_cubes.look(positions));
+        let mut sample = in_cubes.sample();
+        sample.positions.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap());
+        sample
+    };
+    let sample = sample_of(100, false);
+    assert!((1000..=1 << 15).contains(&sample.positions.len()), "{}", sample.positions.len());
+    assert_eq!(sample_of(7777, true).positions, sample.positions);
+    let cube = |p: &[f64; 3]| p.map(|c| (c / 6.0).floor() as i64);
+    let cubes: HashSet<[i64; 3]> = sample.positions.iter().map(cube).collect();
+    let all = particles.iter().filter(|p| cubes.contains(&cube(p))).count();
+    assert_eq!(all, sample.positions.len());
+}

@@ -1,0 +1,133 @@
+//! Particles in the same place: duplicates, and slots of a simulator that are not in use and parked somewhere.
+
+use glam::{DVec3, IVec3};
+use serde::{Deserialize, Serialize};
+
+use crate::brick::unpack;
+use crate::grid::{BIN, FRACTIONS, Grid};
+
+/// Particles that are in the same place as another one, to 1 / [`FRACTIONS`] of a cell.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Coincident {
+    /// How many there are beyond one in each place.
+    pub particles: u64,
+    /// The largest number of particles in one place.
+    pub most: u64,
+    /// That place.
+    pub at: [f64; 3],
+    /// Whether no other particle is near it.
+    pub alone: bool,
+}
+
+/// Particles in the same place, bin by bin.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Found {
+    particles: u64,
+    most: u64,
+    bin: IVec3,
+    record: u64,
+}
+
+/// Bits by which records are told apart at first.
+const BITS: u32 = 13;
+/// Records of a bin that are told apart so.
+const FEW: usize = 1 << (BITS - 1);
+
+impl Found {
+    /// Finds those among the records of a bin's particles.
+    #[must_use]
+    pub fn among(bin: IVec3, records: &[u64]) -> Self {
+        let mut suspects = if records.len() <= FEW { suspects(records) } else { records.to_vec() };
+        suspects.sort_unstable();
+        let mut found = Self { bin, ..Self::default() };
+        for same in suspects.chunk_by(|a, b| a == b).filter(|same| same.len() > 1) {
+            let count = same.len() as u64;
+            found.particles += count - 1;
+            if count > found.most {
+                (found.most, found.record) = (count, same[0]);
+            }
+        }
+        found
+    }
+
+    /// Adds those of another bin; of places with as many particles the first one is kept.
+    pub fn add(&mut self, other: &Self) {
+        let rank = |of: &Self| (of.most, std::cmp::Reverse(of.bin.to_array()), std::cmp::Reverse(of.record));
+        let particles = self.particles + other.particles;
+        if rank(other) > rank(self) {
+            *self = *other;
+        }
+        self.particles = particles;
+    }
+
+    /// What there is to report, if there is anything, by the number of particles in each bin.
+    #[must_use]
+    pub fn report(&self, grid: &Grid, bins: impl Iterator<Item = (IVec3, u64)>) -> Option<Coincident> {
+        let (cell, offset) = unpack(self.record);
+        let cell = self.bin * BIN + IVec3::from(cell.map(|c| c as i32));
+        let offset = DVec3::from(offset.map(f64::from)) / f64::from(FRACTIONS);
+        let near = |(bin, _): &(IVec3, u64)| (*bin - self.bin).abs().max_element() <= 1;
+        let around: u64 = bins.filter(near).map(|(_, particles)| particles).sum();
+        (self.particles > 0).then(|| Coincident {
+            particles: self.particles,
+            most: self.most,
+            at: grid.world_from_cells(cell.as_dvec3() + offset).to_array(),
+            alone: around == self.most,
+        })
+    }
+}
+
+/// Few records, with all of those that are equal to another one among them.
+fn suspects(records: &[u64]) -> Vec<u64> {
+    let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
+    // The golden ratio spreads what differs in any bit.
+    let bit = |record: u64| {
+        let number = record.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - BITS);
+        ((number >> 6) as usize, 1 << (number & 63))
+    };
+    for &record in records {
+        let (word, bit) = bit(record);
+        seen[1][word] |= seen[0][word] & bit;
+        seen[0][word] |= bit;
+    }
+    let again = |record: &u64| {
+        let (word, bit) = bit(*record);
+        seen[1][word] & bit != 0
+    };
+    records.iter().copied().filter(again).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coincident_records_are_counted_whether_few_or_many_are_in_their_bin() {
+        for all in [100_u64, 2000, 10_000] {
+            let mut records: Vec<u64> = (0..all).map(|i| i * 7_919_317 % (1 << 51)).collect();
+            assert_eq!(Found::among(IVec3::ONE, &records).particles, 0, "{all}");
+            let (pair, clump) = (records[3], records[50]);
+            records.push(pair);
+            records.extend([clump; 4]);
+            let found = Found::among(IVec3::ONE, &records);
+            assert_eq!((found.particles, found.most, found.record), (5, 5, clump), "{all}");
+        }
+    }
+
+    #[test]
+    fn a_clump_is_alone_where_nothing_else_is_in_the_bins_around() {
+        let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
+        // Cell (1, 0, 0) of its bin, in the middle.
+        let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;
+        let mut all = Found::among(IVec3::new(2, 0, 0), &[7, 7]);
+        all.add(&Found::among(IVec3::new(-2, 0, 0), &[record; 3]));
+        let report = |other: i32| {
+            all.report(&grid, [(IVec3::new(-2, 0, 0), 3), (IVec3::new(other, 0, 0), 9)].into_iter())
+        };
+        let found = report(0).unwrap();
+        assert_eq!((found.particles, found.most, found.alone), (3, 3, true));
+        assert_eq!(found.at, [-15.25, 0.25, 0.25]);
+        assert!(!report(-1).unwrap().alone);
+    }
+}
