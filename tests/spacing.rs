@@ -306,7 +306,7 @@ fn coincident_particles_are_counted_and_a_clump_of_unused_slots_is_reported() {
     let twice = [ball.clone(), ball.clone()].concat();
     let (particles, most, alone, _) = coincident(&twice).unwrap();
     assert_eq!((particles, most, alone), (ball.len() as u64, 2, false));
-    let parked = [ball.clone(), vec![[7.0, -3.0, 2.0]; 500]].concat();
+    let parked = [ball, vec![[7.0, -3.0, 2.0]; 500]].concat();
     let (particles, most, alone, at) = coincident(&parked).unwrap();
     assert_eq!((particles, most, alone), (499, 500, true));
     assert!((DVec3::from(at) - DVec3::new(7.0, -3.0, 2.0)).length() < 1e-5, "{at:?}");

@@ -10,11 +10,11 @@ use crate::grid::{BIN, FRACTIONS, Grid};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Coincident {
-    /// How many there are beyond one in each place.
+    /// The number of particles beyond one in each place.
     pub particles: u64,
     /// The largest number of particles in one place.
     pub most: u64,
-    /// That place.
+    /// The place that holds that many.
     pub at: [f64; 3],
     /// Whether no other particle is near it.
     pub alone: bool,
@@ -61,7 +61,7 @@ impl Found {
         self.particles = particles;
     }
 
-    /// What there is to report, if there is anything, by the number of particles in each bin.
+    /// Reports them, if there are any; `bins` lists the number of particles in each bin.
     #[must_use]
     pub fn report(&self, grid: &Grid, bins: impl Iterator<Item = (IVec3, u64)>) -> Option<Coincident> {
         let (cell, offset) = unpack(self.record);

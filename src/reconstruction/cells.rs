@@ -66,7 +66,7 @@ pub struct Cells {
 pub struct Slab {
     /// 0, 1 or 2 for x, y or z.
     pub axis: usize,
-    /// Its faces along that axis.
+    /// The faces' coordinates along that axis.
     pub faces: [f64; 2],
 }
 

@@ -340,7 +340,7 @@ impl SamplingRequest {
         };
         let share = Share::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
-            let in_cubes = InCubes::new(Cubes::for_spacing(spacing));
+            let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let counted = count(size(spacing), &|positions| {
                 in_cubes.look(positions);
@@ -349,7 +349,7 @@ impl SamplingRequest {
                 }
             });
             let look = match counted {
-                Some(_) => Look::of(in_cubes.sample()),
+                Some(_) => Look::of(in_cubes.sample(), spacing),
                 None => look_at(particles, spacing),
             };
             let draft = counted.as_ref().filter(|_| is_scene).and_then(|_| Draft::of(share));
@@ -361,7 +361,7 @@ impl SamplingRequest {
         let usual = |size: f64| 2.0 * size;
         let mut sample = None;
         if let CellSize::Length(size) = self.cell_size() {
-            let in_cubes = InCubes::new(Cubes::for_spacing(usual(size)));
+            let in_cubes = InCubes::new(Cubes::for_spacing(usual(size)), particles.len());
             let look = |positions: &[[f64; 3]]| {
                 share.look(positions);
                 in_cubes.look(positions);
@@ -389,7 +389,8 @@ impl SamplingRequest {
             show_all(particles, |positions| in_cubes.look(positions));
             in_cubes.sample()
         });
-        let evidence = draft.with(Neighbours::of(sample));
+        let counted_spacing = draft.counted().map(|counted| counted.mean);
+        let evidence = draft.with(Neighbours::that_check(sample, counted_spacing));
         Ok((self.cells_by_evidence(particles, from, Some(evidence))?, counted))
     }
 

@@ -157,8 +157,7 @@ impl Doubt {
         let mut doubts = Vec::new();
         match evidence.estimate() {
             Ok(Estimate { two: Some(spacings), .. }) => {
-                let all: Vec<f64> = spacings.iter().copied().collect();
-                if !all.iter().any(|found| (TOO_SMALL..TOO_LARGE).contains(&(said / found))) {
+                if !spacings.iter().any(|found| (TOO_SMALL..TOO_LARGE).contains(&(said / found))) {
                     doubts.push(Self::contradicted(said, source, spacings[0], false));
                 }
                 doubts.push(Self::TwoResolutions { spacings, taken: said });

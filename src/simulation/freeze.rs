@@ -18,7 +18,7 @@ use super::watch::Watch;
 /// Frames that are looked at for one that is deep enough to measure: of those that are there the first, and some from all over the rest.
 const LOOKED_AT: usize = 64;
 
-/// What was measured on one frame.
+/// Measurements on one frame.
 struct OneMeasured {
     frozen: Frozen,
     trust: Trust,

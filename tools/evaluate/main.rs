@@ -19,6 +19,7 @@ mod sample;
 #[path = "../bench/scene.rs"]
 mod scene;
 mod shapes;
+mod spacing;
 mod speed;
 mod tables;
 
@@ -39,6 +40,9 @@ struct Options {
     /// Where pictures go.
     #[arg(long, value_name = "DIR", default_value = "target/evaluate")]
     out: PathBuf,
+    /// Particle files for the topic spacing, as FILE=SPACING; without the spacing where the file or its name says it.
+    #[arg(long, value_name = "FILE[=SPACING]", num_args = 1..)]
+    files: Vec<String>,
     /// Particles to take pictures of, y up, instead of a splash.
     #[arg(long, value_name = "FILE")]
     frame: Option<PathBuf>,
@@ -79,6 +83,8 @@ enum Topic {
     Isovalue,
     /// Cell, sigma and indicator: error against cost.
     Defaults,
+    /// The estimated spacing over the true one, of files and of made particles, and what is said of wrong ones.
+    Spacing,
     /// Side by side with other programs.
     Quality,
     /// All of these but quality, which needs those programs.
@@ -108,6 +114,7 @@ fn main() -> ExitCode {
         Topic::Pictures => &[pictures::run],
         Topic::Isovalue => &[isovalue::run],
         Topic::Defaults => &[defaults::run],
+        Topic::Spacing => &[spacing::run],
         Topic::Quality => &[quality::run],
         Topic::All => &[
             accuracy::run,
@@ -119,6 +126,7 @@ fn main() -> ExitCode {
             pictures::run,
             isovalue::run,
             defaults::run,
+            spacing::run,
         ],
     };
     match run.iter().try_for_each(|run| run(&options)) {

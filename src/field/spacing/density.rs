@@ -156,7 +156,8 @@ impl Counts {
         // Cells are numbered from one below the first, so that each has neighbours.
         let last = ((corners[1] - origin) / cell).floor() + 1.0;
         let size = (last + 2.0).to_array();
-        if !(size.iter().product::<f64>() <= MOST_LISTED) {
+        let is_small = size.iter().product::<f64>() <= MOST_LISTED;
+        if !is_small {
             let room = CountingRoom { bins: MOST_CELLS, places: 0 };
             let plan = BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).ok()?;
             return Some(Self::Hashed(

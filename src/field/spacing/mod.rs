@@ -28,8 +28,8 @@ use sample::SHARE;
 
 /// Particles that are held in memory to tell their spacing: as many as an even [`Share`] may hold.
 pub const ALL: usize = 2 * SHARE;
-/// Particles all of which are searched for neighbours.
-const SEARCHED: usize = 1 << 15;
+/// Particles above which a sample bears out a count.
+const FEWEST_SAMPLED: usize = 1 << 12;
 /// Share of the particles in interior cells that makes the count of a part worth having.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The fewest places from which a spacing is told.
@@ -37,7 +37,7 @@ const FEWEST: usize = 8;
 /// A share of deep particles below which the fluid is thin.
 const THIN: f64 = 0.15;
 
-/// What particles say of their spacing.
+/// The evidence that particles give of their spacing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
     /// Finite particles.
@@ -66,7 +66,7 @@ pub struct Place {
 pub struct Plane {
     /// 0, 1 or 2 for x, y or z.
     pub axis: usize,
-    /// Its coordinate.
+    /// The coordinate on that axis.
     pub at: f64,
 }
 
@@ -85,7 +85,7 @@ pub struct Estimate {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Untold {
-    /// There are too few.
+    /// Too few particles.
     #[error("too few to tell it")]
     TooFew,
     /// Nearly all are in the same few places.
@@ -94,7 +94,7 @@ pub enum Untold {
         /// The number of places.
         places: usize,
     },
-    /// Their coordinates are too coarse.
+    /// Coordinates that are too coarse.
     #[error(
         "so far from the origin their coordinates, stored in single precision, move in steps of {}",
         shown(*step)
@@ -132,35 +132,37 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     let draft = Draft::of(share)?;
     let in_cubes = draft.in_cubes();
     show_all(particles, |positions| in_cubes.look(positions));
-    Some(draft.with(Neighbours::of(in_cubes.sample())))
+    let neighbours = Neighbours::that_check(in_cubes.sample(), draft.counted().map(|counted| counted.mean));
+    Some(draft.with(neighbours))
 }
 
 /// Reads the particles once, for what their neighbours say of a spacing that is known; `None` where no particle was seen.
 #[must_use]
 pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
-    if particles.len() <= SEARCHED {
-        return Look::of(Sample { positions: gathered(particles), cubes: None });
+    if particles.len() <= FEWEST_SAMPLED {
+        let sample = Sample { positions: gathered(particles), few: Vec::new(), cubes: None };
+        return Look::of(sample, spacing);
     }
-    let in_cubes = InCubes::new(Cubes::for_spacing(spacing));
+    let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
     show_all(particles, |positions| in_cubes.look(positions));
-    Look::of(in_cubes.sample())
+    Look::of(in_cubes.sample(), spacing)
 }
 
 /// A look at a sample of particles, at the scale of a spacing that is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Look {
-    /// What their neighbours say.
+    /// Distances between neighbours.
     pub neighbours: Neighbours,
     /// Where they are; the sample may lie in a plane where not all do.
     pub place: Place,
 }
 
 impl Look {
-    /// Looks at a sample; `None` where it is empty.
+    /// Looks at a sample for a spacing; `None` where it is empty.
     #[must_use]
-    pub fn of(sample: Sample) -> Option<Self> {
+    pub fn of(sample: Sample, spacing: f64) -> Option<Self> {
         let (_, place) = placed(&sample.positions)?;
-        Some(Self { neighbours: Neighbours::of(sample), place })
+        Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
     }
 }
 
@@ -181,7 +183,7 @@ fn gathered(particles: &(impl Particles + ?Sized)) -> Vec<[f64; 3]> {
     all
 }
 
-/// What all particles say.
+/// Gathers the evidence of all particles.
 fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
     let (bounds, place) = placed(&positions)?;
     let particles = positions.len();
@@ -195,12 +197,12 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
     };
     let mut counted = count(&positions);
     let look = |positions: &[[f64; 3]], counted: Option<Spacings>| match counted {
-        Some(counted) if positions.len() > SEARCHED => {
-            let in_cubes = InCubes::new(Cubes::for_spacing(counted.mean));
+        Some(counted) if positions.len() > FEWEST_SAMPLED => {
+            let in_cubes = InCubes::new(Cubes::for_spacing(counted.mean), positions.len());
             positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
-            Neighbours::of(in_cubes.sample())
+            Neighbours::that_check(in_cubes.sample(), Some(counted.mean))
         }
-        _ => Neighbours::of(Sample { positions: positions.to_vec(), cubes: None }),
+        _ => Neighbours::of(Sample { positions: positions.to_vec(), few: Vec::new(), cubes: None }),
     };
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {
@@ -230,7 +232,7 @@ impl Draft {
         let counted = counted.map(|counted| counted.scaled(part.cbrt()));
         let scale = counted.map(|counted| counted.mean).or_else(|| {
             // Of a sheet or a thread the share thins out more than of a solid; cubes may be too wide then, and hold more.
-            let nearest = Neighbours::of(Sample { positions, cubes: None }).nearest?;
+            let nearest = Neighbours::of(Sample { positions, few: Vec::new(), cubes: None }).nearest?;
             Some(nearest[2] / 2.0)
         });
         Some(Self { particles, counted, scale: scale.unwrap_or(1.0), place })
@@ -245,7 +247,7 @@ impl Draft {
     /// Takes all particles in some cubes, to be shown all particles.
     #[must_use]
     pub fn in_cubes(&self) -> InCubes {
-        InCubes::new(Cubes::for_spacing(self.scale))
+        InCubes::new(Cubes::for_spacing(self.scale), self.particles)
     }
 
     /// Whether neighbours that were looked for at the scale of a spacing show what is to be seen.
@@ -254,7 +256,7 @@ impl Draft {
         within(spacing / self.scale, 2.5)
     }
 
-    /// What the particles say, with what the neighbours of those in some cubes do.
+    /// Adds the neighbours of the particles in some cubes.
     #[must_use]
     pub fn with(self, neighbours: Neighbours) -> Evidence {
         let Self { particles, counted, place, .. } = self;
@@ -267,7 +269,7 @@ fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
     let bounds = bounds(positions)?;
     let Bounds { lo, hi, .. } = bounds;
     let extent = hi - lo;
-    /// Of the largest extent: coordinates that were rounded to 32 bits, or turned, differ by no more.
+    /// The thickness of a plane over its extent, by rounding to 32 bits.
     const FLAT: f64 = 1e-6;
     let flat: Vec<usize> = (0..3).filter(|&a| extent[a] <= FLAT * extent.max_element()).collect();
     let plane = match flat[..] {

@@ -27,10 +27,14 @@ const FARTHER: f64 = 1.03;
 const CENTRED: f64 = 0.2;
 /// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and 0 in a plane.
 const ROUND: f64 = 0.5;
-/// The same, below which neighbours lie in a plane, ...
+/// Neighbours lie in a plane where [`ROUND`]'s measure is below this, ...
 const FLAT: f64 = 0.2;
 /// ... in which they lie around: 4 (sum of principal minors) / trace^2 is 1 in a disc, 0 on a line.
 const DISC: f64 = 0.6;
+/// The scatter of random places is 1; particles of FLIP that were seeded eight to a cell have 0.8.
+const RANDOM: f64 = 0.93;
+/// Deep particles by which scatter is told.
+const ENOUGH_FOR_SCATTER: usize = 100;
 /// The share of flat neighbourhoods in sheets of a single layer.
 const SHEETS: f64 = 0.6;
 /// The third neighbour is farther than the second by more than this factor along threads of single particles.
@@ -41,11 +45,11 @@ const AGREED: f64 = 1.07;
 const ENOUGH_SHARE: f64 = 0.04;
 const ENOUGH: usize = 8;
 /// Particles are queried in proportion to their number, within these bounds.
-const FEWEST_QUERIES: usize = 400;
+const FEWEST_QUERIES: usize = 300;
 const MOST_QUERIES: usize = 2048;
 const PARTICLES_A_QUERY: usize = 32;
 
-/// What the nearest neighbours of a sample of particles say.
+/// Distances between nearest neighbours in a sample of particles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neighbours {
     /// Particles whose neighbours were looked for.
@@ -83,10 +87,23 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
+    /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by counting.
+    #[must_use]
+    pub fn that_check(mut sample: Sample, counted: Option<f64>) -> Self {
+        let few = std::mem::take(&mut sample.few);
+        if let Some(counted) = counted.filter(|_| !few.is_empty()) {
+            let few = Self::of(Sample { positions: few, few: Vec::new(), cubes: sample.cubes });
+            if few.bear_out(counted) && few.coincident == 0 && !few.may_be_random() {
+                return few;
+            }
+        }
+        Self::of(sample)
+    }
+
     /// Looks at a sample.
     #[must_use]
     pub fn of(sample: Sample) -> Self {
-        let Sample { positions, cubes } = sample;
+        let Sample { positions, cubes, .. } = sample;
         let all = positions.len();
         // In the order of their numbers the first are as good as any, wherever they stand in their file.
         let mut numbered: Vec<(u64, [f64; 3])> =
@@ -140,7 +157,7 @@ impl Neighbours {
             sheet: (enough(sheet.len()) && flat > SHEETS * packed.len() as f64)
                 .then(|| median(sheet))
                 .flatten(),
-            scatter: (solid.len() >= 200).then(|| [12, 20].map(|k| scatter(&solid, k))),
+            scatter: (solid.len() >= ENOUGH_FOR_SCATTER).then(|| [12, 20].map(|k| scatter(&solid, k))),
             solids,
             coincident,
         }
@@ -198,9 +215,12 @@ impl Neighbours {
     /// Whether particles are placed as at random: no fluid keeps them so, but spray is.
     #[must_use]
     pub fn is_random(&self) -> bool {
-        /// Particles of FLIP that were seeded eight to a cell have 0.8.
-        const RANDOM: f64 = 0.93;
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
+    }
+
+    /// Whether few particles do not exclude it.
+    fn may_be_random(&self) -> bool {
+        self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - 0.15))
     }
 }
 

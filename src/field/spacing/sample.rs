@@ -130,9 +130,14 @@ impl Cubes {
 pub struct Sample {
     /// All finite ones, or those in some cubes.
     pub positions: Vec<[f64; 3]>,
+    /// Those in a few of the cubes, where these are many.
+    pub few: Vec<[f64; 3]>,
     /// The cubes, if it is not all.
     pub cubes: Option<Cubes>,
 }
+
+/// Particles in a few cubes that are enough to bear out a count.
+const FEW: usize = 1 << 13;
 
 /// All particles in some cubes: in those with the least numbers, as far as the room goes.
 #[derive(Debug)]
@@ -147,10 +152,13 @@ impl InCubes {
     /// Particles that are kept, at the most.
     const ROOM: usize = 1 << 15;
 
-    /// Begins with none.
+    /// Begins with none, of `particles` particles.
     #[must_use]
-    pub fn new(cubes: Cubes) -> Self {
-        Self { cubes, end: AtomicU32::new(u32::MAX), positions: Mutex::default() }
+    pub fn new(cubes: Cubes, particles: usize) -> Self {
+        // Twice as many as there is room for are to be expected below this end, and some in the cubes with the least numbers.
+        let share = 2.0 * Self::ROOM as f64 / particles.max(1) as f64;
+        let end = (share * f64::from(u32::MAX)) as u32;
+        Self { cubes, end: AtomicU32::new(end), positions: Mutex::default() }
     }
 
     /// Takes those of some particles that are in the cubes.
@@ -184,8 +192,15 @@ impl InCubes {
     pub fn sample(self) -> Sample {
         let end = self.end.into_inner();
         let kept = self.positions.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let positions = kept.into_iter().filter(|&(number, _)| number < end).map(|(_, position)| position);
-        Sample { positions: positions.collect(), cubes: Some(self.cubes) }
+        let in_cubes: Vec<_> = kept.into_iter().filter(|&(number, _)| number < end).collect();
+        let positions = in_cubes.iter().map(|&(_, position)| position).collect();
+        let few = if in_cubes.len() > FEW {
+            let end = (f64::from(end) * FEW as f64 / in_cubes.len() as f64) as u32;
+            in_cubes.into_iter().filter(|&(number, _)| number < end).map(|(_, position)| position).collect()
+        } else {
+            Vec::new()
+        };
+        Sample { positions, few, cubes: Some(self.cubes) }
     }
 }
 

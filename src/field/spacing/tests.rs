@@ -218,7 +218,7 @@ fn single_precision_is_told_with_its_step() {
 fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
     let particles = layers([60; 3], 0.3);
     let sample_of = |chunk: usize, reverse: bool| {
-        let in_cubes = InCubes::new(Cubes::for_spacing(1.0));
+        let in_cubes = InCubes::new(Cubes::for_spacing(1.0), particles.len());
         let mut chunks: Vec<_> = particles.chunks(chunk).collect();
         if reverse {
             chunks.reverse();
