@@ -54,8 +54,8 @@ mod vulkan;
 #[doc = include_str!("method.md")]
 pub mod method {}
 
-/// Guides: what goes in and out, simulations, animations in Blender and ParaView, periodic boxes, pictures, what to choose, how accurate and
-/// how fast it is, GPUs, limits, trust, and how to change it.
+/// Guides: what goes in and out, the spacing of the particles, simulations, animations in Blender and ParaView, periodic boxes,
+/// pictures, what to choose, how accurate and how fast it is, GPUs, limits, trust, and how to change it.
 pub mod guide {
     #[doc = include_str!("field/accuracy.md")]
     pub mod accuracy {}
@@ -85,6 +85,8 @@ pub mod guide {
     pub mod scale {}
     #[doc = include_str!("simulation/guide.md")]
     pub mod simulations {}
+    #[doc = include_str!("field/spacing/guide.md")]
+    pub mod spacing {}
     #[doc = include_str!("frame/speed.md")]
     pub mod speed {}
     #[doc = include_str!("system/trust.md")]

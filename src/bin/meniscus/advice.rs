@@ -5,7 +5,7 @@ use meniscus::error::{
     BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, Setting,
     SimulationError, TooFine, Unfit, UnitError, Unread, Untold, WriteFault, shown, significant,
 };
-use meniscus::{Doubt, Emptiness, Mistake, TooSmall, Warning};
+use meniscus::{Doubt, Emptiness, Mistake, SpacingSource, TooSmall, Warning};
 
 use crate::method::MethodName;
 use crate::options::Options;
@@ -175,6 +175,9 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
 /// A doubt about a spacing in words, and what to do about it.
 pub fn doubted(doubt: &Doubt) -> String {
     match doubt {
+        Doubt::Contradicted { found, source: SpacingSource::Packed, .. } => {
+            format!("{doubt}; pack the particles again with --spacing {}", significant(*found, 3))
+        }
         Doubt::Contradicted { said, found, mistake: Some(Mistake::Radius), .. } => {
             format!("{doubt}; use --radius {} or --spacing {}", shown(*said), significant(*found, 3))
         }

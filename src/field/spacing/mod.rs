@@ -30,6 +30,8 @@ use sample::SHARE;
 pub const ALL: usize = 2 * SHARE;
 /// Particles above which a sample bears out a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
+/// Particles all of which are searched, where nothing was counted.
+const MOST_SEARCHED: usize = 1 << 15;
 /// Share of the particles in interior cells that makes the count of a part worth having.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The fewest places from which a spacing is told.
@@ -196,13 +198,23 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
         }
     };
     let mut counted = count(&positions);
-    let look = |positions: &[[f64; 3]], counted: Option<Spacings>| match counted {
-        Some(counted) if positions.len() > FEWEST_SAMPLED => {
-            let in_cubes = InCubes::new(Cubes::for_spacing(counted.mean), positions.len());
-            positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
-            Neighbours::that_check(in_cubes.sample(), Some(counted.mean))
-        }
-        _ => Neighbours::of(Sample { positions: positions.to_vec(), few: Vec::new(), cubes: None }),
+    let look = |positions: &[[f64; 3]], counted: Option<Spacings>| {
+        let counted = counted.map(|counted| counted.mean);
+        let all = || Sample { positions: positions.to_vec(), few: Vec::new(), cubes: None };
+        let scale = match counted {
+            _ if positions.len() <= FEWEST_SAMPLED => None,
+            None if positions.len() <= MOST_SEARCHED => None,
+            None => {
+                let one_in = (positions.len() / MOST_SEARCHED).next_power_of_two() as u64;
+                let few = |&&position: &&[f64; 3]| sample::scattered(position) & (one_in - 1) == 0;
+                scale_of(positions.iter().filter(few).copied().collect())
+            }
+            known => known,
+        };
+        let Some(scale) = scale else { return Neighbours::of(all()) };
+        let in_cubes = InCubes::new(Cubes::for_spacing(scale), positions.len());
+        positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
+        Neighbours::that_check(in_cubes.sample(), counted)
     };
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {
@@ -211,6 +223,12 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
         neighbours = Neighbours { coincident: particles - positions.len(), ..look(&positions, counted) };
     }
     Some(Evidence { particles, counted, neighbours, place })
+}
+
+/// A scale at which neighbours can be looked for where nothing was counted: half the distance to the third neighbour among few of all. Of
+/// sheets and threads few are farther apart than of a solid; cubes are wider then, and hold more.
+fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
+    Some(Neighbours::of(Sample { positions: few, few: Vec::new(), cubes: None }).nearest?[2] / 2.0)
 }
 
 /// One of those in each place.
@@ -230,11 +248,7 @@ impl Draft {
         // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(part.cbrt()));
-        let scale = counted.map(|counted| counted.mean).or_else(|| {
-            // Of a sheet or a thread the share thins out more than of a solid; cubes may be too wide then, and hold more.
-            let nearest = Neighbours::of(Sample { positions, few: Vec::new(), cubes: None }).nearest?;
-            Some(nearest[2] / 2.0)
-        });
+        let scale = counted.map(|counted| counted.mean).or_else(|| scale_of(positions));
         Some(Self { particles, counted, scale: scale.unwrap_or(1.0), place })
     }
 

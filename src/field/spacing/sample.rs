@@ -130,7 +130,7 @@ impl Cubes {
 pub struct Sample {
     /// All finite ones, or those in some cubes.
     pub positions: Vec<[f64; 3]>,
-    /// Those in a few of the cubes, where these are many.
+    /// The particles in a few of the cubes, where there are many.
     pub few: Vec<[f64; 3]>,
     /// The cubes, if it is not all.
     pub cubes: Option<Cubes>,

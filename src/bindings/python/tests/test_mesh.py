@@ -74,9 +74,13 @@ def test_the_report_says_how_it_was_made(ball: Any) -> None:
 
 
 def test_doubts_are_python_warnings(ball: Any) -> None:
-    with pytest.warns(meniscus.MeshWarning, match="times as many particles"):
+    with pytest.warns(meniscus.MeshWarning, match="too large: the particles are about"):
         mesh = meniscus.reconstruct(ball, spacing=3.0)
-    assert any("times as many" in warning for warning in mesh.report.warnings)
+    assert any("too large" in warning for warning in mesh.report.warnings)
+    with pytest.warns(meniscus.MeshWarning, match="0.5 may be their radius"):
+        meniscus.reconstruct(ball, spacing=0.5)
+    with pytest.warns(meniscus.MeshWarning, match="same place"):
+        meniscus.reconstruct(np.concatenate([ball, ball]), spacing=1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(meniscus.MeshWarning):
