@@ -245,7 +245,11 @@ impl SamplingRequest {
             path: path(),
             particles: particles.len(),
             why,
-            suggested: evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
+            // Places on a coarse grid suggest nothing.
+            suggested: match why {
+                Untold::SinglePrecision { .. } => None,
+                _ => evidence.as_ref().and_then(|evidence| evidence.neighbours.suggested()),
+            },
         })?;
         let plane = place.and_then(|place| place.plane);
         let mut cells = self.cells_of(estimate.spacing, SpacingSource::Estimated, middle, plane)?;

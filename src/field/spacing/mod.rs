@@ -30,7 +30,7 @@ use sample::SHARE;
 pub const ALL: usize = 2 * SHARE;
 /// Particles above which a sample bears out a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
-/// Particles all of which are searched, where nothing was counted.
+/// Particles all of which are searched, where a few of them do not bear out a count.
 const MOST_SEARCHED: usize = 1 << 15;
 /// Share of the particles in interior cells that makes the count of a part worth having.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
@@ -214,7 +214,11 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
         let Some(scale) = scale else { return Neighbours::of(all()) };
         let in_cubes = InCubes::new(Cubes::for_spacing(scale), positions.len());
         positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
-        Neighbours::that_check(in_cubes.sample(), counted)
+        let mut sample = in_cubes.sample();
+        let few = counted.and_then(|counted| Neighbours::of_few(&mut sample, counted));
+        // The middles of cubes are not where particles at walls are: of all, any will do.
+        let more = || if positions.len() <= MOST_SEARCHED { all() } else { sample };
+        few.unwrap_or_else(|| Neighbours::of(more()))
     };
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {

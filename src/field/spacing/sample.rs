@@ -91,8 +91,9 @@ pub struct Cubes {
 }
 
 impl Cubes {
-    /// Edge of a cube in spacings: within its middle third a particle is seen with all others within two spacings.
-    const SPACINGS: f64 = 6.0;
+    /// Edge of a cube in spacings: within its middle third a particle is seen with all others within two spacings. Lattices are at other places
+    /// in each cube.
+    const SPACINGS: f64 = 6.37;
 
     /// Cubes that show the neighbours of particles so far apart.
     #[must_use]
@@ -130,7 +131,7 @@ impl Cubes {
 pub struct Sample {
     /// All finite ones, or those in some cubes.
     pub positions: Vec<[f64; 3]>,
-    /// The particles in a few of the cubes, where there are many.
+    /// The particles in a few of the cubes.
     pub few: Vec<[f64; 3]>,
     /// The cubes, if it is not all.
     pub cubes: Option<Cubes>,
@@ -194,12 +195,10 @@ impl InCubes {
         let kept = self.positions.into_inner().unwrap_or_else(PoisonError::into_inner);
         let in_cubes: Vec<_> = kept.into_iter().filter(|&(number, _)| number < end).collect();
         let positions = in_cubes.iter().map(|&(_, position)| position).collect();
-        let few = if in_cubes.len() > FEW {
-            let end = (f64::from(end) * FEW as f64 / in_cubes.len() as f64) as u32;
-            in_cubes.into_iter().filter(|&(number, _)| number < end).map(|(_, position)| position).collect()
-        } else {
-            Vec::new()
-        };
+        let share = (FEW as f64 / in_cubes.len().max(1) as f64).min(1.0);
+        let end = (f64::from(end) * share) as u32;
+        let few = in_cubes.iter().filter(|&&(number, _)| number < end).map(|&(_, position)| position);
+        let few = few.collect();
         Sample { positions, few, cubes: Some(self.cubes) }
     }
 }

@@ -231,7 +231,7 @@ fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
     let sample = sample_of(100, false);
     assert!((1000..=1 << 15).contains(&sample.positions.len()), "{}", sample.positions.len());
     assert_eq!(sample_of(7777, true).positions, sample.positions);
-    let cube = |p: &[f64; 3]| p.map(|c| (c / 6.0).floor() as i64);
+    let cube = |p: &[f64; 3]| p.map(|c| (c / 6.37).floor() as i64);
     let cubes: HashSet<[i64; 3]> = sample.positions.iter().map(cube).collect();
     let all = particles.iter().filter(|p| cubes.contains(&cube(p))).count();
     assert_eq!(all, sample.positions.len());
