@@ -93,7 +93,9 @@ impl From<&Report> for MeniscusReport {
             threads: u32::try_from(report.threads).unwrap_or(u32::MAX),
             spacing_source: source.map_or(MeniscusSpacingSource::Unknown, |(_, source)| match source {
                 SpacingSource::Given => MeniscusSpacingSource::Given,
-                SpacingSource::File | SpacingSource::State | SpacingSource::Packed => MeniscusSpacingSource::File,
+                SpacingSource::File | SpacingSource::State | SpacingSource::Packed => {
+                    MeniscusSpacingSource::File
+                }
                 SpacingSource::Scene(_) => MeniscusSpacingSource::Scene,
                 SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
             }) as i32,
