@@ -286,14 +286,6 @@ impl Draft {
 fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
     let bounds = bounds(positions)?;
     let Bounds { lo, hi, .. } = bounds;
-    let extent = hi - lo;
-    /// The thickness of a plane over its extent, by rounding to 32 bits.
-    const FLAT: f64 = 1e-6;
-    let flat: Vec<usize> = (0..3).filter(|&a| extent[a] <= FLAT * extent.max_element()).collect();
-    let plane = match flat[..] {
-        [axis] => Some(Plane { axis, at: (lo[axis] + hi[axis]) / 2.0 }),
-        _ => None,
-    };
     // A few are enough, whichever come first in the file.
     let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
     let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
@@ -301,11 +293,21 @@ fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
     if some.is_empty() {
         some = vec![lo.into(), hi.into()];
     }
-    // Stray particles do not move a median.
-    let middle = DVec3::from([0, 1, 2].map(|axis| {
-        let half = some.len() / 2;
-        some.select_nth_unstable_by(half, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
-    }));
+    // Stray particles move neither a median nor a quartile.
+    let mut quantile = |axis: usize, quarter: usize| {
+        let rank = quarter * (some.len() - 1) / 4;
+        some.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
+    };
+    let middle = DVec3::from([0, 1, 2].map(|axis| quantile(axis, 2)));
+    let spread = [0, 1, 2].map(|axis| quantile(axis, 3) - quantile(axis, 1));
+    /// The thickness of a plane over its extent, by rounding to 32 bits.
+    const FLAT: f64 = 1e-6;
+    let thinnest = FLAT * spread.into_iter().fold(0.0, f64::max);
+    let flat: Vec<usize> = (0..3).filter(|&a| hi[a] - lo[a] <= thinnest).collect();
+    let plane = match flat[..] {
+        [axis] => Some(Plane { axis, at: (lo[axis] + hi[axis]) / 2.0 }),
+        _ => None,
+    };
     let single = |c: &f64| f64::from(*c as f32) == *c;
     let is_single = some.as_flattened().iter().all(single);
     let far = middle.abs().max_element() as f32;

@@ -191,6 +191,9 @@ fn a_plane_across_an_axis_is_found_and_measured_in_it() {
         let estimate = found.estimate().unwrap();
         assert!((estimate.spacing - 1.0).abs() < 0.03 && !estimate.thin, "{estimate:?}");
     }
+    let mut stray = layers([12; 3], 0.2);
+    stray.push([1e9, -1e9, 5.0]);
+    assert_eq!(evidence(&stray[..]).unwrap().place.plane, None, "all but one are near each other");
     let tilted = turned(layers([50, 40, 1], 0.0));
     assert_eq!(evidence(&tilted[..]).unwrap().place.plane, None);
     let line = layers([50, 1, 1], 0.0);
