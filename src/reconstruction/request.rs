@@ -76,6 +76,11 @@ impl ChosenSampling {
     }
 }
 
+/// The spacing to which cells of a size that does not depend on it are the most usual ones.
+fn usual_spacing(cell_size: f64) -> f64 {
+    2.0 * cell_size
+}
+
 impl SamplingRequest {
     /// Edge of a cell.
     #[must_use]
@@ -117,7 +122,9 @@ impl SamplingRequest {
     #[must_use]
     pub fn in_slab(&self, slab: Option<Slab>) -> Self {
         let mut request = self.clone();
-        if let Some(Slab { axis, faces: [lo, hi] }) = slab.filter(|slab| self.is_open(slab.axis)) {
+        if let Some(Slab { axis, faces: [lo, hi] }) =
+            slab.filter(|slab| slab.axis < 3 && self.is_open(slab.axis))
+        {
             let walls = request.walls.get_or_insert([DVec3::NEG_INFINITY, DVec3::INFINITY]);
             (walls[0][axis], walls[1][axis]) = (lo, hi);
         }
@@ -151,8 +158,28 @@ impl SamplingRequest {
                 let look = look_at(particles, spacing);
                 self.cells_for_given(particles, spacing, source, look, None)
             }
-            None => self.cells_by_evidence(particles, from, evidence(particles)),
+            None => self.cells_by_evidence(particles, from, self.evidence_of(particles)),
         }
+    }
+
+    /// The evidence of particles, by the same sample as where it is taken while they are counted.
+    fn evidence_of(&self, particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
+        let CellSize::Length(size) = self.cell_size() else { return evidence(particles) };
+        if particles.len() <= ALL || self.periodic.is_some() {
+            return evidence(particles);
+        }
+        let share = Share::of(particles.len());
+        let in_cubes = InCubes::new(Cubes::for_spacing(usual_spacing(size)), particles.len());
+        show_all(particles, |positions| {
+            share.look(positions);
+            in_cubes.look(positions);
+        });
+        let draft = Draft::of(share)?;
+        if !draft.suits(usual_spacing(size)) {
+            return evidence(particles);
+        }
+        let counted = draft.counted().map(|counted| counted.mean);
+        Some(draft.with(Neighbours::that_check(in_cubes.sample(), counted)))
     }
 
     /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for particles whose spacing is known.
@@ -167,7 +194,9 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => positive_length("the cell size", ratio * spacing)?,
         };
-        let slab = plane.filter(|plane| self.is_open(plane.axis));
+        // A slab holds no cell's centre for sure where cells are wider than it.
+        let is_fine = size < 0.99 * spacing;
+        let slab = plane.filter(|plane| is_fine && self.is_open(plane.axis));
         let slab = slab.map(|plane| Slab::around(plane, spacing));
         Ok(Cells {
             size,
@@ -182,6 +211,11 @@ impl SamplingRequest {
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
+        // Of particles outside of walls none counts.
+        let middle = self.walls.map_or(middle, |[lo, hi]| {
+            let walled = (lo + hi) / 2.0;
+            DVec3::from([0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }))
+        });
         // Along the axes that need it, in whole cells.
         let origin = middle.to_array().map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
         (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
@@ -361,11 +395,9 @@ impl SamplingRequest {
             return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, counted));
         }
         let mut counted = None;
-        // Of cells that do not depend on the spacing, half of it is the most usual size.
-        let usual = |size: f64| 2.0 * size;
         let mut sample = None;
         if let CellSize::Length(size) = self.cell_size() {
-            let in_cubes = InCubes::new(Cubes::for_spacing(usual(size)), particles.len());
+            let in_cubes = InCubes::new(Cubes::for_spacing(usual_spacing(size)), particles.len());
             let look = |positions: &[[f64; 3]]| {
                 share.look(positions);
                 in_cubes.look(positions);
@@ -381,8 +413,9 @@ impl SamplingRequest {
         let Some(draft) = Draft::of(share) else {
             return Ok((self.cells_by_evidence(particles, from, None)?, counted));
         };
-        sample =
-            sample.filter(|_| matches!(self.cell_size(), CellSize::Length(size) if draft.suits(usual(size))));
+        sample = sample.filter(
+            |_| matches!(self.cell_size(), CellSize::Length(size) if draft.suits(usual_spacing(size))),
+        );
         if let (None, None, Some(known)) = (&counted, &sample, draft.counted()) {
             let in_cubes = draft.in_cubes();
             counted = count(size(known.mean), &|positions| in_cubes.look(positions));

@@ -202,7 +202,8 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
         let counted = counted.map(|counted| counted.mean);
         let all = || Sample { positions: positions.to_vec(), few: Vec::new(), cubes: None };
         let scale = match counted {
-            _ if positions.len() <= FEWEST_SAMPLED => None,
+            // Cubes may have their middles beside a plane.
+            _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
             None if positions.len() <= MOST_SEARCHED => None,
             None => {
                 let one_in = (positions.len() / MOST_SEARCHED).next_power_of_two() as u64;
@@ -218,7 +219,9 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
         let few = counted.and_then(|counted| Neighbours::of_few(&mut sample, counted));
         // The middles of cubes are not where particles at walls are: of all, any will do.
         let more = || if positions.len() <= MOST_SEARCHED { all() } else { sample };
-        few.unwrap_or_else(|| Neighbours::of(more()))
+        let found = few.unwrap_or_else(|| Neighbours::of(more()));
+        // A plane or a film can lie where no cube has its middle.
+        if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {
@@ -293,6 +296,9 @@ fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
     if some.is_empty() {
         some = vec![lo.into(), hi.into()];
     }
+    // Nor do slots that are parked in one place.
+    some.sort_unstable_by_key(|position| position.map(f64::to_bits));
+    some.dedup();
     // Stray particles move neither a median nor a quartile.
     let mut quantile = |axis: usize, quarter: usize| {
         let rank = quarter * (some.len() - 1) / 4;

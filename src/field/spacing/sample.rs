@@ -106,7 +106,7 @@ impl Cubes {
     fn number(&self, position: [f64; 3]) -> u32 {
         let scale = 1.0 / self.edge;
         // Beyond 2^31 all cubes are one.
-        let [x, y, z] = position.map(|c| (c * scale).floor() as i32 as u32);
+        let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
         // The finalizer of MurmurHash3, of a sum that tells neighbours apart.
         let sum = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -118,7 +118,9 @@ impl Cubes {
     #[must_use]
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
-            let within = c / self.edge - (c / self.edge).floor();
+            // Coordinate 0, where floors and planes are, is in the middle of a cube.
+            let at = c / self.edge + 0.5;
+            let within = at - at.floor();
             within.min(1.0 - within)
         };
         let nearest = position.iter().map(of_axis).fold(f64::INFINITY, f64::min);

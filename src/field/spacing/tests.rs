@@ -165,11 +165,12 @@ fn duplicates_and_clumps_are_kept_out() {
     let once = layers([24; 3], 0.3);
     let alone = estimated(&once);
     let twice = [once.clone(), once.clone()].concat();
-    let parked = [once.clone(), vec![[90.0; 3]; 20_000]].concat();
+    let parked = [once.clone(), vec![[90.0; 3]; 15_000]].concat();
     let parked_inside = [vec![once[100]; 9_000], once.clone()].concat();
-    for (particles, coincident) in [(twice, once.len()), (parked, 19_999), (parked_inside, 9_000)] {
+    for (particles, coincident) in [(twice, once.len()), (parked, 14_999), (parked_inside, 9_000)] {
         let all = evidence(&particles[..]).unwrap();
-        assert_eq!(all.neighbours.coincident, coincident);
+        // A clump in one place need not be in the sample.
+        assert!(all.neighbours.coincident <= coincident);
         let found = all.estimate().unwrap();
         assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02, "{found:?}, not {alone:?}");
     }
@@ -196,6 +197,8 @@ fn a_plane_across_an_axis_is_found_and_measured_in_it() {
     assert_eq!(evidence(&stray[..]).unwrap().place.plane, None, "all but one are near each other");
     let tilted = turned(layers([50, 40, 1], 0.0));
     assert_eq!(evidence(&tilted[..]).unwrap().place.plane, None);
+    let wide: Vec<[f64; 3]> = layers([200, 200, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 2.9]).collect();
+    assert!((estimated(&wide).spacing - 1.0).abs() < 0.03);
     let line = layers([50, 1, 1], 0.0);
     assert_eq!(evidence(&line[..]).unwrap().place.plane, None);
 }
@@ -234,7 +237,7 @@ fn all_particles_of_the_cubes_are_taken_whatever_comes_first() {
     let sample = sample_of(100, false);
     assert!((1000..=1 << 15).contains(&sample.positions.len()), "{}", sample.positions.len());
     assert_eq!(sample_of(7777, true).positions, sample.positions);
-    let cube = |p: &[f64; 3]| p.map(|c| (c / 6.37).floor() as i64);
+    let cube = |p: &[f64; 3]| p.map(|c| (c / 6.37 + 0.5).floor() as i64);
     let cubes: HashSet<[i64; 3]> = sample.positions.iter().map(cube).collect();
     let all = particles.iter().filter(|p| cubes.contains(&cube(p))).count();
     assert_eq!(all, sample.positions.len());
