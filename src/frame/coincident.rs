@@ -1,4 +1,5 @@
-//! Particles in the same place: duplicates, and slots of a simulator that are not in use and parked somewhere.
+//! Particles in the same place: duplicates, and slots of a simulator that are not in use and parked
+//! somewhere.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -29,9 +30,9 @@ pub struct Found {
     record: u64,
 }
 
-/// Bits by which records are told apart at first.
+/// Bits of the hash that finds candidates.
 const BITS: u32 = 13;
-/// Records of a bin that are told apart so.
+/// The largest number of records in a bin for which the hash finds few candidates.
 const FEW: usize = 1 << (BITS - 1);
 
 impl Found {

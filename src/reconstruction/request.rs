@@ -8,8 +8,7 @@ use crate::brick::{BinPlan, Census, CountingRoom, InvalidParticles};
 use crate::error::Error;
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::{
-    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Neighbours, Plane, Share, Untold, evidence,
-    look_at, show_all,
+    ALL, Cubes, Draft, Estimate, Evidence, InCubes, Look, Plane, Share, Untold, evidence, look_at, show_all,
 };
 use crate::frame::{FieldRequest, FrameError, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
@@ -178,8 +177,7 @@ impl SamplingRequest {
         if !draft.suits(usual_spacing(size)) {
             return evidence(particles);
         }
-        let counted = draft.counted().map(|counted| counted.mean);
-        Some(draft.with(Neighbours::that_check(in_cubes.sample(), counted)))
+        Some(draft.with_sample(in_cubes.sample()))
     }
 
     /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for particles whose spacing is known.
@@ -418,7 +416,7 @@ impl SamplingRequest {
         );
         if let (None, None, Some(known)) = (&counted, &sample, draft.counted()) {
             let in_cubes = draft.in_cubes();
-            counted = count(size(known.mean), &|positions| in_cubes.look(positions));
+            counted = count(size(known), &|positions| in_cubes.look(positions));
             sample = counted.is_some().then(|| in_cubes.sample());
         }
         let sample = sample.unwrap_or_else(|| {
@@ -426,8 +424,7 @@ impl SamplingRequest {
             show_all(particles, |positions| in_cubes.look(positions));
             in_cubes.sample()
         });
-        let counted_spacing = draft.counted().map(|counted| counted.mean);
-        let evidence = draft.with(Neighbours::that_check(sample, counted_spacing));
+        let evidence = draft.with_sample(sample);
         Ok((self.cells_by_evidence(particles, from, Some(evidence))?, counted))
     }
 

@@ -105,7 +105,8 @@ pub enum Mistake {
 
 /// A spacing that is at least this share of the true one, ...
 const TOO_SMALL: f64 = 0.78;
-/// ... and at most so many times it, makes a sound surface, and is within what an estimate may be wrong by.
+/// ... and at most so many times it, makes a sound surface, and is within what an estimate may be
+/// wrong by.
 const TOO_LARGE: f64 = 1.36;
 /// Factors by which an unsure estimate may be wrong in addition.
 const UNSURE: f64 = 1.1;
@@ -126,14 +127,16 @@ impl Mistake {
     }
 }
 
-/// Whether the neighbours of particles do not bear out a spacing that was given: then all that the particles say is worth a look.
+/// Whether the neighbours of particles do not bear out a spacing that was given: then all that the
+/// particles say is worth a look.
 pub(super) fn is_suspicious(neighbours: &Neighbours, said: f64) -> bool {
     let measured = neighbours.measured().map(|(measured, _)| measured).or_else(|| neighbours.suggested());
     !measured.is_some_and(|measured| (TOO_SMALL..TOO_LARGE).contains(&(said / measured)))
 }
 
 impl Doubt {
-    /// The doubts about a spacing that other particles have, which are read up to three times where there are any.
+    /// The doubts about a spacing that other particles have, which are read up to three times where
+    /// there are any.
     pub(crate) fn of_known(
         said: f64,
         source: &SpacingSource,
@@ -147,7 +150,8 @@ impl Doubt {
         evidence.map_or(Vec::new(), |all| Self::of_given(said, source, &look.neighbours, &all))
     }
 
-    /// The doubts about a spacing that was given, by neighbours looked for at its scale and by all that the particles say.
+    /// The doubts about a spacing that was given, by neighbours looked for at its scale and by all
+    /// that the particles say.
     pub(super) fn of_given(
         said: f64,
         source: &SpacingSource,
@@ -175,7 +179,8 @@ impl Doubt {
         doubts
     }
 
-    /// The doubt about the spacing of a packed frame, by what its samples show: of thin fluid that is too large.
+    /// The doubt about the spacing of a packed frame, by what its samples show: of thin fluid that
+    /// is too large.
     pub(super) fn of_packed(said: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;
         let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / said));

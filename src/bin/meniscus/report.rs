@@ -141,8 +141,8 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Says what may be wrong with a surface, and what to do about it, by what else was asked for. Doubts about the spacing were said when
-/// it was chosen.
+/// Prints the warnings about a surface with advice that suits the options. Doubts about the spacing
+/// were printed when it was chosen.
 pub fn warn_all(warnings: &[Warning], options: Option<&Options>, notes: &Notes) {
     let was_said = |warning: &&Warning| match warning {
         Warning::Spacing(Doubt::Contradicted { source, .. }) => *source != SpacingSource::Packed,

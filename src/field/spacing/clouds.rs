@@ -9,8 +9,9 @@ use crate::grid::{BIN, CellBox};
 /// Bins that are looked at.
 const BINS: usize = 32;
 
-/// The spacing by the mean number of particles around each particle, in cubes of about three spacings; `None` of other indicators. Where the
-/// fluid is thin it is too large: by a factor of 1.4 in sheets of a layer, by 2 in threads.
+/// The spacing by the mean number of particles around each particle, in cubes of about three
+/// spacings; `None` of other indicators. Where the fluid is thin it is too large: by a factor of
+/// 1.4 in sheets of a layer, by 2 in threads.
 #[must_use]
 pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     if !frame.is_clouds() {

@@ -1,8 +1,9 @@
 //! The particles' spacing by their number density deep in the fluid.
 //!
-//! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles are counted in cells a few
-//! spacings wide, and only in those whose 26 neighbours hold particles too, which leaves out surfaces. Where the fluid is thin,
-//! such cells hold gaps as well, and the spacing comes out too large.
+//! Spacing is the edge of the cube that a particle fills: (volume / number)^(1/3). Particles are
+//! counted in cells a few spacings wide, and only in those whose 26 neighbours hold particles too,
+//! which leaves out surfaces. Where the fluid is thin, such cells hold gaps as well, and the
+//! spacing comes out too large.
 
 use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
@@ -14,11 +15,11 @@ use crate::brick::{BinPlan, CountingRoom, InvalidParticles};
 use crate::grid::{BIN, FRACTIONS, Grid, STEP_LIMIT};
 use crate::particles::Bounds;
 
-/// Particles a counting cell should hold: first choice, and what thin layers are tried with.
+/// Particles that a counting cell should hold; the smaller numbers are for thin layers.
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 /// Interior cells that make an estimate worth having.
 const ENOUGH_CELLS: usize = 8;
-/// Counting cells at the most: spray fills one each.
+/// The largest number of counting cells: in spray each particle fills one.
 const MOST_CELLS: usize = 1 << 24;
 /// Counting cells of a box around all particles that are listed, whether they hold any or not.
 const MOST_LISTED: f64 = (1 << 21) as f64;
@@ -29,8 +30,8 @@ const CHUNK: usize = 1 << 16;
 /// Particles whose cells are found at once.
 const AT_ONCE: usize = 256;
 
-/// Finds the cells of particles, of which those of `grid` are sixteenths, numbered from one below the first. They are found as the grid
-/// places particles; one beyond it has the number of none.
+/// Finds the cells of particles, of which those of `grid` are sixteenths, numbered from one below
+/// the first. They are found as the grid places particles; one beyond it has the number of none.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
 fn cells_of(grid: &Grid, positions: &[[f64; 3]], cells: &mut [[u32; 3]]) {
     let in_cells = 1.0 / f64::from(BIN) / f64::from(FRACTIONS);
@@ -58,7 +59,8 @@ impl Spacings {
     }
 }
 
-/// Estimates the spacings of finite particles, within their bounds, where interior cells hold at least `enough_share` of them.
+/// Estimates the spacings of finite particles, within their bounds, where interior cells hold at
+/// least `enough_share` of them.
 #[must_use]
 pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> Option<Spacings> {
     let Bounds { lo, hi, finite } = *bounds;
@@ -103,8 +105,9 @@ const ENOUGH_IN_CELL: usize = 4;
 /// The share of such a part's cells whose counts are like each other.
 const EVEN: f64 = 0.8;
 
-/// The spacings of two resolutions, by the counts of interior cells of edge `cell`: there are two kinds of cells, each with
-/// counts of its own, and fewer cells between them. A fluid that thins out into spray has cells of every count.
+/// The spacings of two resolutions, by the counts of interior cells of edge `cell`: there are two
+/// kinds of cells, each with counts of its own, and fewer cells between them. A fluid that thins
+/// out into spray has cells of every count.
 fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     counts.sort_unstable();
     let total: usize = counts.iter().sum();
@@ -243,7 +246,8 @@ impl Counts {
     }
 }
 
-/// A cell size at which the typical particle shares its cell with about `target` others, and the counts in such cells.
+/// A cell size at which the typical particle shares its cell with about `target` others, and the
+/// counts in such cells.
 fn cell_for(counts: impl Fn(f64) -> Option<Counts>, target: f64, mut cell: f64) -> Option<(f64, Counts)> {
     for _ in 0..12 {
         let counted = counts(cell)?;

@@ -1,11 +1,14 @@
-//! The spacing of particles, told by themselves: the edge of the cube that a particle fills, (volume / number)^(1/3).
+//! The spacing of particles, told by themselves: the edge of the cube that a particle fills,
+//! (volume / number)^(1/3).
 //!
-//! Two estimates check each other. [`density`] counts particles in cells, which is right in deep fluid and too large in thin
-//! fluid with gaps. [`neighbours`] measures the density around single particles. Where both agree, the count holds;
-//! where they do not, or nothing is deep enough to count, the neighbours do, and the [`Estimate`] says so.
+//! Two estimates check each other. [`density`] counts particles in cells, which is right in deep
+//! fluid and too large in thin fluid with gaps. [`neighbours`] measures the density around single
+//! particles. Where both agree, the count holds; where they do not, or nothing is deep enough to
+//! count, the neighbours do, and the [`Estimate`] says so.
 //!
-//! Up to [`ALL`] particles are read once and held. Of more, one reading takes an even share to count, and a second one all
-//! in some cubes to look for neighbours: that one can be had with whatever else reads the particles next.
+//! Up to [`ALL`] particles are read once and held. Of more, one reading takes an even share to
+//! count, and a second one all in some cubes to look for neighbours: that one can be had with
+//! whatever else reads the particles next.
 
 mod clouds;
 mod density;
@@ -34,7 +37,7 @@ const FEWEST_SAMPLED: usize = 1 << 12;
 const MOST_SEARCHED: usize = 1 << 15;
 /// Share of the particles in interior cells that makes the count of a part worth having.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
-/// The fewest places from which a spacing is told.
+/// The smallest number of distinct places from which a spacing is estimated.
 const FEWEST: usize = 8;
 /// A share of deep particles below which the fluid is thin.
 const THIN: f64 = 0.15;
@@ -52,7 +55,7 @@ pub struct Evidence {
     pub place: Place,
 }
 
-/// Where particles are, and how finely that is told.
+/// Where particles are, and how precise their coordinates are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// The plane in which all particles lie, if they do.
@@ -77,7 +80,8 @@ pub struct Plane {
 pub struct Estimate {
     /// The estimate.
     pub spacing: f64,
-    /// The spacings of two resolutions, where there plainly are two: of most particles, and of the others.
+    /// The spacings of two resolutions, where there plainly are two: of most particles, and of the
+    /// others.
     pub two: Option<[f64; 2]>,
     /// Whether the fluid is too thin, or too ragged, to be sure of it.
     pub thin: bool,
@@ -123,7 +127,8 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
 }
 
-/// Reads the particles once, or if they are more than [`ALL`] twice, for what they say of their spacing; `None` where none is finite.
+/// Reads the particles once, or if they are more than [`ALL`] twice, for what they say of their
+/// spacing; `None` where none is finite.
 #[must_use]
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     if particles.len() <= ALL {
@@ -134,16 +139,15 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     let draft = Draft::of(share)?;
     let in_cubes = draft.in_cubes();
     show_all(particles, |positions| in_cubes.look(positions));
-    let neighbours = Neighbours::that_check(in_cubes.sample(), draft.counted().map(|counted| counted.mean));
-    Some(draft.with(neighbours))
+    Some(draft.with_sample(in_cubes.sample()))
 }
 
-/// Reads the particles once, for what their neighbours say of a spacing that is known; `None` where no particle was seen.
+/// Reads the particles once, for what their neighbours say of a spacing that is known; `None` where
+/// no particle was seen.
 #[must_use]
 pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
     if particles.len() <= FEWEST_SAMPLED {
-        let sample = Sample { positions: gathered(particles), few: Vec::new(), cubes: None };
-        return Look::of(sample, spacing);
+        return Look::of(Sample::whole(gathered(particles)), spacing);
     }
     let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
     show_all(particles, |positions| in_cubes.look(positions));
@@ -200,7 +204,7 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
     let mut counted = count(&positions);
     let look = |positions: &[[f64; 3]], counted: Option<Spacings>| {
         let counted = counted.map(|counted| counted.mean);
-        let all = || Sample { positions: positions.to_vec(), few: Vec::new(), cubes: None };
+        let all = || Sample::whole(positions.to_vec());
         let scale = match counted {
             // Cubes may have their middles beside a plane.
             _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
@@ -225,24 +229,18 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
     };
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {
-        let positions = distinct(positions);
+        let positions = sample::distinct(positions);
         counted = count(&positions);
         neighbours = Neighbours { coincident: particles - positions.len(), ..look(&positions, counted) };
     }
     Some(Evidence { particles, counted, neighbours, place })
 }
 
-/// A scale at which neighbours can be looked for where nothing was counted: half the distance to the third neighbour among few of all. Of
-/// sheets and threads few are farther apart than of a solid; cubes are wider then, and hold more.
+/// A scale at which neighbours can be looked for where nothing was counted: half the distance to
+/// the third neighbour among few of all. Of sheets and threads few are farther apart than of a
+/// solid; cubes are wider then, and hold more.
 fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
-    Some(Neighbours::of(Sample { positions: few, few: Vec::new(), cubes: None }).nearest?[2] / 2.0)
-}
-
-/// One of those in each place.
-fn distinct(mut positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
-    positions.par_sort_unstable_by_key(|&position| sample::scattered(position));
-    positions.dedup();
-    positions
+    Some(Neighbours::of(Sample::whole(few)).nearest?[2] / 2.0)
 }
 
 impl Draft {
@@ -261,8 +259,8 @@ impl Draft {
 
     /// The spacing by counting.
     #[must_use]
-    pub fn counted(&self) -> Option<Spacings> {
-        self.counted
+    pub fn counted(&self) -> Option<f64> {
+        self.counted.map(|counted| counted.mean)
     }
 
     /// Takes all particles in some cubes, to be shown all particles.
@@ -275,6 +273,13 @@ impl Draft {
     #[must_use]
     pub fn suits(&self, spacing: f64) -> bool {
         within(spacing / self.scale, 2.5)
+    }
+
+    /// Adds the neighbours in a sample, as far as they are needed to check the count.
+    #[must_use]
+    pub fn with_sample(self, sample: Sample) -> Evidence {
+        let neighbours = Neighbours::that_check(sample, self.counted());
+        self.with(neighbours)
     }
 
     /// Adds the neighbours of the particles in some cubes.
@@ -296,10 +301,10 @@ fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
     if some.is_empty() {
         some = vec![lo.into(), hi.into()];
     }
-    // Nor do slots that are parked in one place.
+    // Slots that are parked in one place count once, and stray particles move neither a median nor
+    // a quartile.
     some.sort_unstable_by_key(|position| position.map(f64::to_bits));
     some.dedup();
-    // Stray particles move neither a median nor a quartile.
     let mut quantile = |axis: usize, quarter: usize| {
         let rank = quarter * (some.len() - 1) / 4;
         some.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis]

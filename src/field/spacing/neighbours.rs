@@ -1,9 +1,11 @@
-//! Distances between nearest neighbours: they tell the spacing where counting cannot, in thin fluid and in few particles.
+//! Distances between nearest neighbours: they tell the spacing where counting cannot, in thin fluid
+//! and in few particles.
 //!
-//! Deep in the fluid the k-th neighbour's distance tells the density: a ball of that radius holds k particles
-//! (Mack and Rosenblatt 1979, <https://doi.org/10.1016/0047-259X(79)90065-4>). Averaged over k = 8 to 20 it is within 3 % for
-//! lattices, liquids and particles placed at random. A particle counts as deep if its neighbours surround it: their
-//! centroid is near, and their second moments are nearly equal in all directions. In a sheet the same holds in its plane.
+//! Deep in the fluid the distance of the k-th neighbour measures the density: a ball of that radius
+//! holds k particles (Mack and Rosenblatt 1979, <https://doi.org/10.1016/0047-259X(79)90065-4>).
+//! Averaged over k = 8 to 20 it is within 3 % for lattices, liquids and particles placed at random.
+//! A particle counts as deep if its neighbours surround it: their centroid is near, and their
+//! second moments are nearly equal in all directions. In a sheet the same holds in its plane.
 
 use std::f64::consts::PI;
 use std::ops::{Range, RangeInclusive};
@@ -11,21 +13,25 @@ use std::ops::{Range, RangeInclusive};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::sample::{Sample, scattered};
+use super::sample::{Sample, distinct};
 
 /// Neighbours that are looked for.
 const NEIGHBOURS: usize = 20;
-/// Neighbours whose distances tell the density of deep particles: as many as complete shells of a lattice balance.
+/// Neighbours whose distances tell the density of deep particles: as many as complete shells of a
+/// lattice balance.
 const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
 /// Neighbours whose distances tell the density in the plane of a sheet.
 const OF_SHEET: RangeInclusive<usize> = 4..=8;
 /// Neighbours whose distances tell the density where all particles lie in a plane, ...
 const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
-/// ... and by how much they are farther than those of random particles would be: lattices, jittered or not, are within 1.5 % then.
+/// ... and by how much they are farther than those of random particles would be: lattices, jittered
+/// or not, are within 1.5 % then.
 const FARTHER: f64 = 1.03;
-/// The distance from a deep particle to the centroid of its neighbours is less than this share of the farthest one's.
+/// The distance from a deep particle to the centroid of its neighbours is less than this share of
+/// the farthest one's.
 const CENTRED: f64 = 0.2;
-/// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and 0 in a plane.
+/// 27 det / trace^3 of the neighbours' second moments is 1 where they are equal along all axes, and
+/// 0 in a plane.
 const ROUND: f64 = 0.5;
 /// Neighbours lie in a plane where [`ROUND`]'s measure is below this, ...
 const FLAT: f64 = 0.2;
@@ -33,15 +39,16 @@ const FLAT: f64 = 0.2;
 const DISC: f64 = 0.6;
 /// The scatter of random places is 1; particles of FLIP that were seeded eight to a cell have 0.8.
 const RANDOM: f64 = 0.93;
-/// Deep particles by which scatter is told.
+/// Deep particles that are enough to measure scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;
 /// The share of flat neighbourhoods in sheets of a single layer.
 const SHEETS: f64 = 0.6;
-/// The third neighbour is farther than the second by more than this factor along threads of single particles.
+/// The third neighbour is farther than the second by more than this factor along threads of single
+/// particles.
 const THREAD: f64 = 1.35;
 /// Count and neighbours agree within this factor.
 const AGREED: f64 = 1.07;
-/// The share of the queried particles, and their number, that tells something of all.
+/// The least share of the queried particles, and their least number, for an estimate.
 const ENOUGH_SHARE: f64 = 0.04;
 const ENOUGH: usize = 8;
 /// Particles are queried in proportion to their number, within these bounds.
@@ -54,19 +61,19 @@ const PARTICLES_A_QUERY: usize = 32;
 pub struct Neighbours {
     /// Particles whose neighbours were looked for.
     pub queried: usize,
-    /// Share of the queried particles whose third neighbour lies within what the sample shows.
-    pub near: f64,
     /// The median distances to the first four neighbours, among the most densely packed particles.
     pub nearest: Option<[f64; 4]>,
     /// The spacing by the density around particles that neighbours surround, and their share.
     pub solid: Option<(f64, f64)>,
     /// The spacings by the density around each of them, in ascending order.
     pub(super) solids: Vec<f64>,
-    /// The spacing by the density in the plane of sheets of a single layer, where most particles are in such.
+    /// The spacing by the density in the plane of sheets of a single layer, where most particles
+    /// are in such.
     pub sheet: Option<f64>,
     /// The spacing by the density in the plane, where all particles lie in one.
     pub plane: Option<f64>,
-    /// Scatter of the density over that of particles that are placed at random, for 12 and for 20 neighbours.
+    /// Scatter of the density over that of particles that are placed at random, for 12 and for 20
+    /// neighbours.
     pub scatter: Option<[f64; 2]>,
     /// Particles of the sample that are in the same place as another one, at the least.
     pub coincident: usize,
@@ -87,15 +94,17 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
-    /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be looked at.
+    /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be
+    /// looked at.
     #[must_use]
     pub fn of_few(sample: &mut Sample, spacing: f64) -> Option<Self> {
         let few = std::mem::take(&mut sample.few);
-        let few = Self::of(Sample { positions: few, few: Vec::new(), cubes: sample.cubes });
+        let few = Self::of(Sample { cubes: sample.cubes, ..Sample::whole(few) });
         (few.bear_out(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
-    /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by counting.
+    /// Looks at a few of a sample's cubes, and at all where these do not bear out a spacing by
+    /// counting.
     #[must_use]
     pub fn that_check(mut sample: Sample, counted: Option<f64>) -> Self {
         let few = counted.and_then(|counted| Self::of_few(&mut sample, counted));
@@ -107,12 +116,7 @@ impl Neighbours {
     pub fn of(sample: Sample) -> Self {
         let Sample { positions, cubes, .. } = sample;
         let all = positions.len();
-        // In the order of their numbers the first are as good as any, wherever they stand in their file.
-        let mut numbered: Vec<(u64, [f64; 3])> =
-            positions.into_par_iter().map(|position| (scattered(position), position)).collect();
-        numbered.par_sort_unstable_by_key(|&(number, _)| number);
-        let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
-        positions.dedup();
+        let positions = distinct(positions);
         let coincident = all - positions.len();
         let wanted = (positions.len() / PARTICLES_A_QUERY).clamp(FEWEST_QUERIES, MOST_QUERIES);
         let shown = |&point: &[f64; 3]| {
@@ -129,9 +133,9 @@ impl Neighbours {
     fn told_by(all: &[Neighbourhood], coincident: usize) -> Self {
         let queried = all.len();
         let enough = |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
-        // Spray around the fluid is none of its business: the closest packed particles are told by their third neighbours.
+        // The estimate is that of the fluid, not of spray around it: only the most densely packed
+        // particles count, by the distance of their third neighbours.
         let mut thirds: Vec<f64> = all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
-        let near = thirds.len() as f64 / queried.max(1) as f64;
         thirds.sort_unstable_by(f64::total_cmp);
         let packed = densest(&thirds).unwrap_or(f64::INFINITY);
         let packed: Vec<&Neighbourhood> = all.iter().filter(|of| of.distances[2] <= 2.0 * packed).collect();
@@ -152,7 +156,6 @@ impl Neighbours {
         let plane: Vec<f64> = plane.collect();
         Self {
             queried,
-            near,
             plane: enough(plane.len()).then(|| median(plane)).flatten(),
             nearest: nearest.filter(|nearest| nearest[2].is_finite() && nearest[2] > 0.0),
             solid: by_solid.map(|spacing| (spacing, solid.len() as f64 / queried as f64)),
@@ -178,8 +181,8 @@ impl Neighbours {
     #[must_use]
     pub fn suggested(&self) -> Option<f64> {
         let [first, second, third, fourth] = self.nearest?;
-        // In order three or four neighbours are a spacing away, and in a compressed liquid somewhat less. In disorder the fourth is
-        // already farther.
+        // In order three or four neighbours are a spacing away, and in a compressed liquid somewhat
+        // less. In disorder the fourth is already farther.
         let order = ((first / fourth - 0.7) / 0.2).clamp(0.0, 1.0);
         let near = third + order * (fourth - third);
         let suggested = if third > THREAD * second {
@@ -190,8 +193,9 @@ impl Neighbours {
         (suggested.is_finite() && suggested > 0.0).then_some(suggested)
     }
 
-    /// The spacing by the density around deep particles, if it fits the distances of their nearest neighbours: of sheets or
-    /// threads close to each other it does not. With it comes the share of such particles.
+    /// The spacing by the density around deep particles, if it fits the distances of their nearest
+    /// neighbours: of sheets or threads close to each other it does not. With it comes the share of
+    /// such particles.
     #[must_use]
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
@@ -200,7 +204,8 @@ impl Neighbours {
         (fits && third <= THREAD * second).then_some((spacing, share))
     }
 
-    /// The distance to the third neighbour, as a spacing: it is nearer in disorder, by 14 % where particles are placed at random.
+    /// The distance to the third neighbour, as a spacing: it is nearer in disorder, by 14 % where
+    /// particles are placed at random.
     fn by_third(&self) -> Option<f64> {
         let [first, _, third, fourth] = self.nearest?;
         let disorder = (0.72 - first / fourth).clamp(0.0, 0.15);
@@ -292,7 +297,8 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The typical one of values in ascending order: of the lowest group that holds a tenth of them within a factor of 1.25.
+/// The typical one of values in ascending order: of the lowest group that holds a tenth of them
+/// within a factor of 1.25.
 fn densest(values: &[f64]) -> Option<f64> {
     const WITHIN: f64 = 1.25;
     const GROUP: f64 = 0.1;

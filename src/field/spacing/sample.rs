@@ -1,10 +1,12 @@
-//! Samples of many particles: an even share of all, and all in some cubes. Neither depends on their order.
+//! Samples of many particles: an even share of all, and all in some cubes. Neither depends on their
+//! order.
 
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use multiversion::multiversion;
+use rayon::prelude::*;
 
 /// An even share holds at least half as many particles as this, and at most twice as many.
 pub const SHARE: usize = 1 << 18;
@@ -71,7 +73,8 @@ pub fn scattered(position: [f64; 3]) -> u64 {
     position.iter().fold(0, |state, c| mixed(state ^ c.to_bits()))
 }
 
-/// A number like that of [`scattered`], of a lattice's particles not quite as good, and found sooner.
+/// A number like that of [`scattered`], of a lattice's particles not quite as good, and found
+/// sooner.
 #[inline(always)]
 pub fn lightly_scattered([x, y, z]: [f64; 3]) -> u64 {
     mixed(x.to_bits() ^ y.to_bits().rotate_left(21) ^ z.to_bits().rotate_left(42))
@@ -91,8 +94,8 @@ pub struct Cubes {
 }
 
 impl Cubes {
-    /// Edge of a cube in spacings: within its middle third a particle is seen with all others within two spacings. Lattices are at other places
-    /// in each cube.
+    /// Edge of a cube in spacings: within its middle third a particle is seen with all others
+    /// within two spacings. Lattices are at other places in each cube.
     const SPACINGS: f64 = 6.37;
 
     /// Cubes that show the neighbours of particles so far apart.
@@ -107,14 +110,15 @@ impl Cubes {
         let scale = 1.0 / self.edge;
         // Beyond 2^31 all cubes are one.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
-        // The finalizer of MurmurHash3, of a sum that tells neighbours apart.
+        // The finalizer of MurmurHash3, of a number that differs between neighbours.
         let sum = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);
         let mixed = (mixed ^ (mixed >> 13)).wrapping_mul(0xc2b2_ae35);
         mixed ^ (mixed >> 16)
     }
 
-    /// The distance within which all neighbours of a particle are in its cube; `None` outside of the cube's middle.
+    /// The distance within which all neighbours of a particle are in its cube; `None` outside of
+    /// the cube's middle.
     #[must_use]
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
@@ -142,6 +146,26 @@ pub struct Sample {
 /// Particles in a few cubes that are enough to bear out a count.
 const FEW: usize = 1 << 13;
 
+impl Sample {
+    /// All particles.
+    #[must_use]
+    pub fn whole(positions: Vec<[f64; 3]>) -> Self {
+        Self { positions, few: Vec::new(), cubes: None }
+    }
+}
+
+/// One position of those in each place, in an order as good as random that is the same for all
+/// orders of the particles.
+#[must_use]
+pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    let mut numbered: Vec<(u64, [f64; 3])> =
+        positions.into_par_iter().map(|position| (scattered(position), position)).collect();
+    numbered.par_sort_unstable_by_key(|&(number, _)| number);
+    let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
+    positions.dedup();
+    positions
+}
+
 /// All particles in some cubes: in those with the least numbers, as far as the room goes.
 #[derive(Debug)]
 pub struct InCubes {
@@ -152,13 +176,14 @@ pub struct InCubes {
 }
 
 impl InCubes {
-    /// Particles that are kept, at the most.
+    /// The largest number of particles that are kept.
     const ROOM: usize = 1 << 15;
 
     /// Begins with none, of `particles` particles.
     #[must_use]
     pub fn new(cubes: Cubes, particles: usize) -> Self {
-        // Twice as many as there is room for are to be expected below this end, and some in the cubes with the least numbers.
+        // Twice as many as there is room for are to be expected below this end, and some in the
+        // cubes with the least numbers.
         let share = 2.0 * Self::ROOM as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;
         Self { cubes, end: AtomicU32::new(end), positions: Mutex::default() }
