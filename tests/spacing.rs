@@ -13,6 +13,7 @@ use common::fill;
 use common::program::{command, run};
 use glam::DVec3;
 use meniscus::error::{Error, Untold};
+use meniscus::internals::io::output::read_mesh;
 use meniscus::mesh::{check, measure};
 use meniscus::{
     Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource, Surface,
@@ -239,6 +240,30 @@ fn a_plane_is_said_by_the_program_and_is_the_same_in_sequences_and_parts() {
     }
     run(folder.path(), &[&parts[..], &["--merge"]].concat(), 0);
     assert_eq!(bytes("parts.ply"), bytes("alone.ply"));
+}
+
+#[test]
+fn an_emitter_whose_first_frame_is_a_layer_is_no_slab_from_its_second_layer_on() {
+    let folder = TempDir::new().unwrap();
+    let layers = |count: usize| -> Vec<[f64; 3]> {
+        let at = |layer: usize| moved(&plane(0.5), [0.0, SPACING * layer as f64, 0.0]);
+        (0..count).flat_map(at).collect()
+    };
+    for (frame, count) in [(1, 1), (2, 8)] {
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&layers(count))).unwrap();
+    }
+    let said = run(folder.path(), &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply"], 0);
+    assert!(said.contains("one spacing thick"), "{said}");
+    let volume_of = |frame: u32| {
+        let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        measure(&mesh).volume.unwrap()
+    };
+    let layer = plane(0.5).len() as f64 * SPACING.powi(3);
+    let volumes = [1, 2].map(|frame| volume_of(frame) / layer);
+    assert!((volumes[0] - 1.0).abs() < 0.1 && (volumes[1] / 8.0 - 1.0).abs() < 0.1, "{volumes:?}");
+    let mut live = LiveSimulation::new(&Reconstruction::new()).unwrap();
+    let volumes = [1, 8].map(|count| volume(&live.frame(&layers(count)[..]).unwrap()) / layer);
+    assert!((volumes[0] - 1.0).abs() < 0.1 && (volumes[1] / 8.0 - 1.0).abs() < 0.1, "{volumes:?}");
 }
 
 #[test]

@@ -3,12 +3,14 @@
 use std::fmt;
 use std::path::Path;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::field::indicator::IndicatorKind;
 use crate::field::spacing::Plane;
 use crate::frame::FieldRequest;
 use crate::grid::units::shown;
+use crate::particles::{Particles, finite_chunks};
 
 use super::spacing::{Doubt, SpacingSource};
 
@@ -75,6 +77,18 @@ impl Slab {
     #[must_use]
     pub fn around(plane: Plane, spacing: f64) -> Self {
         Self { axis: plane.axis, faces: [plane.at - spacing / 2.0, plane.at + spacing / 2.0] }
+    }
+}
+
+impl Slab {
+    /// Whether particles lie in the slab's plane, as those that it was found for.
+    #[must_use]
+    pub fn holds(&self, particles: &(impl Particles + ?Sized)) -> bool {
+        let Self { axis, faces: [lo, hi] } = *self;
+        /// The distance from the plane, in thicknesses of the slab, by which particles are in it.
+        const NEAR: f64 = 0.05;
+        let (at, near) = (lo + (hi - lo) / 2.0, NEAR * (hi - lo));
+        axis < 3 && finite_chunks(particles).all(|chunk| chunk.iter().all(|p| (p[axis] - at).abs() <= near))
     }
 }
 

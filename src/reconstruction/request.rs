@@ -75,6 +75,9 @@ impl ChosenSampling {
     }
 }
 
+/// Something that looks at the positions of all particles, some at once, in no order.
+type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
+
 /// The spacing to which cells of a size that does not depend on it are the most usual ones.
 fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
@@ -152,32 +155,86 @@ impl SamplingRequest {
     /// # Errors
     /// [`Error::NoSpacing`], and [`FrameError::NoParticles`].
     pub fn cells(&self, particles: &(impl Particles + ?Sized), from: Source<'_>) -> Result<Cells, Error> {
-        match self.given(from) {
-            Some((spacing, source)) => {
-                let look = look_at(particles, spacing);
-                self.cells_for_given(particles, spacing, source, look, None)
-            }
-            None => self.cells_by_evidence(particles, from, self.evidence_of(particles)),
-        }
+        let read = |_, look: LookAtAll<'_>| {
+            show_all(particles, look);
+            Some(())
+        };
+        Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// The evidence of particles, by the same sample as where it is taken while they are counted.
-    fn evidence_of(&self, particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
-        let CellSize::Length(size) = self.cell_size() else { return evidence(particles) };
-        if particles.len() <= ALL || self.periodic.is_some() {
-            return evidence(particles);
-        }
+    /// Chooses the cells for particles, and lets `read` do something else with them on the way, where they are so many that
+    /// reading them takes a while: it is told the size of cells as far as it is known, shows all particles to what it is
+    /// given, and returns `None` if it could not. The last of what it returned comes back.
+    fn cells_while<T>(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        from: Source<'_>,
+        mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
+    ) -> Result<(Cells, Option<T>), Error> {
+        let is_many = particles.len() > ALL;
+        let size = |spacing: f64| match self.cell_size() {
+            CellSize::Length(size) => size,
+            CellSize::Spacings(ratio) => ratio * spacing,
+        };
         let share = Share::of(particles.len());
-        let in_cubes = InCubes::new(Cubes::for_spacing(usual_spacing(size)), particles.len());
-        show_all(particles, |positions| {
-            share.look(positions);
-            in_cubes.look(positions);
-        });
-        let draft = Draft::of(share)?;
-        if !draft.suits(usual_spacing(size)) {
-            return evidence(particles);
+        if let Some((spacing, source)) = self.given(from) {
+            // A scene need not be that of the particles, and says nothing of a second resolution.
+            let is_scene = matches!(source, SpacingSource::Scene(_));
+            let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
+            let look = |positions: &[[f64; 3]]| {
+                in_cubes.look(positions);
+                if is_scene {
+                    share.look(positions);
+                }
+            };
+            let done = if is_many { read(size(spacing), &look) } else { None };
+            let look = match done {
+                Some(_) => Look::of(in_cubes.sample(), spacing),
+                None => look_at(particles, spacing),
+            };
+            let taken = (is_scene && done.is_some()).then(|| share.taken());
+            let draft = taken.filter(|taken| taken.larger().is_none()).and_then(Draft::of);
+            let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
+            return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, done));
         }
-        Some(draft.with_sample(in_cubes.sample()))
+        if !is_many {
+            return Ok((self.cells_by_evidence(particles, from, evidence(particles))?, None));
+        }
+        let (mut done, mut sample) = (None, None);
+        let usual = match self.cell_size() {
+            CellSize::Length(size) => Some(usual_spacing(size)),
+            CellSize::Spacings(_) => None,
+        };
+        if let Some(usual) = usual {
+            let in_cubes = InCubes::new(Cubes::for_spacing(usual), particles.len());
+            let look = |positions: &[[f64; 3]]| {
+                share.look(positions);
+                in_cubes.look(positions);
+            };
+            done = read(size(usual), &look);
+            if done.is_none() {
+                return Ok((self.cells(particles, from)?, None));
+            }
+            sample = Some(in_cubes.sample());
+        } else {
+            show_all(particles, |positions| share.look(positions));
+        }
+        let taken = share.taken();
+        let draft = if taken.larger().is_none() { Draft::of(taken) } else { None };
+        let Some(draft) = draft else {
+            return Ok((self.cells_by_evidence(particles, from, evidence(particles))?, done));
+        };
+        if let (None, Some(known)) = (usual, draft.counted()) {
+            let in_cubes = draft.in_cubes();
+            done = read(size(known), &|positions| in_cubes.look(positions));
+            sample = done.is_some().then(|| in_cubes.sample());
+        }
+        let suits = usual.is_none_or(|usual| draft.suits(usual));
+        let evidence = match sample.filter(|sample| suits && !sample.positions.is_empty()) {
+            Some(sample) => draft.with_sample(sample),
+            None => draft.completed(particles),
+        };
+        Ok((self.cells_by_evidence(particles, from, Some(evidence))?, done))
     }
 
     /// The size of cells, a corner of theirs if it has to be far from the origin, and a slab, for particles whose spacing is known.
@@ -315,10 +372,17 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        let (cells, counted) = if particles.len() > ALL && self.periodic.is_none() {
-            self.cells_and_plan(particles, from, &resources)?
-        } else {
-            (self.cells(particles, from)?, None)
+        // Of the count comes the grid that it was made on. Whatever fails will fail again where it is reported.
+        let count = |cell_size: f64, look: LookAtAll<'_>| {
+            let grid = self.grid(cell_size).ok()?;
+            let domain = self.domain(&grid).ok()?;
+            let room = CountingRoom::within(resources.budget.0);
+            let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
+            Some((grid, plan.ok()?))
+        };
+        let (cells, counted) = match self.periodic {
+            None => self.cells_while(particles, from, count)?,
+            Some(_) => (self.cells(particles, from)?, None),
         };
         let chosen = self.sampling_in(cells, particles, carried, resources)?;
         let unmoved = !chosen.moved && chosen.cells.slab.is_none();
@@ -353,79 +417,6 @@ impl SamplingRequest {
             Some(origin) => Ok(Grid::new(origin.into(), cells.size)?),
             None => self.grid(cells.size),
         }
-    }
-
-    /// Chooses the cells for many particles, which are counted while their neighbours are looked for: one reading less. Of the count comes
-    /// the grid that it was made on. Whatever fails will fail again where it is reported.
-    fn cells_and_plan(
-        &self,
-        particles: &(impl Particles + ?Sized),
-        from: Source<'_>,
-        resources: &Resources,
-    ) -> Result<(Cells, Option<(Grid, BinPlan)>), Error> {
-        let count = |cell_size: f64, look: &(dyn Fn(&[[f64; 3]]) + Sync)| {
-            let grid = self.grid(cell_size).ok()?;
-            let domain = self.domain(&grid).ok()?;
-            let room = CountingRoom::within(resources.budget.0);
-            let plan = BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
-            Some((grid, plan.ok()?))
-        };
-        let size = |spacing: f64| match self.cell_size() {
-            CellSize::Length(size) => size,
-            CellSize::Spacings(ratio) => ratio * spacing,
-        };
-        let share = Share::of(particles.len());
-        if let Some((spacing, source)) = self.given(from) {
-            let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
-            let is_scene = matches!(source, SpacingSource::Scene(_));
-            let counted = count(size(spacing), &|positions| {
-                in_cubes.look(positions);
-                if is_scene {
-                    share.look(positions);
-                }
-            });
-            let look = match counted {
-                Some(_) => Look::of(in_cubes.sample(), spacing),
-                None => look_at(particles, spacing),
-            };
-            let draft = counted.as_ref().filter(|_| is_scene).and_then(|_| Draft::of(share));
-            let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
-            return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, counted));
-        }
-        let mut counted = None;
-        let mut sample = None;
-        if let CellSize::Length(size) = self.cell_size() {
-            let in_cubes = InCubes::new(Cubes::for_spacing(usual_spacing(size)), particles.len());
-            let look = |positions: &[[f64; 3]]| {
-                share.look(positions);
-                in_cubes.look(positions);
-            };
-            counted = count(size, &look);
-            if counted.is_none() {
-                return Ok((self.cells(particles, from)?, None));
-            }
-            sample = Some(in_cubes.sample());
-        } else {
-            show_all(particles, |positions| share.look(positions));
-        }
-        let Some(draft) = Draft::of(share) else {
-            return Ok((self.cells_by_evidence(particles, from, None)?, counted));
-        };
-        sample = sample.filter(
-            |_| matches!(self.cell_size(), CellSize::Length(size) if draft.suits(usual_spacing(size))),
-        );
-        if let (None, None, Some(known)) = (&counted, &sample, draft.counted()) {
-            let in_cubes = draft.in_cubes();
-            counted = count(size(known), &|positions| in_cubes.look(positions));
-            sample = counted.is_some().then(|| in_cubes.sample());
-        }
-        let sample = sample.unwrap_or_else(|| {
-            let in_cubes = draft.in_cubes();
-            show_all(particles, |positions| in_cubes.look(positions));
-            in_cubes.sample()
-        });
-        let evidence = draft.with_sample(sample);
-        Ok((self.cells_by_evidence(particles, from, Some(evidence))?, counted))
     }
 
     /// Samples on a grid that is known, by a field whose mu0 may be known.

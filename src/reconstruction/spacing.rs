@@ -65,8 +65,8 @@ pub enum Doubt {
         found: f64,
         /// The likely mistake.
         mistake: Option<Mistake>,
-        /// Whether the particles are scattered at random, so that they may be spray.
-        random: bool,
+        /// Whether they may be spray or threads, whose particles are farther apart than the spacing.
+        spray: bool,
     },
     /// The fluid is too thin for a sure estimate.
     Thin {
@@ -170,7 +170,12 @@ impl Doubt {
                 let unsure = if thin { UNSURE } else { 1.0 };
                 let too_small = said < TOO_SMALL / unsure * spacing && !at_scale.has_solid(said);
                 if too_small || said > TOO_LARGE * unsure * spacing {
-                    doubts.push(Self::contradicted(said, source, spacing, evidence.neighbours.is_random()));
+                    doubts.push(Self::contradicted(
+                        said,
+                        source,
+                        spacing,
+                        evidence.neighbours.may_be_spray(),
+                    ));
                 }
             }
             Err(_) => {}
@@ -184,11 +189,17 @@ impl Doubt {
     pub(super) fn of_packed(said: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;
         let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / said));
-        doubtful.then(|| Self::contradicted(said, &SpacingSource::Packed, found, false))
+        doubtful.then(|| Self::contradicted(said, &SpacingSource::Packed, found, true))
     }
 
-    fn contradicted(said: f64, source: &SpacingSource, found: f64, random: bool) -> Self {
-        Self::Contradicted { said, source: source.clone(), found, mistake: Mistake::of(said / found), random }
+    fn contradicted(said: f64, source: &SpacingSource, found: f64, spray: bool) -> Self {
+        Self::Contradicted {
+            said,
+            source: source.clone(),
+            found,
+            mistake: Mistake::of(said / found),
+            spray: spray && said < found,
+        }
     }
 
     /// The doubts about an estimate.
@@ -229,7 +240,7 @@ impl fmt::Display for Doubt {
                 shown(*other),
                 shown(*taken)
             ),
-            Self::Contradicted { said, source, found, mistake, random } => {
+            Self::Contradicted { said, source, found, mistake, spray } => {
                 let how = if said < found { "small" } else { "large" };
                 let (said, found) = (shown(*said), about(*found));
                 write!(
@@ -249,8 +260,8 @@ impl fmt::Display for Doubt {
                     }
                     None => {}
                 }
-                if *random {
-                    write!(f, "; if this is spray, whose drops are far apart, it can be right")?;
+                if *spray {
+                    write!(f, "; if this is spray, or threads of single particles, it can be right")?;
                 }
                 Ok(())
             }

@@ -147,7 +147,7 @@ impl Setup<'_> {
         let file = open_wanted(path, checked.asked.wanted(), unpacking)?;
         let carried = checked.asked.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let sampling = self.sampling(frozen, carried, resources.clone())?;
+        let sampling = self.sampling(frozen, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();
         let counted =

@@ -56,7 +56,6 @@ struct Known {
     slab: Option<Slab>,
     calibration: Option<Calibration>,
     trust: Trust,
-    doubts: Vec<Doubt>,
 }
 
 impl LiveSimulation {
@@ -122,20 +121,21 @@ impl LiveSimulation {
         let Self { ready, known, settled } = self;
         let checked = &ready.checked;
         let mut timings = Timings::default();
+        let mut doubts = Vec::new();
         if !*settled {
-            let found = measured(ready, particles, known.as_ref())?;
+            let found;
+            (found, doubts) = measured(ready, particles, known.as_ref())?;
             *settled = found.trust == Trust::Sound;
             *known = Some(found);
             timings.done("measure");
         }
-        let Some(Known { grid, field, spacing, slab, calibration, ref doubts, .. }) = *known else {
+        let Some(Known { grid, field, spacing, slab, calibration, .. }) = *known else {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
-        let doubts = doubts.clone();
         let carried = checked.asked.carried(particles.attributes(), None)?;
         let resources = checked.resources.clone();
-        let request = checked.sampling.in_slab(slab);
+        let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
         checked.resources.control.begins(Stage::Counting);
         let counted = Counted::for_surface(particles, &sampling, &checked.surfacing, None)?;
@@ -185,12 +185,12 @@ impl LiveSimulation {
     }
 }
 
-/// Measures a frame for all, on the grid of a lattice that came before, if one did.
+/// Measures a frame for all, on the grid of a lattice that came before, if one did. With it come doubts about its spacing.
 fn measured(
     ready: &Ready,
     particles: &(impl Particles + ?Sized),
     before: Option<&Known>,
-) -> Result<Known, Error> {
+) -> Result<(Known, Vec<Doubt>), Error> {
     let checked = &ready.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
@@ -199,7 +199,7 @@ fn measured(
         Some(known) => (known.grid, known.field, known.spacing),
         None => (request.grid_of(&cells)?, request.field, cells.spacing()),
     };
-    let (slab, doubts) = (cells.slab, cells.doubts.clone());
+    let slab = cells.slab;
     let sampling = request.in_slab(slab).sampling_on(
         grid,
         field,
@@ -210,5 +210,5 @@ fn measured(
     let stays = if lattice.is_some() || request.origin.is_some() { Origin::Given } else { Origin::Free };
     let Measured { grid, calibration, trust } = measure(particles, &sampling, stays, &checked.surfacing)?;
     let field = known_field(request.field, calibration.as_ref());
-    Ok(Known { grid, field, spacing, slab, calibration, trust, doubts })
+    Ok((Known { grid, field, spacing, slab, calibration, trust }, cells.doubts))
 }

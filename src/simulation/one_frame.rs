@@ -225,7 +225,7 @@ impl Conversion<'_> {
         let carried = asked.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
-        let mut sampling = self.setup.sampling(frozen, carried, opening)?;
+        let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
         if let Some(spacing) = frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
             let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
             doubts.iter().for_each(|doubt| self.setup.tell(Event::Doubted(doubt)));

@@ -16,6 +16,7 @@ use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
 use crate::io::series::Series;
 use crate::io::{WriteError, WriteFault};
+use crate::particles::Particles;
 use crate::reconstruction::Checked;
 use crate::surface::simplify::BYTES_A_THREAD;
 
@@ -66,16 +67,19 @@ impl Setup<'_> {
         Ok(self.simulation.selection.of(self.all_frames()?))
     }
 
-    /// The way to sample a frame by what all have in common.
+    /// The way to sample a frame by what all have in common. A slab is only for frames that lie in it: the first layer of an
+    /// emitter does, and the second does not.
     pub(super) fn sampling(
         &self,
         frozen: &Frozen,
+        particles: &(impl Particles + ?Sized),
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<Sampling, Error> {
         let request = &self.checked.sampling;
         let field = frozen.field(request.field);
-        request.in_slab(frozen.slab).sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
+        let slab = frozen.slab.filter(|slab| slab.holds(particles));
+        request.in_slab(slab).sampling_on(frozen.grid()?, field, frozen.spacing, carried, resources)
     }
 
     /// The division of the machine among so many frames.

@@ -25,7 +25,7 @@ use crate::particles::{Bounds, Particles, bounds, finite_chunks};
 pub use clouds::spacing_by_clouds;
 pub use density::Spacings;
 pub use neighbours::Neighbours;
-pub use sample::{Cubes, InCubes, Sample, Share};
+pub use sample::{Cubes, InCubes, Sample, Share, Taken};
 
 use sample::SHARE;
 
@@ -47,6 +47,8 @@ const THIN: f64 = 0.15;
 pub struct Evidence {
     /// Finite particles.
     pub particles: usize,
+    /// Places that hold at least one of them.
+    pub places: usize,
     /// By counting.
     pub counted: Option<Spacings>,
     /// By nearest neighbours.
@@ -115,6 +117,7 @@ pub enum Untold {
 #[derive(Debug)]
 pub struct Draft {
     particles: usize,
+    places: usize,
     counted: Option<Spacings>,
     /// The scale at which neighbours are to be looked for.
     scale: f64,
@@ -127,7 +130,7 @@ pub fn estimate(particles: &(impl Particles + ?Sized)) -> Option<f64> {
     evidence(particles)?.estimate().ok().map(|estimate| estimate.spacing)
 }
 
-/// Reads the particles once, or if they are more than [`ALL`] twice, for what they say of their
+/// Reads the particles once, or if they are more than [`ALL`] twice or more, for what they say of their
 /// spacing; `None` where none is finite.
 #[must_use]
 pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
@@ -136,22 +139,35 @@ pub fn evidence(particles: &(impl Particles + ?Sized)) -> Option<Evidence> {
     }
     let share = Share::of(particles.len());
     show_all(particles, |positions| share.look(positions));
-    let draft = Draft::of(share)?;
-    let in_cubes = draft.in_cubes();
-    show_all(particles, |positions| in_cubes.look(positions));
-    Some(draft.with_sample(in_cubes.sample()))
+    let mut taken = share.taken();
+    while let Some(larger) = taken.larger() {
+        show_all(particles, |positions| larger.look(positions));
+        taken = larger.taken();
+    }
+    Some(Draft::of(taken)?.completed(particles))
 }
 
-/// Reads the particles once, for what their neighbours say of a spacing that is known; `None` where
-/// no particle was seen.
+/// Reads the particles once, or if they are few and do not bear it out twice, for what their
+/// neighbours say of a spacing that is known; `None` where no particle was seen.
 #[must_use]
 pub fn look_at(particles: &(impl Particles + ?Sized), spacing: f64) -> Option<Look> {
     if particles.len() <= FEWEST_SAMPLED {
         return Look::of(Sample::whole(gathered(particles)), spacing);
     }
-    let in_cubes = InCubes::new(Cubes::for_spacing(spacing), particles.len());
-    show_all(particles, |positions| in_cubes.look(positions));
-    Look::of(in_cubes.sample(), spacing)
+    let sample = |new: fn(Cubes, usize) -> InCubes| {
+        let in_cubes = new(Cubes::for_spacing(spacing), particles.len());
+        show_all(particles, |positions| in_cubes.look(positions));
+        in_cubes.sample()
+    };
+    if particles.len() <= ALL {
+        let few = sample(InCubes::few);
+        if let Some(place) = Place::of_sample(&few)
+            && let Some(neighbours) = Neighbours::of_few(few, spacing)
+        {
+            return Some(Look { neighbours, place });
+        }
+    }
+    Look::of(sample(InCubes::new), spacing)
 }
 
 /// A look at a sample of particles, at the scale of a spacing that is known.
@@ -167,7 +183,7 @@ impl Look {
     /// Looks at a sample for a spacing; `None` where it is empty.
     #[must_use]
     pub fn of(sample: Sample, spacing: f64) -> Option<Self> {
-        let (_, place) = placed(&sample.positions)?;
+        let place = Place::of_sample(&sample)?;
         Some(Self { neighbours: Neighbours::that_check(sample, Some(spacing)), place })
     }
 }
@@ -191,8 +207,10 @@ fn gathered(particles: &(impl Particles + ?Sized)) -> Vec<[f64; 3]> {
 
 /// Gathers the evidence of all particles.
 fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
-    let (bounds, place) = placed(&positions)?;
+    let bounds = bounds(&positions[..])?;
+    let place = Place::of(&positions, &bounds);
     let particles = positions.len();
+    let mut places = particles;
     let count = |positions: &[[f64; 3]]| {
         let spacings = |enough_share| density::spacings(positions, &bounds, enough_share);
         match (place.plane, particles > SHARE) {
@@ -217,12 +235,14 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
             known => known,
         };
         let Some(scale) = scale else { return Neighbours::of(all()) };
-        let in_cubes = InCubes::new(Cubes::for_spacing(scale), positions.len());
-        positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
-        let mut sample = in_cubes.sample();
-        let few = counted.and_then(|counted| Neighbours::of_few(&mut sample, counted));
+        let in_cubes = |new: fn(Cubes, usize) -> InCubes| {
+            let in_cubes = new(Cubes::for_spacing(scale), positions.len());
+            positions.par_chunks(1 << 12).for_each(|positions| in_cubes.look(positions));
+            in_cubes.sample()
+        };
+        let few = counted.and_then(|counted| Neighbours::of_few(in_cubes(InCubes::few), counted));
         // The middles of cubes are not where particles at walls are: of all, any will do.
-        let more = || if positions.len() <= MOST_SEARCHED { all() } else { sample };
+        let more = || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(InCubes::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
         // A plane or a film can lie where no cube has its middle.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
@@ -230,10 +250,11 @@ fn of_all(positions: Vec<[f64; 3]>) -> Option<Evidence> {
     let mut neighbours = look(&positions, counted);
     if neighbours.coincident > 0 {
         let positions = sample::distinct(positions);
+        places = positions.len();
         counted = count(&positions);
-        neighbours = Neighbours { coincident: particles - positions.len(), ..look(&positions, counted) };
+        neighbours = look(&positions, counted);
     }
-    Some(Evidence { particles, counted, neighbours, place })
+    Some(Evidence { particles, places, counted, neighbours, place })
 }
 
 /// A scale at which neighbours can be looked for where nothing was counted: half the distance to
@@ -246,15 +267,18 @@ fn scale_of(few: Vec<[f64; 3]>) -> Option<f64> {
 impl Draft {
     /// Counts a share; `None` where it holds nothing.
     #[must_use]
-    pub fn of(share: Share) -> Option<Self> {
-        let (part, positions) = share.taken();
-        let (bounds, place) = placed(&positions)?;
-        let particles = (positions.len() as f64 / part).round() as usize;
+    pub fn of(share: Taken) -> Option<Self> {
+        let Taken { positions, part, places, bounds: all, .. } = share;
+        let bounds = bounds(&positions[..])?;
+        let place = Place::of(&positions, &all);
+        let particles = all.finite;
         // A layer may be too thin to have an inside that so few can tell: then its neighbours do.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(part.cbrt()));
-        let scale = counted.map(|counted| counted.mean).or_else(|| scale_of(positions));
-        Some(Self { particles, counted, scale: scale.unwrap_or(1.0), place })
+        // What cannot be counted may be sheets: in these few are farther apart by the root of the part.
+        let in_sheets = || Some(2.4 * part.sqrt() * scale_of(positions)?);
+        let scale = counted.map(|counted| counted.mean).or_else(in_sheets);
+        Some(Self { particles, places, counted, scale: scale.unwrap_or(1.0), place })
     }
 
     /// The spacing by counting.
@@ -275,6 +299,30 @@ impl Draft {
         within(spacing / self.scale, 2.5)
     }
 
+    /// Reads the particles for their neighbours: once, where the scale to look for them is known.
+    #[must_use]
+    pub fn completed(mut self, particles: &(impl Particles + ?Sized)) -> Evidence {
+        const READINGS: u32 = 8;
+        for _ in 1..READINGS {
+            let in_cubes = self.in_cubes();
+            show_all(particles, |positions| in_cubes.look(positions));
+            let sample = in_cubes.sample();
+            if sample.positions.is_empty() {
+                self.scale /= 8.0;
+                continue;
+            }
+            let neighbours = Neighbours::that_check(sample, self.counted());
+            match neighbours.suggested() {
+                Some(suggested) if self.counted.is_none() && !self.suits(suggested) => self.scale = suggested,
+                None if self.counted.is_none() => self.scale *= 4.0,
+                _ => return self.with(neighbours),
+            }
+        }
+        let in_cubes = self.in_cubes();
+        show_all(particles, |positions| in_cubes.look(positions));
+        self.with_sample(in_cubes.sample())
+    }
+
     /// Adds the neighbours in a sample, as far as they are needed to check the count.
     #[must_use]
     pub fn with_sample(self, sample: Sample) -> Evidence {
@@ -285,45 +333,56 @@ impl Draft {
     /// Adds the neighbours of the particles in some cubes.
     #[must_use]
     pub fn with(self, neighbours: Neighbours) -> Evidence {
-        let Self { particles, counted, place, .. } = self;
-        Evidence { particles, counted, neighbours, place }
+        let Self { particles, places, counted, place, .. } = self;
+        Evidence { particles, places, counted, neighbours, place }
     }
 }
 
-/// Where particles are; `None` where there are none.
-fn placed(positions: &[[f64; 3]]) -> Option<(Bounds, Place)> {
-    let bounds = bounds(positions)?;
-    let Bounds { lo, hi, .. } = bounds;
-    // A few are enough, whichever come first in the file.
-    let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
-    let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
-    let mut some: Vec<[f64; 3]> = positions.iter().filter(some).copied().collect();
-    if some.is_empty() {
-        some = vec![lo.into(), hi.into()];
+impl Place {
+    fn of_sample(sample: &Sample) -> Option<Self> {
+        Some(Self::of(&sample.positions, &bounds(&sample.positions[..])?))
     }
-    // Slots that are parked in one place count once, and stray particles move neither a median nor
-    // a quartile.
-    some.sort_unstable_by_key(|position| position.map(f64::to_bits));
-    some.dedup();
-    let mut quantile = |axis: usize, quarter: usize| {
-        let rank = quarter * (some.len() - 1) / 4;
-        some.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
-    };
-    let middle = DVec3::from([0, 1, 2].map(|axis| quantile(axis, 2)));
-    let spread = [0, 1, 2].map(|axis| quantile(axis, 3) - quantile(axis, 1));
-    /// The thickness of a plane over its extent, by rounding to 32 bits.
-    const FLAT: f64 = 1e-6;
-    let thinnest = FLAT * spread.into_iter().fold(0.0, f64::max);
-    let flat: Vec<usize> = (0..3).filter(|&a| hi[a] - lo[a] <= thinnest).collect();
-    let plane = match flat[..] {
-        [axis] => Some(Plane { axis, at: (lo[axis] + hi[axis]) / 2.0 }),
-        _ => None,
-    };
-    let single = |c: &f64| f64::from(*c as f32) == *c;
-    let is_single = some.as_flattened().iter().all(single);
-    let far = middle.abs().max_element() as f32;
-    let step = is_single.then(|| f64::from(far.next_up() - far));
-    Some((bounds, Place { plane, step, middle }))
+
+    /// Finds the place of particles of which some are known, and the bounds of all.
+    fn of(positions: &[[f64; 3]], &Bounds { lo, hi, .. }: &Bounds) -> Self {
+        // A few are enough, whichever come first in the file.
+        let one_in = positions.len().div_ceil(1 << 12).next_power_of_two() as u64;
+        let some = |position: &&[f64; 3]| sample::lightly_scattered(**position) & (one_in - 1) == 0;
+        let mut some: Vec<[f64; 3]> = positions.iter().filter(some).copied().collect();
+        if some.is_empty() {
+            some = vec![lo.into(), hi.into()];
+        }
+        // Slots that are parked in one place count once, and stray particles move neither a median
+        // nor a quartile.
+        some.sort_unstable_by_key(|position| position.map(f64::to_bits));
+        some.dedup();
+        let mut quantile = |axis: usize, quarter: usize| {
+            let rank = quarter * (some.len() - 1) / 4;
+            some.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis]
+        };
+        let middle = DVec3::from([0, 1, 2].map(|axis| quantile(axis, 2)));
+        let spread = [0, 1, 2].map(|axis| quantile(axis, 3) - quantile(axis, 1));
+        /// The thickness of a plane over its extent, by rounding to 32 bits.
+        const FLAT: f64 = 1e-6;
+        let thinnest = FLAT * spread.into_iter().fold(0.0, f64::max);
+        let flat: Vec<usize> = (0..3).filter(|&a| hi[a] - lo[a] <= thinnest).collect();
+        let plane = match flat[..] {
+            [axis] => Some(Plane { axis, at: (lo[axis] + hi[axis]) / 2.0 }),
+            _ => None,
+        };
+        let far = middle.abs().max_element();
+        Self { plane, step: step_of(some.as_flattened(), far), middle }
+    }
+}
+
+/// The step of coordinates that were rounded to 32 bits, at a distance from the origin; `None`
+/// where they were not, or were multiples of something wider before.
+fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
+    let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
+    let far = far as f32;
+    let step = f64::from(far.next_up() - far);
+    let is_rounded = || coordinates.iter().any(|c| c.abs() < 2.0 * f64::from(far) && (c / step) % 2.0 != 0.0);
+    (is_single && is_rounded()).then_some(step)
 }
 
 impl Evidence {
@@ -332,7 +391,7 @@ impl Evidence {
     /// # Errors
     /// [`Untold`].
     pub fn estimate(&self) -> Result<Estimate, Untold> {
-        let places = self.particles - self.neighbours.coincident;
+        let places = self.places;
         if places < FEWEST {
             return Err(if self.particles >= 4 * FEWEST {
                 Untold::Coincident { places }

@@ -97,9 +97,8 @@ impl Neighbours {
     /// Looks at a few cubes; `None` where these do not bear out a spacing, and more have to be
     /// looked at.
     #[must_use]
-    pub fn of_few(sample: &mut Sample, spacing: f64) -> Option<Self> {
-        let few = std::mem::take(&mut sample.few);
-        let few = Self::of(Sample { cubes: sample.cubes, ..Sample::whole(few) });
+    pub fn of_few(sample: Sample, spacing: f64) -> Option<Self> {
+        let few = Self::of(sample);
         (few.bear_out(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
     }
 
@@ -107,15 +106,16 @@ impl Neighbours {
     /// counting.
     #[must_use]
     pub fn that_check(mut sample: Sample, counted: Option<f64>) -> Self {
-        let few = counted.and_then(|counted| Self::of_few(&mut sample, counted));
-        few.unwrap_or_else(|| Self::of(sample))
+        let few = std::mem::take(&mut sample.few);
+        let few = Sample { cubes: sample.cubes, coincident: sample.coincident, ..Sample::whole(few) };
+        counted.and_then(|counted| Self::of_few(few, counted)).unwrap_or_else(|| Self::of(sample))
     }
 
     /// Looks at a sample.
     #[must_use]
     pub fn of(sample: Sample) -> Self {
-        let Sample { positions, cubes, .. } = sample;
-        let all = positions.len();
+        let Sample { positions, cubes, coincident, .. } = sample;
+        let all = positions.len() + coincident;
         let positions = distinct(positions);
         let coincident = all - positions.len();
         let wanted = (positions.len() / PARTICLES_A_QUERY).clamp(FEWEST_QUERIES, MOST_QUERIES);
@@ -226,6 +226,12 @@ impl Neighbours {
     #[must_use]
     pub fn is_random(&self) -> bool {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
+    }
+
+    /// Whether they may be spray: too few are deep to tell that they are not at random.
+    #[must_use]
+    pub fn may_be_spray(&self) -> bool {
+        self.scatter.is_none() || self.is_random()
     }
 
     /// Whether few particles do not exclude it.

@@ -1,52 +1,117 @@
 //! Samples of many particles: an even share of all, and all in some cubes. Neither depends on their
 //! order.
 
-use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use crate::particles::Bounds;
+
 /// An even share holds at least half as many particles as this, and at most twice as many.
 pub const SHARE: usize = 1 << 18;
 
-/// An even share of many particles.
+/// An even share of the places of many particles.
 pub struct Share {
     one_in: u64,
-    finite: AtomicUsize,
-    positions: Mutex<Vec<[f64; 3]>>,
+    held: Mutex<Held>,
+}
+
+/// What a share has of the particles that it was shown.
+struct Held {
+    positions: Vec<[f64; 3]>,
+    /// Positions that may be held before duplicates are dropped.
+    room: usize,
+    has_duplicates: bool,
+    /// Of all particles, not of the share alone.
+    bounds: Bounds,
+}
+
+/// A share of which all particles were looked at.
+pub struct Taken {
+    /// One position of each place.
+    pub positions: Vec<[f64; 3]>,
+    /// The part of all places that was taken.
+    pub part: f64,
+    /// The places of all particles; an estimate where some hold several particles.
+    pub places: usize,
+    /// Of all particles.
+    pub bounds: Bounds,
+    one_in: u64,
 }
 
 impl Share {
     /// The share of `particles` particles, none of which was looked at yet.
     #[must_use]
     pub fn of(particles: usize) -> Self {
-        let one_in = (particles / SHARE).max(1).next_power_of_two() as u64;
-        Self { one_in, finite: AtomicUsize::new(0), positions: Mutex::default() }
+        Self::one_in((particles / SHARE).max(1).next_power_of_two() as u64)
+    }
+
+    fn one_in(one_in: u64) -> Self {
+        let bounds = Bounds { lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY, finite: 0 };
+        let held = Held { positions: Vec::new(), room: 4 * SHARE, has_duplicates: false, bounds };
+        Self { one_in, held: Mutex::new(held) }
     }
 
     /// Takes its share of some particles. Those that are not finite are passed over.
     pub fn look(&self, positions: &[[f64; 3]]) {
         let mut numbers = [0; LOOKED];
-        let (mut finite, mut taken) = (0, Vec::new());
+        let mut bounds = Bounds { lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY, finite: 0 };
+        let mut taken = Vec::new();
         for positions in positions.chunks(LOOKED) {
             let numbers = &mut numbers[..positions.len()];
-            finite += scatter(positions, numbers);
+            scatter(positions, numbers, &mut bounds);
             let ours = |&(_, number): &(_, &u64)| number & (NOT_FINITE | (self.one_in - 1)) == 0;
             taken.extend(positions.iter().zip(&*numbers).filter(ours).map(|(&position, _)| position));
         }
-        self.finite.fetch_add(finite, Ordering::Relaxed);
-        if !taken.is_empty() {
-            self.positions.lock().unwrap_or_else(PoisonError::into_inner).extend(taken);
+        let all = taken.len();
+        taken.dedup_by_key(|position| position.map(f64::to_bits));
+        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        held.has_duplicates |= taken.len() < all;
+        held.bounds.lo = held.bounds.lo.min(bounds.lo);
+        held.bounds.hi = held.bounds.hi.max(bounds.hi);
+        held.bounds.finite += bounds.finite;
+        held.positions.extend(taken);
+        if held.positions.len() > held.room {
+            held.drop_duplicates();
+            held.room = (2 * held.positions.len()).max(4 * SHARE);
         }
     }
 
-    /// The part of all particles that was taken, and their positions.
+    /// What was taken.
     #[must_use]
-    pub fn taken(self) -> (f64, Vec<[f64; 3]>) {
-        let positions = self.positions.into_inner().unwrap_or_else(PoisonError::into_inner);
-        (positions.len() as f64 / self.finite.into_inner() as f64, positions)
+    pub fn taken(self) -> Taken {
+        let Self { one_in, held } = self;
+        let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
+        held.drop_duplicates();
+        let Held { positions, has_duplicates, bounds, .. } = held;
+        let (taken, all) = (positions.len() as f64, bounds.finite as f64);
+        let expected = taken * one_in as f64;
+        // Or a place that holds many was not taken: the share is smaller than chance makes it.
+        let is_small = (1.0 - expected / all) * taken.sqrt() > 6.0;
+        let distinct = if has_duplicates || is_small { expected.min(all) } else { all };
+        Taken { positions, part: taken / distinct, places: distinct as usize, bounds, one_in }
+    }
+}
+
+impl Held {
+    fn drop_duplicates(&mut self) {
+        let all = self.positions.len();
+        self.positions = distinct(std::mem::take(&mut self.positions));
+        self.has_duplicates |= self.positions.len() < all;
+    }
+}
+
+impl Taken {
+    /// A larger share to be taken instead, where particles are in so few places that this one holds
+    /// next to none of them.
+    #[must_use]
+    pub fn larger(&self) -> Option<Share> {
+        const FEW: usize = SHARE / 256;
+        let is_small = self.positions.len() < FEW && self.one_in > 1;
+        is_small.then(|| Share::one_in((self.one_in / 256).max(1)))
     }
 }
 
@@ -55,16 +120,23 @@ const LOOKED: usize = 512;
 /// The bit of a position's number that says that it is not finite.
 const NOT_FINITE: u64 = 1 << 63;
 
-/// Finds the number of each position, with [`NOT_FINITE`] set or not, and how many are finite.
+/// Finds the number of each position, with [`NOT_FINITE`] set or not, and adds the finite ones to
+/// bounds.
 #[multiversion(targets("x86_64+avx512f+avx512dq", "x86_64+avx2", "x86_64+sse4.1"))]
-fn scatter(positions: &[[f64; 3]], numbers: &mut [u64]) -> usize {
-    let mut finite = 0;
+fn scatter(positions: &[[f64; 3]], numbers: &mut [u64], bounds: &mut Bounds) {
+    let Bounds { lo, hi, mut finite } = *bounds;
+    let (mut lo, mut hi) = (lo.to_array(), hi.to_array());
     for (number, &position) in numbers.iter_mut().zip(positions) {
         let is_finite = position.iter().fold(true, |all, c| all & c.is_finite());
         finite += usize::from(is_finite);
         *number = scattered(position) & !NOT_FINITE | if is_finite { 0 } else { NOT_FINITE };
+        for axis in 0..3 {
+            let c = position[axis];
+            lo[axis] = if is_finite & (c < lo[axis]) { c } else { lo[axis] };
+            hi[axis] = if is_finite & (c > hi[axis]) { c } else { hi[axis] };
+        }
     }
-    finite
+    *bounds = Bounds { lo: lo.into(), hi: hi.into(), finite };
 }
 
 /// A number that is as good as random, and the same wherever a particle stands in its file.
@@ -141,6 +213,8 @@ pub struct Sample {
     pub few: Vec<[f64; 3]>,
     /// The cubes, if it is not all.
     pub cubes: Option<Cubes>,
+    /// Particles that were left out because another one is in the same place, at the least.
+    pub coincident: usize,
 }
 
 /// Particles in a few cubes that are enough to bear out a count.
@@ -150,7 +224,7 @@ impl Sample {
     /// All particles.
     #[must_use]
     pub fn whole(positions: Vec<[f64; 3]>) -> Self {
-        Self { positions, few: Vec::new(), cubes: None }
+        Self { positions, few: Vec::new(), cubes: None, coincident: 0 }
     }
 }
 
@@ -162,7 +236,7 @@ pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
         positions.into_par_iter().map(|position| (scattered(position), position)).collect();
     numbered.par_sort_unstable_by_key(|&(number, _)| number);
     let mut positions: Vec<[f64; 3]> = numbered.into_iter().map(|(_, position)| position).collect();
-    positions.dedup();
+    positions.dedup_by_key(|position| position.map(f64::to_bits));
     positions
 }
 
@@ -170,23 +244,42 @@ pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
 #[derive(Debug)]
 pub struct InCubes {
     cubes: Cubes,
+    /// The largest number of particles that are kept.
+    room: usize,
     /// Numbers from this one on are too great.
     end: AtomicU32,
-    positions: Mutex<Vec<(u32, [f64; 3])>>,
+    kept: Mutex<Vec<Kept>>,
+}
+
+/// A place that holds a particle.
+#[derive(Debug, Clone, Copy)]
+struct Kept {
+    /// The number of its cube.
+    number: u32,
+    position: [f64; 3],
+    /// Whether it holds more than one.
+    several: bool,
 }
 
 impl InCubes {
-    /// The largest number of particles that are kept.
-    const ROOM: usize = 1 << 15;
-
     /// Begins with none, of `particles` particles.
     #[must_use]
     pub fn new(cubes: Cubes, particles: usize) -> Self {
+        Self::within(1 << 15, cubes, particles)
+    }
+
+    /// Begins with none, to keep a few of `particles` particles: enough to bear out a count.
+    #[must_use]
+    pub fn few(cubes: Cubes, particles: usize) -> Self {
+        Self::within(FEW, cubes, particles)
+    }
+
+    fn within(room: usize, cubes: Cubes, particles: usize) -> Self {
         // Twice as many as there is room for are to be expected below this end, and some in the
         // cubes with the least numbers.
-        let share = 2.0 * Self::ROOM as f64 / particles.max(1) as f64;
+        let share = 2.0 * room as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;
-        Self { cubes, end: AtomicU32::new(end), positions: Mutex::default() }
+        Self { cubes, room, end: AtomicU32::new(end), kept: Mutex::default() }
     }
 
     /// Takes those of some particles that are in the cubes.
@@ -198,35 +291,56 @@ impl InCubes {
             let numbers = &mut numbers[..positions.len()];
             cube_numbers(self.cubes, positions, numbers);
             let both = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
-            taken.extend(both.map(|(&position, &number)| (number, position)));
+            taken.extend(both.map(|(&position, &number)| Kept { number, position, several: false }));
         }
-        taken.retain(|(_, position)| DVec3::from(*position).is_finite());
+        taken.retain(|kept| DVec3::from(kept.position).is_finite());
+        Kept::merge(&mut taken);
         if taken.is_empty() {
             return;
         }
-        let mut kept = self.positions.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut end = self.end.load(Ordering::Relaxed);
-        kept.extend(taken.into_iter().filter(|&(number, _)| number < end));
-        // Halved by how many there are in all: whatever came first, the same are left.
-        while kept.len() > Self::ROOM {
-            end /= 2;
-            kept.retain(|&(number, _)| number < end);
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let end = self.end.load(Ordering::Relaxed);
+        kept.extend(taken.into_iter().filter(|kept| kept.number < end));
+        if kept.len() > 2 * self.room {
+            self.end.store(self.fitted(&mut kept, end), Ordering::Relaxed);
         }
-        self.end.store(end, Ordering::Relaxed);
+    }
+
+    /// Keeps one particle of each place, and as few of the numbers below `end` as there is room
+    /// for; returns their new end. It is halved by how many there are in all, so that the same are
+    /// left whatever came first.
+    fn fitted(&self, kept: &mut Vec<Kept>, mut end: u32) -> u32 {
+        kept.par_sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
+        Kept::merge(kept);
+        while kept.len() > self.room {
+            end /= 2;
+            kept.retain(|kept| kept.number < end);
+        }
+        end
     }
 
     /// The sample, once all particles were looked at.
     #[must_use]
     pub fn sample(self) -> Sample {
-        let end = self.end.into_inner();
-        let kept = self.positions.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let in_cubes: Vec<_> = kept.into_iter().filter(|&(number, _)| number < end).collect();
-        let positions = in_cubes.iter().map(|&(_, position)| position).collect();
-        let share = (FEW as f64 / in_cubes.len().max(1) as f64).min(1.0);
+        let mut kept = std::mem::take(&mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner));
+        let end = self.fitted(&mut kept, self.end.load(Ordering::Relaxed));
+        let positions: Vec<[f64; 3]> = kept.iter().map(|kept| kept.position).collect();
+        let share = (FEW as f64 / positions.len().max(1) as f64).min(1.0);
         let end = (f64::from(end) * share) as u32;
-        let few = in_cubes.iter().filter(|&&(number, _)| number < end).map(|&(_, position)| position);
-        let few = few.collect();
-        Sample { positions, few, cubes: Some(self.cubes) }
+        let few = positions[..kept.partition_point(|kept| kept.number < end)].to_vec();
+        let coincident = kept.iter().filter(|kept| kept.several).count();
+        Sample { positions, few, cubes: Some(self.cubes), coincident }
+    }
+}
+
+impl Kept {
+    /// Makes one of those in the same place that follow each other.
+    fn merge(all: &mut Vec<Self>) {
+        all.dedup_by(|other, kept| {
+            let same = other.position.map(f64::to_bits) == kept.position.map(f64::to_bits);
+            kept.several |= same;
+            same
+        });
     }
 }
 

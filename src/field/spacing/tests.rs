@@ -46,7 +46,7 @@ fn estimated(particles: &[[f64; 3]]) -> Estimate {
 fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let share = Share::of(particles.len());
     particles.chunks(1000).for_each(|positions| share.look(positions));
-    share.taken().1
+    share.taken().positions
 }
 
 #[test]
@@ -180,6 +180,54 @@ fn duplicates_and_clumps_are_kept_out() {
 }
 
 #[test]
+fn duplicates_and_clumps_are_kept_out_of_a_share_of_many() {
+    let once = layers([90; 3], 0.3);
+    let alone = estimated(&once);
+    let twice = [once.clone(), once.clone()].concat();
+    let parked = |at: f64| [once.clone(), vec![[at; 3]; 900_000]].concat();
+    for particles in [twice, parked(0.0), parked(90.0), parked(1e7)] {
+        let all = evidence(&particles[..]).unwrap();
+        assert!((all.places as f64 / once.len() as f64 - 1.0).abs() < 0.02, "{} places", all.places);
+        let found = all.estimate().unwrap();
+        assert!((found.spacing / alone.spacing - 1.0).abs() < 0.02 && !found.thin, "{found:?}");
+    }
+    let places: Vec<[f64; 3]> = (0..600_000).map(|i| [f64::from(i % 6); 3]).collect();
+    assert_eq!(evidence(&places[..]).unwrap().estimate(), Err(Untold::Coincident { places: 6 }));
+}
+
+#[test]
+fn many_in_a_plane_are_told_from_many_with_a_few_beside_it() {
+    let mut particles: Vec<[f64; 3]> =
+        layers([800, 800, 1], 0.2).into_iter().map(|[x, y, _]| [x, y, 0.25]).collect();
+    let found = evidence(&particles[..]).unwrap();
+    assert_eq!(found.place.plane, Some(Plane { axis: 2, at: 0.25 }));
+    assert!((found.estimate().unwrap().spacing - 1.0).abs() < 0.03);
+    particles[100_000][2] = 3.0;
+    assert_eq!(evidence(&particles[..]).unwrap().place.plane, None);
+}
+
+#[test]
+fn sheets_and_threads_among_many_are_told_at_a_scale_of_their_own() {
+    let sheet = turned(layers([800, 800, 1], 0.2));
+    let threads = turned(bars([40_000, 1, 1], 6, 0.1));
+    for particles in [sheet, threads] {
+        assert!(particles.len() > ALL);
+        let found = estimated(&particles);
+        assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
+        // As if many more had been thinned out before.
+        let share = Share::of(particles.len());
+        particles.chunks(1000).for_each(|positions| share.look(positions));
+        let mut draft = Draft::of(share.taken()).unwrap();
+        for factor in [100.0, 0.01] {
+            draft.scale = factor;
+            let again = Draft { place: draft.place, counted: draft.counted, ..draft };
+            let found = again.completed(&particles[..]).estimate().unwrap();
+            assert!((found.spacing - 1.0).abs() < 0.12, "{factor}: {found:?}");
+        }
+    }
+}
+
+#[test]
 fn a_plane_across_an_axis_is_found_and_measured_in_it() {
     for axis in 0..3 {
         let mut particles = layers([50, 40, 1], 0.2);
@@ -214,6 +262,11 @@ fn single_precision_is_told_with_its_step() {
     assert!(far.estimate().is_ok());
     let farther = evidence(&at(3e6)[..]).unwrap();
     assert_eq!(farther.estimate(), Err(Untold::SinglePrecision { step: 0.25 }));
+    // All of these happen to be numbers of 32 bits.
+    let dyadic: Vec<[f64; 3]> = layers([20; 3], 0.0).into_iter().map(|p| p.map(|c| 0.5 * c + 3e6)).collect();
+    let dyadic = evidence(&dyadic[..]).unwrap();
+    assert_eq!(dyadic.place.step, None);
+    assert!((dyadic.estimate().unwrap().spacing / 0.5 - 1.0).abs() < 0.01);
     let double: Vec<[f64; 3]> = layers([20; 3], 0.3).into_iter().map(|p| p.map(|c| 0.05 * c + 3e6)).collect();
     let double = evidence(&double[..]).unwrap();
     assert_eq!(double.place.step, None);
