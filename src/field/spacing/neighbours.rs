@@ -38,7 +38,9 @@ const FLAT: f64 = 0.2;
 /// ... in which they lie around: 4 (sum of principal minors) / trace^2 is 1 in a disc, 0 on a line.
 const DISC: f64 = 0.6;
 /// The scatter of random places is 1; particles of FLIP that were seeded eight to a cell have 0.8.
-const RANDOM: f64 = 0.93;
+const RANDOM: f64 = 0.9;
+/// By how much the scatter of few particles is off by chance, at the most.
+const CHANCE: f64 = 0.2;
 /// Deep particles that are enough to measure scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;
 /// The share of flat neighbourhoods in sheets of a single layer.
@@ -55,6 +57,8 @@ const ENOUGH: usize = 8;
 const FEWEST_QUERIES: usize = 300;
 const MOST_QUERIES: usize = 2048;
 const PARTICLES_A_QUERY: usize = 32;
+/// Particles that are queried where fewer may be at random.
+const QUERIES_OF_RANDOM: usize = 4096;
 
 /// Distances between nearest neighbours in a sample of particles.
 #[derive(Debug, Clone, PartialEq)]
@@ -123,11 +127,20 @@ impl Neighbours {
             let shown = cubes.map_or(Some(f64::INFINITY), |of| of.shown_around(point))?;
             Some((point, shown))
         };
-        let asked: Vec<([f64; 3], f64)> = positions.iter().filter_map(shown).take(wanted).collect();
+        let mut asked =
+            positions.iter().filter_map(shown).take(QUERIES_OF_RANDOM.max(wanted)).collect::<Vec<_>>();
+        let more = asked.split_off(wanted.min(asked.len()));
         let tree = Tree::new(positions);
-        let found: Vec<Neighbourhood> =
-            asked.par_iter().map(|&(point, shown)| Neighbourhood::of(&tree, point, shown)).collect();
-        Self::told_by(&found, coincident)
+        let found = |asked: Vec<([f64; 3], f64)>| {
+            asked.into_par_iter().map(|(point, shown)| Neighbourhood::of(&tree, point, shown))
+        };
+        let few: Vec<Neighbourhood> = found(asked).collect();
+        let by_few = Self::told_by(&few, coincident);
+        if more.is_empty() || by_few.scatter.is_none() || !by_few.may_be_random() {
+            return by_few;
+        }
+        let all: Vec<Neighbourhood> = few.into_par_iter().chain(found(more)).collect();
+        Self::told_by(&all, coincident)
     }
 
     fn told_by(all: &[Neighbourhood], coincident: usize) -> Self {
@@ -236,7 +249,7 @@ impl Neighbours {
 
     /// Whether few particles do not exclude it.
     fn may_be_random(&self) -> bool {
-        self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - 0.15))
+        self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - CHANCE))
     }
 }
 

@@ -145,9 +145,14 @@ fn spray_around_a_fluid_does_not_hide_its_spacing() {
 
 #[test]
 fn random_places_are_told_from_those_of_a_fluid() {
-    let random: Vec<[f64; 3]> =
-        (0..30_000).map(|i| [0, 1, 2].map(|axis| 31.0 * unit(3 * i + axis))).collect();
-    assert!(evidence(&random[..]).unwrap().neighbours.is_random());
+    for seed in 0..6 {
+        let count = 20_000 + 2000 * seed;
+        let length = (count as f64).cbrt();
+        let coordinate = |i: u64| length * unit(i + 1_000_000 * seed);
+        let random: Vec<[f64; 3]> =
+            (0..count).map(|i| [0, 1, 2].map(|axis| coordinate(3 * i + axis))).collect();
+        assert!(evidence(&random[..]).unwrap().neighbours.is_random(), "{seed}");
+    }
     // Eight in each cell, as FLIP seeds them.
     let seeded: Vec<[f64; 3]> = (0..27_000)
         .map(|i| {
