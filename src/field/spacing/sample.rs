@@ -25,7 +25,7 @@ struct Held {
     /// Positions that may be held before duplicates are dropped.
     room: usize,
     has_duplicates: bool,
-    /// Of all particles, not of the share alone.
+    /// Bounds of all particles, not of the share alone.
     bounds: Bounds,
 }
 
@@ -37,7 +37,7 @@ pub struct Taken {
     pub part: f64,
     /// The places of all particles; an estimate where some hold several particles.
     pub places: usize,
-    /// Of all particles.
+    /// Bounds of all particles.
     pub bounds: Bounds,
     one_in: u64,
 }
@@ -80,7 +80,7 @@ impl Share {
         }
     }
 
-    /// What was taken.
+    /// Ends the looking, and returns the share.
     #[must_use]
     pub fn taken(self) -> Taken {
         let Self { one_in, held } = self;
