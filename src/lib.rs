@@ -46,6 +46,7 @@ mod grid;
 mod io;
 mod particles;
 mod reconstruction;
+mod settings;
 mod simulation;
 mod surface;
 mod system;
@@ -184,6 +185,10 @@ pub mod internals {
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }
+    /// What a caller can say of a surface: each setting once.
+    pub mod settings {
+        pub use crate::settings::*;
+    }
     /// The frames of a simulation: which files they are, what is measured once for all of them, and what is known of each that is done.
     pub mod simulation {
         pub use crate::simulation::*;
@@ -216,6 +221,7 @@ pub use reconstruction::{
     Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
     Reconstruction, Report, Slab, SpacingSource, Surface, Warning,
 };
+pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source};
 pub use simulation::{
     Event, Forecast, FrameDone, FrameFailed, Frozen, Largest, LeftOut, LiveSimulation, Missing, Simulation,
     Summary, Tallied, Trust,

@@ -14,7 +14,7 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graphmap::DiGraphMap;
 
 /// The rooms, each after those that it may use.
-const ROOMS: [&str; 16] = [
+const ROOMS: [&str; 17] = [
     "grid",
     "system",
     "particles",
@@ -24,6 +24,7 @@ const ROOMS: [&str; 16] = [
     "surface",
     "backend",
     "baselines",
+    "settings",
     "io",
     "frame",
     "error",

@@ -11,6 +11,7 @@ use common::files::{data, names, raw};
 use common::program::{command, in_shell};
 use common::scene::Random;
 use common::{device, fill, splashes};
+use meniscus::Settings;
 use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
@@ -959,4 +960,27 @@ fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json(
     let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
     let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert!(json[0]["measures"]["area"].to_string().len() > 9, "{json}");
+}
+
+#[test]
+fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason() {
+    let folder = TempDir::new().unwrap();
+    let help = |command: &str| {
+        let run = meniscus(folder.path(), &[command, "--help"]);
+        String::from_utf8(run.stdout).unwrap()
+    };
+    let [reconstruct, pack] = ["reconstruct", "pack"].map(help);
+    fs::write(folder.path().join("one.xyz"), "0 0 0\n").unwrap();
+    for setting in Settings::ALL {
+        let option = format!("--{setting}");
+        let is_told = |help: &str| help.split_whitespace().any(|word| word.trim_end_matches(',') == option);
+        assert!(is_told(&reconstruct), "{option}");
+        assert_eq!(is_told(&pack), setting.is_of_samples(), "{option}");
+    }
+    for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]] {
+        let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(2), "{said}");
+        assert!(said.contains(&format!("{} is for surfaces", given[0])), "{said}");
+    }
 }

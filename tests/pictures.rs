@@ -281,7 +281,7 @@ fn a_draft_of_a_fine_mesh_is_drawn_of_fewer_triangles_and_shows_what_the_full_pi
     for picture in [draft.clone().wireframe(true), draft.colour(by_velocity), picture.clone()] {
         assert_eq!(picture.draw(surface.mesh()).unwrap(), picture.draw(&surface.to_mesh().unwrap()).unwrap());
     }
-    let dressed = splash(&Reconstruction::new().normals());
+    let dressed = splash(&Reconstruction::new().normals(true));
     assert_eq!(picture.draw(dressed.mesh()).unwrap(), picture.draw(&dressed.to_mesh().unwrap()).unwrap());
 }
 

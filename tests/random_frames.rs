@@ -200,7 +200,7 @@ impl Frame {
             request = request.periodic(self.faces);
         }
         if self.walls.is_some() || one_in(random, 2) {
-            request = request.skip_invalid();
+            request = request.skip_invalid(true);
         }
         if self.kernels {
             let iso = between(random, 0.2, 0.8);
@@ -221,7 +221,7 @@ impl Frame {
         let mut random = Random::new(self.seed.wrapping_add(2));
         let random = &mut random;
         if one_in(random, 4) {
-            request = request.normals();
+            request = request.normals(true);
         }
         if one_in(random, 4) {
             request = request.simplify(pick(random, &[0.05, 0.25, 1.0]));
@@ -242,7 +242,7 @@ impl Frame {
             0 if any || clouds && !kernels => request.smooth(between(random, 0.8, 4.0)),
             1 if any || !clouds && !kernels => request.sigma(between(random, 0.2, 3.0)),
             2 if any || !clouds && !kernels => request.iso(between(random, 0.02, 0.6)),
-            3 if any || !clouds && !kernels => request.detail(),
+            3 if any || !clouds && !kernels => request.detail(true),
             _ => request,
         }
     }

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use common::files::{bytes_of, raw, tree};
 use common::fill;
 use common::program::command;
-use meniscus::error::{Conflict, Setting};
+use meniscus::error::Conflict;
 use meniscus::files::Replace;
 use meniscus::{
     Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress, Reconstruction,
@@ -54,7 +54,7 @@ fn the_library_and_the_program_write_the_same_files() {
     let asked: [(&[&str], Ask); 4] = [
         (&[], |request| request),
         (&["--indicator", "counting", "--normals", "--up", "z"], |request| {
-            request.indicator(IndicatorKind::Counting).normals().up(meniscus::UpAxis::Z)
+            request.indicator(IndicatorKind::Counting).normals(true).up(meniscus::UpAxis::Z)
         }),
         (&["--simplify", "1", "--smallest-drop", "4", "--attributes", "none"], |request| {
             request.simplify(1.0).smallest_drop(4).attributes([""; 0])
@@ -342,17 +342,17 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
     let mueller = || asked().method(meniscus::Method::Mueller { iso: 0.5 });
     let folder = TempDir::new().unwrap();
     for (setting, request) in [
-        (Setting::Sigma, asked().sigma(1.0)),
-        (Setting::Iso, asked().iso(0.5)),
-        (Setting::Detail, asked().detail()),
-        (Setting::Mu0, asked().mu0(3.0)),
-        (Setting::Smooth, counting().smooth(1.6)),
-        (Setting::Smooth, mueller().smooth(1.6)),
-        (Setting::Sigma, mueller().sigma(1.6)),
-        (Setting::Iso, asked().method(meniscus::Method::ZhuBridson).iso(0.5)),
-        (Setting::Indicator, mueller().indicator(IndicatorKind::Cloud)),
+        ("sigma", asked().sigma(1.0)),
+        ("iso", asked().iso(0.5)),
+        ("detail", asked().detail(true)),
+        ("mu0", asked().mu0(3.0)),
+        ("smooth", counting().smooth(1.6)),
+        ("smooth", mueller().smooth(1.6)),
+        ("sigma", mueller().sigma(1.6)),
+        ("iso", asked().method(meniscus::Method::ZhuBridson).iso(0.5)),
+        ("indicator", mueller().indicator(IndicatorKind::Cloud)),
     ] {
-        let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting == setting);
+        let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);
         assert!(refused(request.check("none.bgeo").unwrap_err()), "{setting}");
         assert!(refused(request.run(&falling(1)[..]).unwrap_err()), "{setting}");
         assert!(refused(request.run_file("there/is/none.bgeo").unwrap_err()), "{setting}");
@@ -360,15 +360,15 @@ fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
         assert!(refused(simulation.reconstruction(request).check().unwrap_err()), "{setting}");
     }
     for (setting, request, name) in [
-        (Setting::Normals, asked().normals(), "m.stl"),
-        (Setting::Attributes, asked().attributes(["heat"]), "m.obj"),
-        (Setting::Compression, asked().compress(), "m.ply"),
-        (Setting::Up, asked().up(meniscus::UpAxis::Z), "m.glb"),
+        ("normals", asked().normals(true), "m.stl"),
+        ("attributes", asked().attributes(["heat"]), "m.obj"),
+        ("compress", asked().compress(true), "m.ply"),
+        ("up", asked().up(meniscus::UpAxis::Z), "m.glb"),
     ] {
         let error = request.output(folder.path().join(name), Replace::Refuse).unwrap_err();
         assert!(
             matches!(&error, Error::Unfit(unfit)
-                if unfit.setting == setting && matches!(unfit.with, Conflict::Format { .. })),
+                if unfit.setting.name() == setting && matches!(unfit.with, Conflict::Format { .. })),
             "{setting}: {error}"
         );
     }

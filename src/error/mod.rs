@@ -19,13 +19,14 @@ pub use crate::grid::units::{UnitError, shown, significant};
 pub use crate::grid::{DomainError, PeriodicError};
 pub use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 pub use crate::particles::Unread;
+pub use crate::settings::Setting;
 pub use crate::surface::mesh::compare::CompareError;
 #[cfg(feature = "pictures")]
 pub use crate::surface::picture::PictureError;
 pub use crate::surface::stitch::WholeMeshError;
 pub use crate::vulkan::VulkanError;
 pub use parts::PartsError;
-pub use setting::{Conflict, Setting, Unfit};
+pub use setting::{Conflict, Unfit};
 pub use simulation::{FPS, SimulationError};
 
 /// Anything that can go wrong between a particle file and a mesh file.

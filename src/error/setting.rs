@@ -6,61 +6,7 @@ use std::path::PathBuf;
 use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
 use crate::io::output::MeshFormat;
-
-/// A setting of a reconstruction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-#[allow(missing_docs)]
-pub enum Setting {
-    Spacing,
-    CellSize,
-    Cell,
-    Origin,
-    Domain,
-    Periodic,
-    Indicator,
-    Mu0,
-    SkipInvalid,
-    ParticleType,
-    Method,
-    Smooth,
-    Sigma,
-    Iso,
-    Detail,
-    Normals,
-    Attributes,
-    Compression,
-    Up,
-    Backend,
-    Parts,
-}
-
-impl fmt::Display for Setting {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Spacing => "a spacing",
-            Self::CellSize | Self::Cell => "a size of cells",
-            Self::Origin => "an origin",
-            Self::Domain => "a tank",
-            Self::Periodic => "a periodic box",
-            Self::Indicator => "an indicator",
-            Self::Mu0 => "a mean number of particles (mu0)",
-            Self::ParticleType => "a type of particles",
-            Self::SkipInvalid => "skipping invalid particles",
-            Self::Method => "a kernel method",
-            Self::Smooth => "a width of smoothing",
-            Self::Sigma => "the width of a Gaussian (sigma)",
-            Self::Iso => "an isovalue",
-            Self::Detail => "recovering details",
-            Self::Normals => "vertex normals",
-            Self::Attributes => "vertex attributes",
-            Self::Compression => "compression",
-            Self::Up => "another axis that points up",
-            Self::Backend => "a device",
-            Self::Parts => "a mesh in parts",
-        })
-    }
-}
+use crate::settings::Setting;
 
 /// A setting, file or format that a setting conflicts with.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,6 +18,8 @@ pub enum Conflict {
     Method(Method),
     /// A packed frame, of which the particles themselves are not there any more.
     Packed(PathBuf),
+    /// A frame that is to be packed: it holds samples, and no surface.
+    Packing,
     /// A frame that was sampled already, otherwise than is asked for now.
     Sampled,
     /// The format of the mesh.
@@ -93,24 +41,59 @@ pub struct Unfit {
     pub with: Conflict,
 }
 
-impl fmt::Display for Unfit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let setting = self.setting;
-        match &self.with {
-            Conflict::Indicator(kind) => {
-                write!(f, "{setting} has no meaning for the indicator {}", kind.name())
+impl Unfit {
+    /// The sentence, with the setting called as `name` says.
+    #[must_use]
+    pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
+        let setting = name(self.setting);
+        let named = |name_of: &'static str| name(Setting::named(name_of));
+        match (&self.with, self.setting.name()) {
+            (Conflict::Indicator(kind), "mu0") => {
+                format!("{setting} has no meaning for {} {}", named("indicator"), kind.name())
             }
-            Conflict::Method(_) => write!(f, "{setting} has no meaning for this kernel method"),
-            Conflict::Packed(path) => {
-                write!(f, "{}: {setting} needs the particles themselves", path.display())
+            (Conflict::Indicator(IndicatorKind::Cloud), which) => format!(
+                "{setting} is for {} counting and symmetry{}: the surface lies where distances told by clouds are 0, and {} says how \
+                 calm it is",
+                named("indicator"),
+                if which == "iso" {
+                    format!(", and for {} mueller and yu-turk", named("method"))
+                } else {
+                    String::new()
+                },
+                named("smooth"),
+            ),
+            (Conflict::Indicator(_), _) => format!(
+                "{setting} is for {} cloud: {} says how smooth the surface of others is",
+                named("indicator"),
+                named("sigma")
+            ),
+            (Conflict::Method(_), _) => format!("{setting} has no meaning for this {}", named("method")),
+            (Conflict::Packed(path), _) => {
+                format!("{}: {setting} needs the particles themselves", path.display())
             }
-            Conflict::Sampled => {
-                write!(f, "{setting} needs the particles themselves, and the frame is sampled already")
+            (Conflict::Packing, _) => {
+                format!("{setting} is for surfaces: give it when the packed frame is reconstructed")
             }
-            Conflict::Format { path, format } => {
-                write!(f, "{}: {format} cannot hold {setting}", path.display())
+            (Conflict::Sampled, _) => {
+                format!("{setting} needs the particles themselves, and the frame is sampled already")
+            }
+            (Conflict::Format { path, .. }, "compress") => {
+                format!("{}: {setting} goes with .glb", path.display())
+            }
+            (Conflict::Format { .. }, "up") => format!(
+                "{setting} z: in a .glb y points up; {} z says that the particles have z up",
+                named("particles_up")
+            ),
+            (Conflict::Format { path, format }, _) => {
+                format!("{}: {format} cannot hold {setting}", path.display())
             }
         }
+    }
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.told(&Setting::key))
     }
 }
 

@@ -18,10 +18,10 @@ pub enum SimulationError {
     #[error("{0}: none of its frames is asked for")]
     NoneWanted(String),
     /// A rate of frames whose times programs could not tell apart.
-    #[error("frames a second must be from {least} to {most}; {0:?} is not", least = FPS.start(), most = FPS.end())]
+    #[error("fps must be from {least} to {most} frames a second, not {0:?}", least = FPS.start(), most = FPS.end())]
     Rate(f64),
     /// A time to wait that is none.
-    #[error("a wait takes seconds; {0} are none")]
+    #[error("watch must be a number of seconds, not {0}")]
     Wait(f64),
     /// Steps of one file, which cannot be followed while they are written.
     #[error("{0}: files can be followed, and not the steps of one")]

@@ -60,9 +60,9 @@ impl Grid {
     /// # Errors
     /// [`UnitError::Length`] unless the edge is positive and finite, [`UnitError::NotFinite`] unless the origin is.
     pub fn new(origin: DVec3, cell: f64) -> Result<Self, UnitError> {
-        positive_length("the cell size", cell)?;
+        positive_length("cell-size", cell)?;
         match origin.to_array().iter().find(|x| !x.is_finite()) {
-            Some(&value) => Err(UnitError::NotFinite { what: "the origin's coordinates", value }),
+            Some(&value) => Err(UnitError::NotFinite { name: "origin", value }),
             None => Ok(Self { origin, cell }),
         }
     }

@@ -5,6 +5,7 @@
 //! number of cells: its edges may differ, and cells are cubes.
 
 use glam::{DVec3, IVec3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::units::shown;
@@ -27,7 +28,9 @@ pub struct Periodic {
 }
 
 /// How a mesh ends at periodic faces.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
     /// On the faces, where it is closed as it is at the walls of a tank.
     #[default]

@@ -7,51 +7,67 @@ use thiserror::Error;
 /// The value that stands for an indicator of exactly 1 in every integer field.
 pub const FULL: u16 = u16::MAX;
 
-/// A number outside of the range that its meaning allows.
+/// A number outside of the range that its meaning allows. Each says the name by which it is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum UnitError {
     /// An isovalue must cut the field.
-    #[error("the isovalue must lie between 0 and 1, both excluded; {0} does not")]
+    #[error("iso must be more than 0 and less than 1, not {0}")]
     Isovalue(f64),
     /// The width of the Gaussian.
-    #[error("sigma must be more than 0 and at most {max} cells; {0} is not", max = Sigma::MAX)]
+    #[error("sigma must be more than 0 and at most {max} cells, not {0}", max = Sigma::MAX)]
     Sigma(f64),
     /// The mean number of particles in a full cell.
-    #[error("mu0 must be more than 0 and at most {max}; {0} is not", max = MeanCount::MAX)]
+    #[error("mu0 must be more than 0 and at most {max}, not {0}", max = MeanCount::MAX)]
     MeanCount(f64),
     /// The width of what makes water calm.
-    #[error("smooth must be from {least} to {most} spacings; {0} is not", least = Smooth::LEAST, most = Smooth::MOST)]
+    #[error("smooth must be from {least} to {most} spacings, not {0}", least = Smooth::LEAST, most = Smooth::MOST)]
     Smooth(f64),
     /// How far a simplified surface may lie from the one that it replaces.
-    #[error("the tolerance of simplifying must be more than 0 and at most {max} cells; {0} is not", max = Tolerance::MAX)]
+    #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
     Tolerance(f64),
     /// The volume of the smallest component that is kept.
-    #[error("the smallest component must have a positive volume; {0} is not")]
+    #[error("smallest-component must be a positive volume, not {0}")]
     Volume(f64),
     /// A coordinate that must be finite.
-    #[error("{what} must be finite numbers; {value} is not")]
+    #[error("{name} must be finite numbers, not {value}")]
     NotFinite {
-        /// The name of the coordinates, for the message.
-        what: &'static str,
+        /// The name by which it is asked for.
+        name: &'static str,
         /// The one that is not.
         value: f64,
     },
     /// A length that must be positive.
-    #[error("{what} must be positive and finite; {value} is not")]
+    #[error("{name} must be positive and finite, not {value}")]
     Length {
-        /// The name of the length, for the message.
-        what: &'static str,
+        /// The name by which it is asked for.
+        name: &'static str,
         /// The value that was given.
         value: f64,
     },
+}
+
+impl UnitError {
+    /// The name by which the number is asked for, with which the message begins.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Isovalue(_) => "iso",
+            Self::Sigma(_) => "sigma",
+            Self::MeanCount(_) => "mu0",
+            Self::Smooth(_) => "smooth",
+            Self::Tolerance(_) => "simplify",
+            Self::Volume(_) => "smallest-component",
+            Self::NotFinite { name, .. } | Self::Length { name, .. } => name,
+        }
+    }
 }
 
 /// Checks that `value` can be used as a length.
 ///
 /// # Errors
 /// [`UnitError::Length`] where it is not positive and finite.
-pub fn positive_length(what: &'static str, value: f64) -> Result<f64, UnitError> {
-    (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { what, value })
+pub fn positive_length(name: &'static str, value: f64) -> Result<f64, UnitError> {
+    (value.is_finite() && value > 0.0).then_some(value).ok_or(UnitError::Length { name, value })
 }
 
 /// A number as people read it, such as a length: in six significant digits.

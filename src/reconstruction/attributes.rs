@@ -1,28 +1,28 @@
-//! The choice of particle attributes that go to the vertices.
+//! The choice of particle attributes that go to the vertices, and of what is read of an input for them.
 
 use crate::error::Error;
+use crate::io::output::MeshFormat;
+use crate::io::wanted::{Wanted, WantedAttributes};
 use crate::particles::{AttributeInfo, velocity_attribute};
+use crate::settings::Settings;
 
-/// The attributes that are asked for.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub enum Attributes {
-    /// The velocity, if the particles have it.
-    #[default]
-    Velocity,
-    /// Attributes by their names; `velocity` is whatever the particles call so. None where there are no names.
-    Named(Vec<String>),
-}
+impl Settings {
+    /// Particles and attributes that have to be read of an input.
+    pub(crate) fn wanted(&self) -> Wanted<'_> {
+        let attributes = self.attribute_names().map_or(WantedAttributes::Velocity, WantedAttributes::Named);
+        Wanted { particle_type: self.particle_type.as_deref(), attributes, ..Wanted::default() }
+    }
 
-impl Attributes {
-    /// The numbers of those that are asked for, among all.
-    ///
-    /// # Errors
-    /// [`Error::NoAttribute`], without a path.
-    pub fn among(&self, all: &[AttributeInfo]) -> Result<Vec<usize>, Error> {
+    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity goes where a format can hold it.
+    pub(crate) fn carried(
+        &self,
+        all: &[AttributeInfo],
+        format: Option<MeshFormat>,
+    ) -> Result<Vec<usize>, Error> {
         let velocity = velocity_attribute(all);
-        let names = match self {
-            Self::Velocity => return Ok(velocity.into_iter().collect()),
-            Self::Named(names) => names,
+        let Some(names) = self.attribute_names() else {
+            let is_held = format.is_none_or(MeshFormat::holds_attributes);
+            return Ok(velocity.filter(|_| is_held).into_iter().collect());
         };
         let mut carried = Vec::new();
         for name in names {

@@ -10,12 +10,10 @@ use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::grid::units::MemoryBudget;
 use crate::io::UpAxis;
+use crate::settings::{Faces, Iso, MethodName, Settings};
 use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Progress};
 use crate::vulkan::Device;
-
-use super::Attributes;
-use super::asked::{Asked, Settings};
 
 /// A request for the surface of particles: what is not said is measured, or the default.
 ///
@@ -37,7 +35,7 @@ use super::asked::{Asked, Settings};
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Reconstruction {
-    pub(crate) asked: Asked,
+    pub(crate) settings: Settings,
     pub(crate) calibration: Option<Calibration>,
     pub(crate) memory: Option<MemoryBudget>,
     pub(crate) scratch: Option<PathBuf>,
@@ -56,7 +54,7 @@ impl Reconstruction {
     /// Asks for the default surface.
     pub fn new() -> Self {
         Self {
-            asked: Asked::default(),
+            settings: Settings::default(),
             calibration: None,
             memory: None,
             scratch: None,
@@ -66,34 +64,46 @@ impl Reconstruction {
         }
     }
 
+    /// Takes all settings at once.
+    ///
+    /// ```
+    /// use meniscus::{Reconstruction, Settings};
+    ///
+    /// let settings = Settings { spacing: Some(0.05), normals: true, ..Settings::default() };
+    /// assert_eq!(Reconstruction::by(settings.clone()).settings(), &settings);
+    /// ```
+    pub fn by(settings: Settings) -> Self {
+        Self { settings, ..Self::new() }
+    }
+
+    /// Puts settings in place of all that were asked for.
+    pub fn with_settings(mut self, settings: Settings) -> Self {
+        self.settings = settings;
+        self
+    }
+
     /// Sets the distance between neighbouring particles, which is otherwise taken from the file or estimated.
     pub fn spacing(mut self, length: f64) -> Self {
-        self.asked.spacing = Some(length);
+        (self.settings.spacing, self.settings.radius) = (Some(length), None);
         self
     }
 
     /// Sets the edge of a cell.
     pub fn cell_size(mut self, length: f64) -> Self {
-        (self.asked.cell_size, self.asked.cell) = (Some(length), None);
+        (self.settings.cell_size, self.settings.cell) = (Some(length), None);
         self
     }
 
     /// Sets the edge of a cell in spacings: 0.5 by default, two thirds for the paper's indicators.
     pub fn cell(mut self, spacings: f64) -> Self {
-        (self.asked.cell_size, self.asked.cell) = (None, Some(spacings));
-        self
-    }
-
-    /// Sets a corner of the grid's cells.
-    pub fn origin(mut self, corner: [f64; 3]) -> Self {
-        self.asked.origin = Some(corner);
+        (self.settings.cell_size, self.settings.cell) = (None, Some(spacings));
         self
     }
 
     /// Sets the walls of a tank by its lowest and its highest corner; particles outside are not counted. An axis without walls goes
     /// from -inf to inf.
     pub fn domain(mut self, lowest: [f64; 3], highest: [f64; 3]) -> Self {
-        self.asked.walls = Some([lowest, highest]);
+        self.settings.domain = Some(Faces::from_corners([lowest, highest]));
         self
     }
 
@@ -118,116 +128,39 @@ impl Reconstruction {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn periodic(mut self, faces: [Option<[f64; 2]>; 3]) -> Self {
-        self.asked.periodic = Some(faces);
-        self
-    }
-
-    /// Sets where the mesh ends at the faces of a periodic box: on them, if it is not said.
-    pub fn periodic_mesh(mut self, ends: PeriodicMesh) -> Self {
-        self.asked.periodic_mesh = Some(ends);
-        self
-    }
-
-    /// Makes the field by an indicator: clouds by default, the others are the paper's.
-    pub fn indicator(mut self, kind: IndicatorKind) -> Self {
-        self.asked.indicator = Some(kind);
-        self
-    }
-
-    /// Sets `mu0`, the mean number of particles in a full cell, for counting.
-    pub fn mu0(mut self, particles: f64) -> Self {
-        self.asked.mean = Some(particles);
+        self.settings.periodic = Some(Faces(faces));
         self
     }
 
     /// Makes the field by one of the kernel methods that the paper compares against.
     pub fn method(mut self, method: Method) -> Self {
-        self.asked.baseline = Some(method);
-        self
-    }
-
-    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer water.
-    pub fn smooth(mut self, spacings: f64) -> Self {
-        self.asked.smooth = Some(spacings);
-        self
-    }
-
-    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the paper's indicators.
-    pub fn sigma(mut self, cells: f64) -> Self {
-        self.asked.sigma = Some(cells);
+        self.settings.method = Some(match method {
+            Method::Mueller { .. } => MethodName::Mueller,
+            Method::ZhuBridson => MethodName::ZhuBridson,
+            Method::YuTurk { .. } => MethodName::YuTurk,
+        });
+        if let Some(iso) = method.iso().filter(|iso| *iso != Method::HALF) {
+            self.settings.iso = Some(Iso::Value(iso));
+        }
         self
     }
 
     /// Sets the isovalue, between 0 and 1, for the paper's indicators and for kernels; it is otherwise measured, or a half.
     pub fn iso(mut self, value: f64) -> Self {
-        self.asked.iso = Some(value);
-        self
-    }
-
-    /// Recovers details that smoothing loses, for the paper's indicators.
-    pub fn detail(mut self) -> Self {
-        self.asked.details = true;
-        self
-    }
-
-    /// Makes vertex normals from the field's gradient.
-    pub fn normals(mut self) -> Self {
-        self.asked.normals = true;
+        self.settings.iso = Some(Iso::Value(value));
         self
     }
 
     /// Carries these attributes of the particles to the vertices; without this their velocity, if they have it.
     pub fn attributes(mut self, names: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        self.asked.attributes = Some(Attributes::Named(names.into_iter().map(Into::into).collect()));
-        self
-    }
-
-    /// Uses fewer triangles, as long as no part of the surface moves farther than so many cells.
-    pub fn simplify(mut self, cells: f64) -> Self {
-        self.asked.tolerance = Some(cells);
-        self
-    }
-
-    /// Leaves out components, drops or bubbles, of less volume than so many cells.
-    pub fn smallest_component(mut self, cells: f64) -> Self {
-        self.asked.smallest_component = Some(cells);
-        self
-    }
-
-    /// Leaves out drops of fewer particles, as told by their volume.
-    pub fn smallest_drop(mut self, particles: u32) -> Self {
-        self.asked.smallest_drop = Some(particles);
+        self.settings.attributes = Some(names.into_iter().map(Into::into).collect());
         self
     }
 
     /// Sets the type of particles that is meant, where an input holds several: `PartType1` of a snapshot, an array of PySPH's, a species
     /// of openPMD's. Without this it is gas, `fluid`, or the only one.
     pub fn particle_type(mut self, name: impl Into<String>) -> Self {
-        self.asked.particle_type = Some(name.into());
-        self
-    }
-
-    /// Leaves out particles that are not finite or too far away, and counts them, where they would be an error.
-    pub fn skip_invalid(mut self) -> Self {
-        self.asked.skip_invalid = true;
-        self
-    }
-
-    /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
-    pub fn compress(mut self) -> Self {
-        self.asked.compress = true;
-        self
-    }
-
-    /// Sets the axis that points up in mesh files, which are turned where the particles have the other one up.
-    pub fn up(mut self, axis: UpAxis) -> Self {
-        self.asked.up = Some(axis);
-        self
-    }
-
-    /// Sets the axis that points up in the particles: z for `.bi4` and y for all else, if it is not said.
-    pub fn particles_up(mut self, axis: UpAxis) -> Self {
-        self.asked.particles_up = Some(axis);
+        self.settings.particle_type = Some(name.into());
         self
     }
 
@@ -264,7 +197,7 @@ impl Reconstruction {
     /// Whether a backend has a part in it: kernel methods have none.
     #[must_use]
     pub fn uses_backend(&self) -> bool {
-        self.asked.baseline.is_none()
+        self.settings.kernels().is_none()
     }
 
     /// Takes a handle by which the work can be ended early, from any thread.
@@ -280,10 +213,10 @@ impl Reconstruction {
         self
     }
 
-    /// Lists the settings that show in the bytes of a mesh, in the words of the program's options.
+    /// The settings that show in the bytes of a mesh.
     #[must_use]
-    pub fn settings(&self) -> Settings {
-        self.asked.settings()
+    pub fn settings(&self) -> &Settings {
+        &self.settings
     }
 
     /// The device that it runs on, unless that is the processor.
@@ -291,4 +224,51 @@ impl Reconstruction {
     pub fn device(&self) -> Option<&Device> {
         self.backend.device()
     }
+}
+
+macro_rules! setters {
+    ($($(#[doc = $doc:literal])* $name:ident: $type:ty,)*) => {
+        impl Reconstruction {
+            $(
+                $(#[doc = $doc])*
+                pub fn $name(mut self, value: $type) -> Self {
+                    self.settings.$name = value.into();
+                    self
+                }
+            )*
+        }
+    };
+}
+
+setters! {
+    /// Sets a corner of the grid's cells.
+    origin: [f64; 3],
+    /// Sets where the mesh ends at the faces of a periodic box: on them, if it is not said.
+    periodic_mesh: PeriodicMesh,
+    /// Makes the field by an indicator: clouds by default, the others are the paper's.
+    indicator: IndicatorKind,
+    /// Sets `mu0`, the mean number of particles in a full cell, for counting.
+    mu0: f64,
+    /// Sets the width of smoothing in spacings, 1.6 by default, for clouds: more makes calmer water.
+    smooth: f64,
+    /// Sets the width of the Gaussian in cells, a spacing and at least a cell by default, for the paper's indicators.
+    sigma: f64,
+    /// Recovers details that smoothing loses, for the paper's indicators.
+    detail: bool,
+    /// Makes vertex normals from the field's gradient.
+    normals: bool,
+    /// Uses fewer triangles, as long as no part of the surface moves farther than so many cells.
+    simplify: f64,
+    /// Leaves out components, drops or bubbles, of less volume than so many cells.
+    smallest_component: f64,
+    /// Leaves out drops of fewer particles, as told by their volume.
+    smallest_drop: u32,
+    /// Leaves out particles that are not finite or too far away, and counts them, where they would be an error.
+    skip_invalid: bool,
+    /// Writes `.glb` files quantized and compressed (EXT_meshopt_compression).
+    compress: bool,
+    /// Sets the axis that points up in mesh files, which are turned where the particles have the other one up.
+    up: UpAxis,
+    /// Sets the axis that points up in the particles: z for `.bi4` and y for all else, if it is not said.
+    particles_up: UpAxis,
 }

@@ -19,15 +19,15 @@ use crate::grid::PeriodicError;
 use crate::grid::units::{Isovalue, MeanCount, Sigma, Smooth, Tolerance, UnitError, positive_length};
 use crate::io::bytes::Unpacking;
 use crate::io::output::MeshFormat;
-use crate::particles::AttributeInfo;
+use crate::settings::Settings;
 use crate::surface::dual_mc::Normals;
+use crate::surface::mesh::up::UpAxis;
 use crate::surface::simplify::{BYTES_A_THREAD, Reduction};
 use crate::system::memory::default_memory;
 
-use super::asked::Asked;
 use super::builder::Reconstruction;
 use super::threads::Threads;
-use super::{Attributes, CellSize, SamplingRequest};
+use super::{CellSize, SamplingRequest};
 
 /// Threads that a call may have at the most: more than any machine has cores, and few enough to start.
 const MOST_THREADS: usize = 1024;
@@ -35,7 +35,7 @@ const MOST_THREADS: usize = 1024;
 /// A request that can be run.
 #[derive(Debug, Clone)]
 pub(crate) struct Checked {
-    pub(crate) asked: Asked,
+    pub(crate) settings: Settings,
     pub(crate) sampling: SamplingRequest,
     pub(crate) surfacing: Surfacing,
     pub(crate) reduction: Reduction,
@@ -54,10 +54,10 @@ pub(crate) struct Ready {
 impl Reconstruction {
     /// Checks all numbers, and what of the settings can be checked without an input.
     pub(crate) fn checked(&self) -> Result<Checked, Error> {
-        let asked = &self.asked;
-        let surfacing = surfacing(asked)?;
-        let sampling = sampling(asked, surfacing)?;
-        let reduction = reduction(asked)?;
+        let settings = &self.settings;
+        let surfacing = surfacing(settings)?;
+        let sampling = sampling(settings, surfacing)?;
+        let reduction = reduction(settings)?;
         let budget = self.memory.unwrap_or_else(default_memory);
         let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         if !(1..=MOST_THREADS).contains(&threads) {
@@ -82,34 +82,37 @@ impl Reconstruction {
             backend,
             control: self.control.clone(),
         };
-        let (asked, calibration) = (asked.clone(), self.calibration);
-        Ok(Checked { asked, sampling, surfacing, reduction, calibration, threads, resources })
+        let (settings, calibration) = (settings.clone(), self.calibration);
+        Ok(Checked { settings, sampling, surfacing, reduction, calibration, threads, resources })
     }
 }
 
-fn unfit<T>(setting: Setting, with: Conflict) -> Result<T, Error> {
-    Err(Unfit { setting, with }.into())
+/// Refuses the first setting that is given of some that have no meaning.
+fn refuse(
+    settings: &Settings,
+    meaningless: &[&'static str],
+    with: impl FnOnce() -> Conflict,
+) -> Result<(), Error> {
+    debug_assert!(meaningless.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
+    let nothing = Settings::default();
+    let given = settings.given_otherwise(&nothing, |setting| meaningless.contains(&setting.name()));
+    given.map_or(Ok(()), |setting| Err(Unfit { setting, with: with() }.into()))
 }
 
-/// The first setting that was given of those that have no meaning.
-fn given<const N: usize>(settings: [(Setting, bool); N]) -> Option<Setting> {
-    settings.into_iter().find_map(|(setting, given)| given.then_some(setting))
-}
-
-fn sampling(asked: &Asked, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
-    let length = |what, length: Option<f64>| length.map(|length| positive_length(what, length)).transpose();
-    let cell =
-        match (length("the cell size", asked.cell_size)?, length("the cell size in spacings", asked.cell)?) {
-            (Some(size), _) => Some(CellSize::Length(size)),
-            (None, ratio) => ratio.map(CellSize::Spacings),
-        };
+fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
+    let length = |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
+    length("radius", settings.radius)?;
+    let cell = match (length("cell-size", settings.cell_size)?, length("cell", settings.cell)?) {
+        (Some(size), _) => Some(CellSize::Length(size)),
+        (None, ratio) => ratio.map(CellSize::Spacings),
+    };
     let request = SamplingRequest {
-        field: field(asked)?,
-        invalid: if asked.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
-        origin: asked.origin.map(Into::into),
-        walls: asked.walls.map(|corners| corners.map(Into::into)),
-        periodic: asked.periodic.map(|faces| (faces, surfacing)),
-        spacing: length("the spacing", asked.spacing)?,
+        field: field(settings)?,
+        invalid: if settings.skip_invalid { InvalidParticles::Skip } else { InvalidParticles::Refuse },
+        origin: settings.origin.map(Into::into),
+        walls: settings.domain.map(|walls| walls.corners().map(Into::into)),
+        periodic: settings.periodic.map(|faces| (faces.0, surfacing)),
+        spacing: length("spacing", settings.spacing_or_radius())?,
         cell,
     };
     request.validate()?;
@@ -117,27 +120,20 @@ fn sampling(asked: &Asked, surfacing: Surfacing) -> Result<SamplingRequest, Erro
 }
 
 /// The maker of the field: refuses what has no meaning for kernels.
-fn field(asked: &Asked) -> Result<FieldRequest, Error> {
-    let kind = asked.indicator.unwrap_or_default();
-    let Some(method) = asked.baseline else {
-        if asked.mean.is_some() && !kind.counts() {
-            return unfit(Setting::Mu0, Conflict::Indicator(kind));
+fn field(settings: &Settings) -> Result<FieldRequest, Error> {
+    let kind = settings.indicator.unwrap_or_default();
+    let Some(method) = settings.kernels() else {
+        if !kind.counts() {
+            refuse(settings, &["mu0"], || Conflict::Indicator(kind))?;
         }
-        return Ok(IndicatorRequest { kind, mean: asked.mean.map(MeanCount::new).transpose()? }.into());
+        return Ok(IndicatorRequest { kind, mean: settings.mu0.map(MeanCount::new).transpose()? }.into());
     };
-    let meaningless = given([
-        (Setting::Smooth, asked.smooth.is_some()),
-        (Setting::Sigma, asked.sigma.is_some()),
-        (Setting::Detail, asked.details),
-        (Setting::Indicator, asked.indicator.is_some()),
-        (Setting::Mu0, asked.mean.is_some()),
-        (Setting::Iso, method == Method::ZhuBridson && asked.iso.is_some()),
-    ]);
-    if let Some(setting) = meaningless {
-        return unfit(setting, Conflict::Method(method));
+    refuse(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], || Conflict::Method(method))?;
+    if method == Method::ZhuBridson && settings.isovalue().is_some() {
+        refuse(settings, &["iso"], || Conflict::Method(method))?;
     }
     // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
-    let asked = asked.iso.map(Isovalue::new).transpose()?.map(Isovalue::value);
+    let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
     Ok(match method {
         Method::Mueller { iso } => Method::Mueller { iso: asked.unwrap_or(iso) },
         Method::YuTurk { iso } => Method::YuTurk { iso: asked.unwrap_or(iso) },
@@ -146,105 +142,83 @@ fn field(asked: &Asked) -> Result<FieldRequest, Error> {
     .into())
 }
 
-fn surfacing(asked: &Asked) -> Result<Surfacing, Error> {
+fn surfacing(settings: &Settings) -> Result<Surfacing, Error> {
     Ok(Surfacing {
-        smooth: asked.smooth.map_or(Ok(Smooth::DEFAULT), Smooth::new)?,
-        sigma: asked.sigma.map(Sigma::new).transpose()?,
-        iso: asked.iso.map(Isovalue::new).transpose()?,
-        detail: if asked.details { Detail::Recovered } else { Detail::Smoothed },
-        normals: if asked.normals { Normals::Gradient } else { Normals::None },
-        periodic_mesh: asked.periodic_mesh.unwrap_or_default(),
+        smooth: settings.smooth.map_or(Ok(Smooth::DEFAULT), Smooth::new)?,
+        sigma: settings.sigma.map(Sigma::new).transpose()?,
+        iso: settings.isovalue().map(Isovalue::new).transpose()?,
+        detail: if settings.detail { Detail::Recovered } else { Detail::Smoothed },
+        normals: if settings.normals { Normals::Gradient } else { Normals::None },
+        periodic_mesh: settings.periodic_mesh.unwrap_or_default(),
     })
 }
 
-fn reduction(asked: &Asked) -> Result<Reduction, Error> {
-    if let Some(value) = asked.smallest_component.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
+fn reduction(settings: &Settings) -> Result<Reduction, Error> {
+    if let Some(value) = settings.smallest_component.filter(|volume| !(volume.is_finite() && *volume > 0.0)) {
         return Err(UnitError::Volume(value).into());
     }
     Ok(Reduction {
-        tolerance: asked.tolerance.map(Tolerance::new).transpose()?,
-        smallest_component: asked.smallest_component,
+        tolerance: settings.simplify.map(Tolerance::new).transpose()?,
+        smallest_component: settings.smallest_component,
         // Every drop has one.
-        smallest_drop: asked.smallest_drop.filter(|&particles| particles > 1),
+        smallest_drop: settings.smallest_drop.filter(|&particles| particles > 1),
     })
 }
 
-impl Asked {
+impl Settings {
     /// Refuses settings of another indicator's surface.
     pub(crate) fn refuse_of_others(&self, kind: IndicatorKind) -> Result<(), Error> {
-        let meaningless = match kind {
-            IndicatorKind::Cloud => given([
-                (Setting::Sigma, self.sigma.is_some()),
-                (Setting::Iso, self.iso.is_some()),
-                (Setting::Detail, self.details),
-            ]),
-            IndicatorKind::Counting | IndicatorKind::Symmetry => {
-                given([(Setting::Smooth, self.smooth.is_some())])
-            }
+        let meaningless: &[&'static str] = match kind {
+            IndicatorKind::Cloud if self.isovalue().is_some() => &["sigma", "iso", "detail"],
+            IndicatorKind::Cloud => &["sigma", "detail"],
+            IndicatorKind::Counting | IndicatorKind::Symmetry => &["smooth"],
         };
-        meaningless.map_or(Ok(()), |setting| unfit(setting, Conflict::Indicator(kind)))
+        refuse(self, meaningless, || Conflict::Indicator(kind))
+    }
+
+    /// Whether attributes are asked for by their names.
+    fn names_attributes(&self) -> bool {
+        self.attribute_names().is_some_and(|names| !names.is_empty())
     }
 
     /// Refuses what a frame that was packed cannot give.
     pub(crate) fn refuse_of_packed(&self, path: &Path) -> Result<(), Error> {
-        let names = |attributes: &&Attributes| **attributes != Attributes::Named(Vec::new());
-        let carried = self.attributes.as_ref().filter(names);
-        let setting = self.other_sampling(&Self::default()).or(carried.map(|_| Setting::Attributes));
-        setting.map_or(Ok(()), |setting| unfit(setting, Conflict::Packed(path.to_owned())))
+        let needed = |setting: Setting| {
+            setting.needs_particles() || setting.name() == "attributes" && self.names_attributes()
+        };
+        let given = self.given_otherwise(&Self::default(), needed);
+        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packed(path.to_owned()) }.into()))
     }
 
     /// Refuses what a frame that was sampled as `sampled` says cannot give.
     pub(crate) fn refuse_of_sampled(&self, sampled: &Self) -> Result<(), Error> {
-        let carried = self.attributes.as_ref().filter(|_| self.attributes != sampled.attributes);
-        let setting = self.other_sampling(sampled).or(carried.map(|_| Setting::Attributes));
-        setting.map_or(Ok(()), |setting| unfit(setting, Conflict::Sampled))
+        let needed = |setting: Setting| setting.needs_particles() || setting.name() == "attributes";
+        let given = self.by_spacing().given_otherwise(&sampled.by_spacing(), needed);
+        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Sampled }.into()))
     }
 
-    /// The first setting that was given and needs the particles, unless they were sampled so.
-    fn other_sampling(&self, sampled: &Self) -> Option<Setting> {
-        given([
-            (Setting::Spacing, self.spacing.is_some() && self.spacing != sampled.spacing),
-            (Setting::CellSize, self.cell_size.is_some() && self.cell_size != sampled.cell_size),
-            (Setting::Cell, self.cell.is_some() && self.cell != sampled.cell),
-            (Setting::Origin, self.origin.is_some() && self.origin != sampled.origin),
-            (Setting::Domain, self.walls.is_some() && self.walls != sampled.walls),
-            (Setting::Periodic, self.periodic.is_some() && self.periodic != sampled.periodic),
-            (Setting::Indicator, self.indicator.is_some() && self.indicator != sampled.indicator),
-            (Setting::Mu0, self.mean.is_some() && self.mean != sampled.mean),
-            (Setting::SkipInvalid, self.skip_invalid && !sampled.skip_invalid),
-            (
-                Setting::ParticleType,
-                self.particle_type.is_some() && self.particle_type != sampled.particle_type,
-            ),
-            (Setting::Method, self.baseline.is_some() && self.baseline != sampled.baseline),
-        ])
+    /// Refuses what is not of samples, which are all that a packed frame holds.
+    pub(crate) fn refuse_of_packing(&self) -> Result<(), Error> {
+        let of_surface = |setting: Setting| {
+            !setting.is_of_samples() && (setting.name() != "attributes" || self.names_attributes())
+        };
+        let given = self.given_otherwise(&Self::default(), of_surface);
+        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packing }.into()))
     }
 
     /// Refuses what is asked for and a format cannot hold.
     pub(crate) fn refuse_of_format(&self, path: &Path, format: MeshFormat) -> Result<(), Error> {
         let is_glb = matches!(format, MeshFormat::Glb(_));
-        let names = |attributes: &Attributes| *attributes != Attributes::Named(Vec::new());
-        let meaningless = given([
-            (Setting::Compression, self.compress && !is_glb),
-            (Setting::Up, is_glb && self.up == Some(crate::io::UpAxis::Z)),
-            (Setting::Normals, self.normals && !format.holds_normals()),
-            (Setting::Attributes, self.attributes.as_ref().is_some_and(names) && !format.holds_attributes()),
-        ]);
+        let meaningless = |setting: Setting| match setting.name() {
+            "compress" => !is_glb,
+            "up" => is_glb && self.up == Some(UpAxis::Z),
+            "normals" => !format.holds_normals(),
+            "attributes" => self.names_attributes() && !format.holds_attributes(),
+            _ => false,
+        };
         let with = || Conflict::Format { path: path.to_owned(), format };
-        meaningless.map_or(Ok(()), |setting| unfit(setting, with()))
-    }
-
-    /// The numbers of the attributes that go to the vertices, of those that there are. Velocity goes where a format can hold it.
-    pub(crate) fn carried(
-        &self,
-        all: &[AttributeInfo],
-        format: Option<MeshFormat>,
-    ) -> Result<Vec<usize>, Error> {
-        match &self.attributes {
-            None if format.is_some_and(|format| !format.holds_attributes()) => Ok(Vec::new()),
-            None => Attributes::Velocity.among(all),
-            Some(wanted) => wanted.among(all),
-        }
+        let given = self.given_otherwise(&Self::default(), meaningless);
+        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: with() }.into()))
     }
 }
 
@@ -257,11 +231,11 @@ impl Checked {
 
     /// Refuses settings that have no meaning for the indicator that was asked for, or without a periodic box.
     pub(crate) fn refuse_of_indicator(&self) -> Result<(), Error> {
-        if self.asked.periodic_mesh.is_some() && self.asked.periodic.is_none() {
+        if self.settings.periodic_mesh.is_some() && self.settings.periodic.is_none() {
             return Err(PeriodicError::NoBox.into());
         }
         match self.sampling.field.indicator() {
-            Some(asked) => self.asked.refuse_of_others(asked.kind),
+            Some(asked) => self.settings.refuse_of_others(asked.kind),
             None => Ok(()),
         }
     }

@@ -12,13 +12,13 @@ use crate::particles::Particles;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
-use super::asked::Asked;
 use super::builder::Reconstruction;
 use super::checked::{Checked, Ready};
 use super::output::PackedOutput;
 use super::surface::Surface;
 use super::warning::{Warning, of_frame, with_doubts};
 use super::{Cells, ChosenSampling, Packed, Source};
+use crate::settings::Settings;
 
 /// A frame that was sampled: its discrete indicator function, and whatever its surface has to know of the particles.
 #[derive(Debug)]
@@ -86,7 +86,7 @@ impl Frame {
     /// The axis that points up in the particles, as it was asked for or by the kind of file.
     #[must_use]
     pub fn particles_up(&self) -> UpAxis {
-        self.ready.checked.asked.particles_up.unwrap_or(self.up)
+        self.ready.checked.settings.particles_up.unwrap_or(self.up)
     }
 
     /// Draws the surface that was asked for when the particles were sampled.
@@ -107,8 +107,10 @@ impl Frame {
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.dif().map(|sampled| sampled.indicator.kind());
-        checked.asked.refuse_of_sampled(&Asked { indicator: kind, ..self.ready.checked.asked.clone() })?;
-        kind.map_or(Ok(()), |kind| checked.asked.refuse_of_others(kind))?;
+        checked
+            .settings
+            .refuse_of_sampled(&Settings { indicator: kind, ..self.ready.checked.settings.clone() })?;
+        kind.map_or(Ok(()), |kind| checked.settings.refuse_of_others(kind))?;
         checked.resources = self.ready.checked.resources.clone();
         checked.resources.control = request.control.clone();
         self.draw(&Arc::new(checked), Timings::default())
@@ -131,9 +133,9 @@ impl Frame {
         report.warnings = with_doubts(report.cells.as_ref(), take(&mut report.warnings));
         report.threads = threads.current_num_threads();
         checked.go_on()?;
-        let (threads, asked) = (threads.into(), checked.asked.clone());
+        let (threads, settings) = (threads.into(), checked.settings.clone());
         let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
-        Ok(Surface { drawn, threads, asked, control, memory, particles_up: self.up })
+        Ok(Surface { drawn, threads, settings, control, memory, particles_up: self.up })
     }
 
     /// Writes the frame's samples to a file, to be drawn later.
@@ -144,7 +146,7 @@ impl Frame {
         let Ready { checked, threads } = &self.ready;
         let Some(sampled) = self.sampled.engine.dif() else {
             let with = Conflict::Packed(output.path().to_owned());
-            return Err(Unfit { setting: Setting::Method, with }.into());
+            return Err(Unfit { setting: Setting::named("method"), with }.into());
         };
         checked.resources.control.begins(Stage::Writing);
         let mut timings = self.timings.clone();

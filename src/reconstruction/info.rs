@@ -21,7 +21,9 @@ use crate::particles::{AttributeInfo, Particles, bounds};
 use crate::surface::mesh::measure::measure;
 use crate::system::memory::default_memory;
 
-use super::{Attributes, Cells, SamplingRequest, Slab, Source, SpacingSource};
+use crate::settings::Settings;
+
+use super::{Cells, SamplingRequest, Slab, Source, SpacingSource};
 
 /// Contents of a file.
 #[derive(Debug, Clone, Serialize)]
@@ -239,7 +241,7 @@ fn memory(particles: &impl Particles, cells: &Cells) -> Option<u64> {
     let request = request.in_slab(cells.slab);
     let resources = Resources::new(MemoryBudget(u64::MAX), PathBuf::new());
     let grid = request.grid_of(cells).ok()?;
-    let carried = Attributes::Velocity.among(particles.attributes()).ok()?;
+    let carried = Settings::default().carried(particles.attributes(), None).ok()?;
     let sampling = request.sampling_on(grid, request.field, cells.spacing(), carried, resources).ok()?;
     let counted = Counted::of(particles, &sampling).ok()?;
     Some(counted.estimate().in_core())

@@ -3,7 +3,6 @@
 //! Limits are in `limits.md`, a page of the docs.
 
 pub mod as_numbers;
-mod asked;
 mod attributes;
 mod builder;
 mod cells;
@@ -26,9 +25,6 @@ mod threads;
 mod warning;
 mod width;
 
-pub use asked::Settings;
-pub(crate) use asked::differing;
-pub use attributes::Attributes;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Slab, Source};
 pub(crate) use checked::{Checked, Ready};

@@ -68,15 +68,15 @@ impl Ready {
         checked.resources.control.begins(Stage::Reading);
         let input = self.threads.install(|| {
             if is_packed(path) {
-                checked.asked.refuse_of_packed(path)?;
+                checked.settings.refuse_of_packed(path)?;
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?
                     .with_scratch(&checked.resources.scratch);
                 timings.done("open");
-                checked.asked.refuse_of_others(sampled.indicator.kind())?;
+                checked.settings.refuse_of_others(sampled.indicator.kind())?;
                 return Ok(Input::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
-            let file = open_wanted(path, checked.asked.wanted(), checked.unpacking())?;
+            let file = open_wanted(path, checked.settings.wanted(), checked.unpacking())?;
             timings.done("open");
             let source = Source { path: Some(path), spacing: file.spacing };
             let chosen = checked.choose_and_plan(&file.particles, source);
@@ -102,7 +102,7 @@ impl Checked {
         particles: &(impl Particles + ?Sized),
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
-        let carried = self.asked.carried(particles.attributes(), None)?;
+        let carried = self.settings.carried(particles.attributes(), None)?;
         self.sampling.sampling(particles, source, carried, self.resources.clone())
     }
 
@@ -112,7 +112,7 @@ impl Checked {
         particles: &(impl Particles + ?Sized),
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
-        let carried = self.asked.carried(particles.attributes(), None)?;
+        let carried = self.settings.carried(particles.attributes(), None)?;
         self.sampling.sampling_and_plan(particles, source, carried, self.resources.clone())
     }
 }
@@ -188,7 +188,7 @@ impl Opened {
         let plan = estimate.plan(resources.budget);
         // Two passes hold the triangles that are left as three numbers of 64 bits.
         let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
-        let holds = checked.asked.holds_whole_mesh(format);
+        let holds = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {
             census,
             cell_size: chosen.sampling.grid.cell_size(),

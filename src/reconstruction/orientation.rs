@@ -9,7 +9,7 @@ use crate::surface::mesh::bounds::Bounds;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::up::Turned;
 
-use super::asked::Asked;
+use crate::settings::Settings;
 
 /// The axes that point up, from particles to what programs show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub fn usual_up(input: &Path) -> UpAxis {
     if name.trim_end_matches(".gz").ends_with(".bi4") { UpAxis::Z } else { UpAxis::Y }
 }
 
-impl Asked {
+impl Settings {
     /// The axes of a mesh in a format, of particles whose usual axis is known.
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);

@@ -14,7 +14,7 @@ use crate::system::cancel::{Cancel, Unfinished};
 use crate::system::timings::Timings;
 
 use super::SinglePrecision;
-use super::asked::Asked;
+use crate::settings::Settings;
 
 /// A mesh file that is going to be written: whole or not at all.
 #[derive(Debug)]
@@ -79,14 +79,14 @@ pub(crate) fn coordinate_width(
 impl Output {
     /// Makes sure that a file can be written, and can hold what is asked for.
     pub(crate) fn prepare(
-        asked: &Asked,
+        settings: &Settings,
         path: &Path,
         replace: Replace,
         cancel: &Cancel,
     ) -> Result<Self, Error> {
         let prepare = || MeshOutput::prepare(path, replace);
         let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
-        asked.refuse_of_format(path, file.format())?;
+        settings.refuse_of_format(path, file.format())?;
         Ok(Self { file, unfinished, path: path.to_owned() })
     }
 

@@ -17,7 +17,15 @@ impl Reconstruction {
     /// [`Error::Unit`], [`Error::Unfit`], [`Error::Domain`], [`Error::LittleMemory`] and [`Error::Threads`].
     pub fn check(&self, input: impl AsRef<Path>) -> Result<(), Error> {
         let (checked, input) = (self.checked()?, input.as_ref());
-        if is_packed(input) { self.asked.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
+        if is_packed(input) { self.settings.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
+    }
+
+    /// Refuses settings of a surface, which a frame that is only to be packed has not.
+    ///
+    /// # Errors
+    /// [`Error::Unfit`].
+    pub fn check_packing(&self) -> Result<(), Error> {
+        self.settings.refuse_of_packing()
     }
 
     /// Reconstructs the surface of particles in memory.
@@ -59,7 +67,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
     pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
-        Output::prepare(&self.asked, path.as_ref(), replace, &self.control.cancel)
+        Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)
     }
 
     /// Makes sure, before the work, that a packed frame can be written.

@@ -18,12 +18,12 @@ use crate::system::cancel::Cancel;
 use crate::system::control::{Control, Stage};
 
 use super::SinglePrecision;
-use super::asked::Asked;
 use super::draw::{Drawn, Kept};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
 use super::threads::Threads;
 use super::warning::Warning;
+use crate::settings::Settings;
 
 /// Pixels of a preview.
 #[cfg(feature = "pictures")]
@@ -34,7 +34,7 @@ pub struct Surface {
     pub(crate) drawn: Drawn,
     /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be kept for long.
     pub(crate) threads: Threads,
-    pub(crate) asked: Asked,
+    pub(crate) settings: Settings,
     /// Whoever had it drawn.
     pub(crate) control: Control,
     /// Memory that may be used for it.
@@ -76,7 +76,7 @@ impl Surface {
     /// [`Error::Picture`] and [`Error::Threads`].
     #[cfg(feature = "pictures")]
     pub fn picture(&self, picture: &Picture) -> Result<Image, Error> {
-        let picture = picture.clone().up(self.asked.particles_up.unwrap_or(self.particles_up));
+        let picture = picture.clone().up(self.settings.particles_up.unwrap_or(self.particles_up));
         let picture = picture.memory_unless_said(self.memory.0 / 2);
         let threads = self.threads.started().map_err(Error::Threads)?;
         let drawn = threads.install(|| picture.draw(self.mesh()));
@@ -114,7 +114,7 @@ impl Surface {
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.write_to(Output::prepare(&self.asked, path.as_ref(), Replace::Refuse, &Cancel::new())?)
+        self.write_to(Output::prepare(&self.settings, path.as_ref(), Replace::Refuse, &Cancel::new())?)
     }
 
     /// Writes the mesh in place of a file that may be there.
@@ -122,7 +122,7 @@ impl Surface {
     /// # Errors
     /// Those of [`write`](Self::write).
     pub fn overwrite(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
-        self.write_to(Output::prepare(&self.asked, path.as_ref(), Replace::Allow, &Cancel::new())?)
+        self.write_to(Output::prepare(&self.settings, path.as_ref(), Replace::Allow, &Cancel::new())?)
     }
 
     /// Writes the mesh to a file that was made ready before the work, and returns its size in bytes.
@@ -131,9 +131,9 @@ impl Surface {
     /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the file ready.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
-        let orientation = self.asked.orientation(self.particles_up, format);
+        let orientation = self.settings.orientation(self.particles_up, format);
         let width = coordinate_width(self.drawn.precision, format, output.path())?;
-        let output = output.with_layout(self.asked.layout(orientation));
+        let output = output.with_layout(self.settings.layout(orientation));
         let turned = orientation.turned(self.mesh());
         self.control.begins(Stage::Writing);
         let threads = self.threads.started().map_err(Error::Threads)?;

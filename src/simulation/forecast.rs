@@ -144,8 +144,8 @@ impl Setup<'_> {
         let path = &largest.path;
         let resources = &checked.resources;
         let unpacking = Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch };
-        let file = open_wanted(path, checked.asked.wanted(), unpacking)?;
-        let carried = checked.asked.carried(file.particles.attributes(), Some(self.format(largest)?));
+        let file = open_wanted(path, checked.settings.wanted(), unpacking)?;
+        let carried = checked.settings.carried(file.particles.attributes(), Some(self.format(largest)?));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let sampling = self.sampling(frozen, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);

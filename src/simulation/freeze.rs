@@ -35,7 +35,7 @@ impl Setup<'_> {
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
         let (frozen, file) = self.freeze(frames, resources)?;
-        let state = State::new(self.checked.asked.settings(), frozen);
+        let state = State::new(self.checked.settings.kept(), frozen);
         self.checked.resources.control.cancel.undisturbed(|| store.save(&state))?;
         Ok((state, file))
     }
@@ -131,9 +131,9 @@ impl Setup<'_> {
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         if is_packed(path) {
-            self.checked.asked.refuse_of_packed(path)?;
+            self.checked.settings.refuse_of_packed(path)?;
             let sampled = open_frame(path, resources.budget.0 / 4)?.with_scratch(&resources.scratch);
-            self.checked.asked.refuse_of_others(sampled.indicator.kind())?;
+            self.checked.settings.refuse_of_others(sampled.indicator.kind())?;
             let measured = measure_sampled(&sampled, &self.checked.surfacing, false);
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let frozen = frozen(frame.number, input, sampled.facts.spacing, None, None, measured);
@@ -141,7 +141,7 @@ impl Setup<'_> {
         }
         let file = open_wanted(
             path,
-            self.checked.asked.wanted(),
+            self.checked.settings.wanted(),
             Unpacking { in_memory: resources.budget.0 / 8, scratch: &resources.scratch },
         )?;
         let request = &self.checked.sampling;

@@ -111,10 +111,10 @@ impl LiveSimulation {
             self.ready.checked.go_on()?;
             Ok::<_, Error>(drawn)
         })?;
-        let Checked { asked, resources, .. } = &*self.ready.checked;
-        let (asked, control) = (asked.clone(), resources.control.clone());
+        let Checked { settings, resources, .. } = &*self.ready.checked;
+        let (settings, control) = (settings.clone(), resources.control.clone());
         let memory = resources.budget;
-        Ok(Surface { drawn, threads: (&threads).into(), asked, control, memory, particles_up: UpAxis::Y })
+        Ok(Surface { drawn, threads: (&threads).into(), settings, control, memory, particles_up: UpAxis::Y })
     }
 
     fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
@@ -133,7 +133,7 @@ impl LiveSimulation {
             let (particles, why) = (particles.len(), Untold::TooFew);
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
-        let carried = checked.asked.carried(particles.attributes(), None)?;
+        let carried = checked.settings.carried(particles.attributes(), None)?;
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
@@ -176,8 +176,8 @@ impl LiveSimulation {
 
     /// The mesh of a frame without a surface, with what vertices would carry.
     fn empty(&self, particles: &(impl Particles + ?Sized), facts: FrameFacts) -> Result<Drawn, Error> {
-        let Checked { asked, surfacing, resources, .. } = &*self.ready.checked;
-        let carried = asked.carried(particles.attributes(), None)?;
+        let Checked { settings, surfacing, resources, .. } = &*self.ready.checked;
+        let carried = settings.carried(particles.attributes(), None)?;
         let infos = carried_infos(particles.attributes(), &carried);
         let mesh = Kept::Empty(empty_mesh(surfacing.normals, infos));
         let report = Report::of_facts(facts, None, surfacing, resources.backend.name());

@@ -96,17 +96,18 @@ impl Conversion<'_> {
         let replace = if allowed { Replace::Allow } else { Replace::Refuse };
         let target = self.output(frame);
         refuse_same_file(&target, file_and_step(path).0)?;
-        let orientation = checked.asked.orientation(usual_up(path), self.format);
-        let output = Output::prepare(&checked.asked, &target, replace, self.cancel())?;
-        let output = output.with_layout(checked.asked.layout(orientation));
+        let orientation = checked.settings.orientation(usual_up(path), self.format);
+        let output = Output::prepare(&checked.settings, &target, replace, self.cancel())?;
+        let output = output.with_layout(checked.settings.layout(orientation));
         stage(Stage::Reading);
         let particles = if is_packed(path) {
-            checked.asked.refuse_of_packed(path)?;
+            checked.settings.refuse_of_packed(path)?;
             None
         } else {
             let scratch = &checked.resources.scratch;
             let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
-            let file = particles.map_or_else(|| open_wanted(path, checked.asked.wanted(), unpacking), Ok)?;
+            let file =
+                particles.map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
             timings.done("open");
             Some(file)
         };
@@ -203,7 +204,7 @@ impl Conversion<'_> {
         let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
         timings.done("open");
         let Setup { checked, .. } = self.setup;
-        checked.asked.refuse_of_others(sampled.indicator.kind())?;
+        checked.settings.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Frame::from_sampled(sampled, &checked.surfacing, resources);
         Ok(Ready { frame: Some(frame), left_out: LeftOut::default(), infos: Vec::new(), time: None, permit })
@@ -218,11 +219,11 @@ impl Conversion<'_> {
         stage: &dyn Fn(Stage),
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
-        let Checked { asked, surfacing, resources, .. } = self.setup.checked;
+        let Checked { settings, surfacing, resources, .. } = self.setup.checked;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
-        let carried = asked.carried(file.particles.attributes(), Some(self.format));
+        let carried = settings.carried(file.particles.attributes(), Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
         let infos = carried_infos(file.particles.attributes(), &carried);
         let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
@@ -264,8 +265,8 @@ impl Conversion<'_> {
     /// The part of a lane's memory that is left for the frame, where as much as its surface takes is needed beside it: for the
     /// triangles that are left, or for a writer that holds them all.
     fn frame_budget(&self, lane: MemoryBudget) -> MemoryBudget {
-        let Checked { asked, reduction, .. } = self.setup.checked;
-        let holds = asked.holds_whole_mesh(self.format);
+        let Checked { settings, reduction, .. } = self.setup.checked;
+        let holds = settings.holds_whole_mesh(self.format);
         if self.division.lanes > 1 && (holds || !reduction.is_none()) {
             MemoryBudget(lane.0 / 2)
         } else {

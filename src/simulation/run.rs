@@ -184,7 +184,7 @@ impl Simulation {
         let format = setup.format(first)?;
         let simulation = naming.simulation(first);
         let store = Store::beside(&simulation);
-        let up = setup.checked.asked.orientation(usual_up(&first.path), format).shown;
+        let up = setup.checked.settings.orientation(usual_up(&first.path), format).shown;
         let series = Series { format, simulation, fps: self.fps, up };
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();

@@ -95,7 +95,7 @@ impl Setup<'_> {
         let path = self.naming.path(first);
         let unknown = || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
-        self.checked.asked.refuse_of_format(&self.simulation.output, format)?;
+        self.checked.settings.refuse_of_format(&self.simulation.output, format)?;
         Ok(format)
     }
 
@@ -145,7 +145,7 @@ impl Setup<'_> {
             found => found?,
         };
         let Some(state) = state else { return Ok(None) };
-        let mut differing = state.differing(&self.checked.asked.settings());
+        let mut differing = state.differing(&self.checked.settings.kept());
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
         if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)
         {

@@ -32,9 +32,9 @@ impl Simulation {
         if path.exists() {
             drop(PictureFile::prepare(&path, replace)?);
         }
-        let asked = &self.request.asked;
+        let settings = &self.request.settings;
         let usual = || self.inputs.first().map_or(UpAxis::Y, |input| usual_up(input));
-        let up = asked.up.or(asked.particles_up).unwrap_or_else(usual);
+        let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
         let pictures = Pictures::new(picture, [&self.output], &path).replace(replace);
         Ok(Sheet { pictures: pictures.cancel(self.request.control.cancel.clone()), path })

@@ -6,17 +6,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
 
 use crate::io::whole::{make_folder, replace_small};
-use crate::reconstruction::differing;
+use crate::settings::{Kept, differing};
 
 use super::frozen::Frozen;
 use super::records::Log;
 use crate::error::SimulationError;
-
-/// Settings by the names of the options.
-pub type Settings = Map<String, Value>;
 
 /// The state of a simulation: all that its frames have in common.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,7 +20,7 @@ pub struct State {
     /// The version of this library.
     pub meniscus: String,
     /// The settings of the request.
-    pub settings: Settings,
+    pub settings: Kept,
     /// The measurements.
     pub frozen: Frozen,
 }
@@ -32,7 +28,7 @@ pub struct State {
 impl State {
     /// By this version.
     #[must_use]
-    pub fn new(settings: Settings, frozen: Frozen) -> Self {
+    pub fn new(settings: Kept, frozen: Frozen) -> Self {
         Self { meniscus: env!("CARGO_PKG_VERSION").into(), settings, frozen }
     }
 
@@ -44,7 +40,7 @@ impl State {
 
     /// The names of the settings that differ from `wanted`, for people; empty where none does.
     #[must_use]
-    pub fn differing(&self, wanted: &Settings) -> String {
+    pub fn differing(&self, wanted: &Kept) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
 }
@@ -156,7 +152,7 @@ mod tests {
             let (mean, iso) = (MeanCount::new(7.0 / 3.0).ok(), Isovalue::of_plateau(theta));
             for calibration in [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
-                let state = State::new(Settings::new(), frozen(calibration));
+                let state = State::new(Kept::new(), frozen(calibration));
                 store.save(&state).unwrap();
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);

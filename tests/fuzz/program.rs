@@ -11,8 +11,6 @@ mod info;
 mod inspect;
 #[path = "../../src/bin/meniscus/interrupt.rs"]
 mod interrupt;
-#[path = "../../src/bin/meniscus/method.rs"]
-mod method;
 #[path = "../../src/bin/meniscus/notes.rs"]
 mod notes;
 #[path = "../../src/bin/meniscus/one_frame.rs"]
@@ -37,8 +35,6 @@ mod render;
 mod report;
 #[path = "../../src/bin/meniscus/run.rs"]
 mod run;
-#[path = "../../src/bin/meniscus/sampling.rs"]
-mod sampling;
 #[path = "../../src/bin/meniscus/say.rs"]
 mod say;
 #[path = "../../src/bin/meniscus/shells.rs"]

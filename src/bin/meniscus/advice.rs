@@ -2,12 +2,11 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Conflict, Error, FrameError, IndicatorKind, PartsError, ReadFault, Remedy, Setting,
-    SimulationError, TooFine, Unfit, UnitError, Unread, Untold, WriteFault, shown, significant,
+    BinError, Error, FrameError, PartsError, ReadFault, Remedy, Setting, SimulationError, TooFine, Unread,
+    Untold, WriteFault, shown, significant,
 };
 use meniscus::{Doubt, Emptiness, Mistake, SpacingSource, TooSmall, Warning};
 
-use crate::method::MethodName;
 use crate::options::Options;
 
 /// Says an error, and what to do about it.
@@ -23,22 +22,9 @@ pub fn told(error: &Error) -> String {
 /// An error about options, in their names.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
-        Error::Unfit(unfit) => unfit_options(unfit),
-        Error::Unit(UnitError::Smooth(_)) => format!("--{error}"),
-        Error::Unit(UnitError::Isovalue(_)) => format!("--iso: {error}"),
-        Error::Unit(UnitError::Tolerance(_)) => format!("--simplify: {error}"),
-        Error::Unit(UnitError::Volume(value)) => {
-            format!("--smallest-component must be a positive volume; {value} is not")
-        }
-        Error::Unit(UnitError::Length { what, value }) => {
-            let option = match *what {
-                "the spacing" => "--spacing",
-                "the cell size" => "--cell-size",
-                "the cell size in spacings" => "--cell",
-                other => other,
-            };
-            format!("{option} must be positive and finite; {value} is not")
-        }
+        Error::Unfit(unfit) => unfit.told(&option),
+        // The message begins with the setting.
+        Error::Unit(unit) => format!("--{unit}"),
         Error::LittleMemory { least, simplifying: None } => {
             format!("--memory must be at least {}", ByteSize(*least))
         }
@@ -46,10 +32,7 @@ fn in_options(error: &Error) -> Option<String> {
             "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
             ByteSize(*least)
         ),
-        Error::Simulation(SimulationError::Rate(_)) => error.to_string().replace("frames a second", "--fps"),
-        Error::Simulation(SimulationError::Wait(seconds)) => {
-            format!("--watch takes seconds; {seconds} are none")
-        }
+        Error::Simulation(SimulationError::Rate(_) | SimulationError::Wait(_)) => format!("--{error}"),
         Error::Simulation(SimulationError::Steps(inputs)) => {
             format!("{inputs}: --watch follows files, and not the steps of one")
         }
@@ -63,57 +46,9 @@ fn in_options(error: &Error) -> Option<String> {
     })
 }
 
-/// The option that a setting is given by.
-fn option(setting: Setting) -> &'static str {
-    match setting {
-        Setting::Spacing => "--spacing or --radius",
-        Setting::CellSize => "--cell-size",
-        Setting::Cell => "--cell",
-        Setting::Origin => "--origin",
-        Setting::Domain => "--domain",
-        Setting::Periodic => "--periodic",
-        Setting::Indicator => "--indicator",
-        Setting::Mu0 => "--mu0",
-        Setting::SkipInvalid => "--skip-invalid",
-        Setting::ParticleType => "--particle-type",
-        Setting::Method => "--method",
-        Setting::Smooth => "--smooth",
-        Setting::Sigma => "--sigma",
-        Setting::Iso => "--iso",
-        Setting::Detail => "--detail",
-        Setting::Normals => "--normals",
-        Setting::Attributes => "--attributes",
-        Setting::Compression => "--compress",
-        Setting::Up => "--up",
-        Setting::Parts => "--parts",
-        _ => "an option",
-    }
-}
-
-fn unfit_options(unfit: &Unfit) -> String {
-    let given = option(unfit.setting);
-    match (&unfit.with, unfit.setting) {
-        (Conflict::Indicator(kind), Setting::Mu0) => {
-            format!("{given} has no meaning for --indicator {}", kind.name())
-        }
-        (Conflict::Indicator(IndicatorKind::Cloud), setting) => format!(
-            "{given} is for --indicator counting and symmetry{}: the surface lies where distances told by clouds are 0, and \
-             --smooth says how calm it is",
-            if setting == Setting::Iso { ", and for --method mueller and yu-turk" } else { "" }
-        ),
-        (Conflict::Indicator(_), _) => {
-            format!("{given} is for --indicator cloud: --sigma says how smooth the surface of others is")
-        }
-        (Conflict::Method(_), _) => format!("{given} has no meaning for this --method"),
-        (Conflict::Packed(path), _) => format!("{}: {given} needs the particles themselves", path.display()),
-        (Conflict::Format { path, .. }, Setting::Compression) => {
-            format!("{}: --compress goes with .glb", path.display())
-        }
-        (Conflict::Format { .. }, Setting::Up) => {
-            "--up z: in a .glb y points up; --particles-up z says that the particles have z up".into()
-        }
-        _ => unfit.to_string(),
-    }
+/// A setting by its option.
+fn option(setting: Setting) -> String {
+    format!("--{setting}")
 }
 
 fn advice(error: &Error) -> String {
@@ -224,9 +159,9 @@ fn on_shortfall(options: Option<&Options>, clouds: bool, measured_on: Option<u64
         let what = if clouds { "its plateau" } else { "its isovalue" };
         advice += &format!("; {what} was measured on frame {frame}");
     }
-    if options.is_some_and(Options::iso_given) {
+    if options.is_some_and(|options| options.settings.isovalue().is_some()) {
         advice += "; a lower --iso, or --iso auto, shows more";
-    } else if options.is_some_and(|options| options.method == MethodName::Dif) && !clouds {
+    } else if options.is_some_and(|options| options.settings.kernels().is_none()) && !clouds {
         advice += "; --indicator cloud keeps drops and sheets that smoothing loses";
     }
     advice + "; is their --spacing right?"

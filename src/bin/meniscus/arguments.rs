@@ -1,6 +1,7 @@
 //! The commands that there are, each with its options.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use meniscus::Settings;
 
 use crate::{devices, info, inspect, options, pack, render, shells};
 
@@ -32,4 +33,26 @@ pub enum Command {
     Completions(shells::CompletionOptions),
     /// Write the manual's pages, for man.
     Manual(shells::ManualOptions),
+}
+
+impl Arguments {
+    /// Reads the command line, and ends the program where it is wrong or asks for help.
+    pub fn of_command_line() -> Self {
+        let mut command = Self::as_command();
+        let matches = command.clone().get_matches();
+        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
+    }
+
+    /// The commands and options, as help, completions and manual pages show them: `pack` takes settings of a surface only to refuse
+    /// them with a reason.
+    pub fn as_command() -> clap::Command {
+        let is_of_surface =
+            |id: &str| Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples());
+        Self::command().mut_subcommand("pack", |pack| {
+            pack.mut_args(|arg| {
+                let hide = is_of_surface(arg.get_id().as_str());
+                if hide { arg.hide(true) } else { arg }
+            })
+        })
+    }
 }

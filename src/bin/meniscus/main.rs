@@ -7,7 +7,6 @@ mod devices;
 mod info;
 mod inspect;
 mod interrupt;
-mod method;
 mod notes;
 mod one_frame;
 mod options;
@@ -20,7 +19,6 @@ mod reconstruct;
 mod render;
 mod report;
 mod run;
-mod sampling;
 mod say;
 mod shells;
 mod simulation;
@@ -29,7 +27,6 @@ mod stats;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser};
 use meniscus::Cause;
 
 use arguments::{Arguments, Command};
@@ -37,7 +34,7 @@ use outcome::Verdict;
 
 fn main() -> ExitCode {
     allocator::keep_freed();
-    let Arguments { command } = Arguments::parse();
+    let Arguments { command } = Arguments::of_command_line();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),
         Command::Pack(options) => pack::run(&options),
@@ -46,8 +43,8 @@ fn main() -> ExitCode {
         Command::Check(options) => inspect::check(&options),
         Command::Compare(options) => inspect::compare(&options),
         Command::Render(options) => render::run(&options),
-        Command::Completions(options) => shells::completions(&options, Arguments::command()),
-        Command::Manual(options) => shells::manual(&options, Arguments::command()),
+        Command::Completions(options) => shells::completions(&options, Arguments::as_command()),
+        Command::Manual(options) => shells::manual(&options, Arguments::as_command()),
     };
     match verdict {
         Ok(Verdict::Good) => ExitCode::SUCCESS,

@@ -53,7 +53,7 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let preview = options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
 
     // What the file cannot hold need not be carried.
-    let carries = options.attributes.is_some() || output.format().holds_attributes();
+    let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
     Ok(Ready { request, output, preview, notes })
 }

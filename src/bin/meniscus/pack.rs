@@ -5,14 +5,13 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use clap::Args;
 use meniscus::files::Replace;
-use meniscus::{Error, Reconstruction};
+use meniscus::{Error, Reconstruction, Settings};
 
 use crate::interrupt;
 use crate::one_frame::refuse_same_file;
 use crate::outcome::Verdict;
 use crate::report::{report_census, report_opened, report_stages, warn_all};
 use crate::run::{RunOptions, bytes_of};
-use crate::sampling::SamplingOptions;
 
 #[derive(Args)]
 pub struct Options {
@@ -22,16 +21,17 @@ pub struct Options {
     #[arg(short, long)]
     output: PathBuf,
     #[command(flatten)]
-    sampling: SamplingOptions,
+    settings: Settings,
     #[command(flatten)]
     run: RunOptions,
 }
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let Options { input, output, sampling, run } = options;
+    let Options { input, output, settings, run } = options;
     let notes = run.notes();
-    let request = sampling.request(Reconstruction::new())?;
+    let request = Reconstruction::by(settings.clone());
+    request.check_packing()?;
     request.check(input)?;
     // A frame carries no attributes.
     let request = request.attributes([""; 0]).cancel(interrupt::handle());

@@ -9,11 +9,10 @@ use clap::builder::ArgPredicate;
 use meniscus::files::Replace;
 use meniscus::mesh::read_mesh;
 use meniscus::picture::{Colour, ColourMap, Picture, Pictures, Reference, View};
-use meniscus::{Error, default_memory};
+use meniscus::{Error, UpAxis, default_memory};
 
 use crate::interrupt;
 use crate::notes::Notes;
-use crate::options::Axis;
 use crate::outcome::Verdict;
 
 #[derive(Args)]
@@ -33,8 +32,8 @@ pub struct Options {
     #[arg(long, value_name = "NUMBERS", value_delimiter = ',', allow_hyphen_values = true)]
     camera: Option<Vec<f64>>,
     /// The axis that points up.
-    #[arg(long, value_enum, default_value_t = Axis::Y)]
-    up: Axis,
+    #[arg(long, value_enum, default_value_t = UpAxis::Y)]
+    up: UpAxis,
     /// Show the floor of the box, and the shadow on it.
     #[arg(long)]
     ground: bool,
@@ -69,7 +68,7 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let notes = Notes::new(options.quiet, false);
     let memory = options.memory.map_or_else(|| default_memory().0, |size| size.as_u64());
     let mut picture = Picture::new()
-        .up(options.up.into())
+        .up(options.up)
         .ground(options.ground)
         .wireframe(options.wireframe)
         .colour(options.colour()?);

@@ -49,13 +49,13 @@ pub fn report(options: &Options, report: &Report, mesh: &dyn MeshSource, notes: 
     report.measured.iter().for_each(|measured| report_calibration(report, measured, options, notes));
     report_census(&report.facts.census, notes);
     let Some(left_out) = report.too_small else { return };
-    if let Some(volume) = options.smallest_component {
+    if let Some(volume) = options.settings.smallest_component {
         notes.say(format!("{} components of less than {volume} cells left out", left_out.components));
     }
-    if let Some(particles) = options.smallest_drop.filter(|&particles| particles > 1) {
+    if let Some(particles) = options.settings.smallest_drop.filter(|&particles| particles > 1) {
         notes.say(too_small(left_out.drops, particles));
     }
-    if let Some(tolerance) = options.simplify {
+    if let Some(tolerance) = options.settings.simplify {
         let whole = report.whole_triangles;
         let share = 100.0 * mesh.triangle_count() as f64 / whole as f64;
         notes.say(format!("simplified within {tolerance} cells: {share:.1} % of {whole} triangles"));
@@ -86,7 +86,7 @@ fn report_calibration(report: &Report, measured: &Calibrated, options: &Options,
     let share = f64::from(Isovalue::PLATEAU_PERCENT) / 100.0;
     let [iso, fluid] = [iso, plateau.fraction()].map(|value| significant(value, 4));
     match plateau {
-        _ if options.iso_given() => {}
+        _ if options.settings.isovalue().is_some() => {}
         Plateau::Interior { .. } => {
             notes.say(format!("isovalue {iso}, {share} of the interior plateau {fluid}"));
         }

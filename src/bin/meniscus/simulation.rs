@@ -172,7 +172,7 @@ impl Teller<'_> {
         }
         notes.say(event.to_string());
         let left_out = &summary.left_out;
-        if let Some(particles) = self.options.smallest_drop.filter(|&particles| particles > 1) {
+        if let Some(particles) = self.options.settings.smallest_drop.filter(|&particles| particles > 1) {
             notes.say(too_small(left_out.drops, particles));
         }
         report_census(&left_out.census, notes);

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use meniscus::error::WriteError;
-use meniscus::{Error, FrameDone, FrameFailed, Report, Timings, peak_memory};
+use meniscus::{Error, FrameDone, FrameFailed, MethodName, Report, Timings, peak_memory};
 use serde_json::{Map, Value, json};
 
 use crate::advice::told;
@@ -85,10 +85,10 @@ pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
         "periodic": facts.periodic.map(|periodic| periodic.faces()),
         "input": input,
         "output": output,
-        "method": options.method,
-        "simplify": options.simplify,
-        "smallest_component": options.smallest_component,
-        "smallest_drop": options.smallest_drop,
+        "method": options.settings.method.unwrap_or(MethodName::Dif),
+        "simplify": options.settings.simplify,
+        "smallest_component": options.settings.smallest_component,
+        "smallest_drop": options.settings.smallest_drop,
         "vertices": vertices,
         "triangles": triangles,
         "output_bytes": bytes,
@@ -106,7 +106,7 @@ pub fn record(options: &Options, report: &Report, made: &Made<'_>) -> Value {
             "mu0": indicator.mean().map(|mean| mean.particles()),
             "smooth": report.smooth,
             "sigma": report.sigma,
-            "detail": options.detail,
+            "detail": options.settings.detail,
             "pages_on_device": report.on_device.pages,
             "regions_on_device": report.on_device.regions,
         }),

@@ -28,12 +28,16 @@ pub use cpu::{DISTANCE_SCALE, THETA_PER_DISTANCE, indicate, symmetry};
 pub use sampled::SampledDif;
 pub use wide::WideCells;
 
+use serde::{Deserialize, Serialize};
+
 use crate::brick::{BrickSide, DifField, PageShape};
 use crate::grid::CellBox;
 use crate::grid::units::{FULL, MeanCount};
 
 /// The kinds of indicators.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum IndicatorKind {
     /// By how far a cell's particles lie from its centre on average (eq. 7).
     Symmetry,

@@ -281,7 +281,7 @@ fn read_facts(cursor: &mut Cursor<'_>) -> Result<(FrameFacts, Indicator, u64), R
     let mean = || MeanCount::new(mean).map_err(|e| fault(&e));
     let spacing = match cursor.f64("the spacing")? {
         0.0 => None,
-        spacing => Some(positive_length("the spacing", spacing).map_err(|e| fault(&e))?),
+        spacing => Some(positive_length("spacing", spacing).map_err(|e| fault(&e))?),
     };
     let indicator = match indicator {
         0 => Indicator::Symmetry,

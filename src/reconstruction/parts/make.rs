@@ -94,11 +94,11 @@ impl Parts {
                 PartsError::Changed { input, plan }
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);
-            let wanted_of_input = Wanted { pieces, ..checked.asked.wanted() };
+            let wanted_of_input = Wanted { pieces, ..checked.settings.wanted() };
             let mut file = open_wanted(&self.input, wanted_of_input, checked.unpacking())?;
             timings.done("open");
             let attributes = file.particles.attributes();
-            let carried = checked.asked.carried(attributes, None)?;
+            let carried = checked.settings.carried(attributes, None)?;
             if !reading.is_of(&file.particles) || carried_infos(attributes, &carried) != plan.attributes {
                 return Err(changed().into());
             }

@@ -104,7 +104,7 @@ impl Parts {
         checked.go_on()?;
         checked.resources.control.begins(Stage::Reading);
         let measured = threads.install(|| {
-            let file = open_wanted(input, checked.asked.wanted(), checked.unpacking())?;
+            let file = open_wanted(input, checked.settings.wanted(), checked.unpacking())?;
             timings.done("open");
             let source = Source { path: Some(input), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, source)?;
@@ -154,7 +154,7 @@ impl Parts {
         let parts = shares(&bins, &cuts, &shared);
         let plan = Plan {
             meniscus: env!("CARGO_PKG_VERSION").into(),
-            settings: checked.asked.settings(),
+            settings: checked.settings.kept(),
             calibrated: checked.calibration.is_some(),
             input: stamp,
             particles: particles.len(),

@@ -58,10 +58,10 @@ impl Parts {
         });
         let mut drawn = drawn?;
         drawn.report.timings = timings;
-        let asked = checked.asked.clone();
+        let settings = checked.settings.clone();
         let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
         let (threads, particles_up) = ((&threads).into(), usual_up(&self.input));
-        Ok(Surface { drawn, threads, asked, particles_up, control, memory })
+        Ok(Surface { drawn, threads, settings, particles_up, control, memory })
     }
 }
 

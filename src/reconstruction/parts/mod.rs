@@ -199,17 +199,17 @@ impl Parts {
         }
         if is_packed(&self.input) {
             let with = Conflict::Packed(self.input.clone());
-            return Err(Unfit { setting: Setting::Parts, with }.into());
+            return Err(Unfit { setting: Setting::named("parts"), with }.into());
         }
-        if let Some(method) = checked.asked.baseline {
-            return Err(Unfit { setting: Setting::Parts, with: Conflict::Method(method) }.into());
+        if let Some(method) = checked.settings.kernels() {
+            return Err(Unfit { setting: Setting::named("parts"), with: Conflict::Method(method) }.into());
         }
         checked.refuse_of_indicator()?;
         refuse_same_file(&self.output, file_and_step(&self.input).0)?;
         if self.output.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(PartsError::NoFile(self.output.clone()).into());
         }
-        let kind = checked.asked.indicator.unwrap_or_default();
+        let kind = checked.settings.indicator.unwrap_or_default();
         let asked = checked.sampling.field.indicator().unwrap_or(kind.into());
         Ok(Begun { checked, folder: self.folder(), asked })
     }

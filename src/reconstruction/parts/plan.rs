@@ -18,9 +18,9 @@ use crate::io::ReadError;
 use crate::io::stamp::Stamp;
 use crate::io::whole::{make_folder, replace_small};
 use crate::particles::AttributeInfo;
-use crate::reconstruction::asked::{Settings, differing};
 use crate::reconstruction::checked::Checked;
 use crate::reconstruction::{Cells, as_numbers};
+use crate::settings::{Kept as KeptSettings, differing};
 
 use super::chunks::Chunk;
 
@@ -30,7 +30,7 @@ pub(super) struct Plan {
     /// The version of this library.
     pub(super) meniscus: String,
     /// The request, by the names of the options.
-    pub(super) settings: Settings,
+    pub(super) settings: KeptSettings,
     /// Whether a calibration was given, which only a caller of the library does.
     pub(super) calibrated: bool,
     /// The particles' file.
@@ -153,7 +153,7 @@ impl Plan {
         count: u32,
     ) -> Result<(), Error> {
         let path = path_in(folder);
-        let mut differing = differing(&self.meniscus, &self.settings, &checked.asked.settings());
+        let mut differing = differing(&self.meniscus, &self.settings, &checked.settings.kept());
         let mut differs = |name: &str| {
             differing += if differing.is_empty() { "" } else { ", " };
             differing += name;

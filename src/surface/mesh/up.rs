@@ -5,6 +5,8 @@ use std::fmt;
 use std::io;
 use std::ops::Sub;
 
+use serde::{Deserialize, Serialize};
+
 use super::source::{MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
 
@@ -12,7 +14,9 @@ use crate::particles::AttributeInfo;
 const COLOURS: [&str; 5] = ["cd", "color", "colour", "colors", "rgb"];
 
 /// The axis that points up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[allow(missing_docs)]
 pub enum UpAxis {
     Y,

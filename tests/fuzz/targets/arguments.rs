@@ -69,7 +69,7 @@ fn run(data: &[u8]) {
         Ok(Arguments { command: Command::Reconstruct(options) }) => {
             // Numbers are checked by the library, when the request is run.
             if let Ok(request) = options.request() {
-                assert!(!request.settings().is_empty());
+                assert_eq!(format!("{:?}", request.settings()), format!("{:?}", options.settings));
                 let opened = request.open("there/is/none.xyz");
                 assert!(opened.is_err_and(|error| !crate::advice::told(&error).is_empty()));
             }

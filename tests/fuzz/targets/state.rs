@@ -3,8 +3,9 @@
 use std::fs;
 
 use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::settings::Kept;
 use meniscus::internals::simulation::records::Records;
-use meniscus::internals::simulation::state::{Settings, Store};
+use meniscus::internals::simulation::state::Store;
 
 use super::{Target, folder};
 
@@ -81,7 +82,7 @@ fn state(data: &[u8]) {
             store.save(&state).unwrap();
             let again = store.load().unwrap().expect("it is there");
             assert_eq!((again.fingerprint(), &again), (state.fingerprint(), &state));
-            let _ = state.differing(&Settings::new());
+            let _ = state.differing(&Kept::new());
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

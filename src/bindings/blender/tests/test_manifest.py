@@ -10,7 +10,7 @@ from pathlib import Path
 import blender_zip
 import pytest
 
-WHEEL = "meniscus-0.2.0-cp310-abi3-manylinux_2_34_x86_64.whl"
+WHEEL = "meniscus-0.3.0-cp310-abi3-manylinux_2_34_x86_64.whl"
 
 
 def test_wheels_are_named_before_the_permissions() -> None:
@@ -35,12 +35,12 @@ def test_its_version_is_the_librarys() -> None:
     [("macosx_11_0_arm64", "macos-arm64"), ("win_amd64", "windows-x64"), ("manylinux_2_17_aarch64.manylinux2014_aarch64", "linux-arm64")],
 )
 def test_platforms_are_blenders_names_for_them(tag: str, platform: str) -> None:
-    assert blender_zip.platform_of(f"meniscus-0.2.0-cp310-abi3-{tag}.whl") == platform
+    assert blender_zip.platform_of(f"meniscus-0.3.0-cp310-abi3-{tag}.whl") == platform
 
 
 def test_a_platform_that_blender_does_not_know_is_refused() -> None:
     with pytest.raises(SystemExit, match="linux_riscv64"):
-        blender_zip.platform_of("meniscus-0.2.0-cp310-abi3-linux_riscv64.whl")
+        blender_zip.platform_of("meniscus-0.3.0-cp310-abi3-linux_riscv64.whl")
 
 
 def test_the_zip_holds_all_modules_and_is_the_same_each_time(tmp_path: Path) -> None:

@@ -634,7 +634,7 @@ typedef struct MeniscusCheck {
 extern "C" {
 #endif // __cplusplus
 
-// Returns the version of the library, such as "0.2.0". The text lives for ever.
+// Returns the version of the library, such as "0.3.0". The text lives for ever.
 const char *meniscus_version(void);
 
 // Makes a handle, to be freed by meniscus_cancel_free.

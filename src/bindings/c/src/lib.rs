@@ -20,7 +20,7 @@ mod text;
 
 use std::ffi::c_char;
 
-/// Returns the version of the library, such as "0.2.0". The text lives for ever.
+/// Returns the version of the library, such as "0.3.0". The text lives for ever.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()

@@ -4,10 +4,10 @@ use std::ffi::{c_char, c_void};
 use std::path::Path;
 
 use meniscus::devices::{DeviceChoice, bytes_of, device, fastest};
-use meniscus::error::UnitError;
 use meniscus::files::Replace;
 use meniscus::{
-    Error, IndicatorKind, MemoryBudget, Method, PeriodicMesh, Reconstruction, UpAxis, default_memory,
+    Error, Faces, IndicatorKind, Iso, MemoryBudget, MethodName, PeriodicMesh, Reconstruction, Settings,
+    UpAxis, default_memory,
 };
 
 use crate::coded::{coded, codes};
@@ -191,11 +191,6 @@ fn given(number: f64) -> Option<f64> {
     (number != 0.0).then_some(number)
 }
 
-/// The ends of the axes of a box.
-fn axes([x0, y0, z0, x1, y1, z1]: [f64; 6]) -> [[f64; 2]; 3] {
-    [[x0, x1], [y0, y1], [z0, z1]]
-}
-
 impl Asked {
     /// Takes what a caller asks for: all defaults, where it is NULL.
     ///
@@ -213,10 +208,8 @@ impl Asked {
         // SAFETY: a handle that is not freed yet, or NULL.
         let control = Control::new(said.progress, said.user, unsafe { said.cancel.as_ref() });
         // SAFETY: as for this function.
-        let mut request = unsafe { sampling(&said, control.of(Reconstruction::new())) }?;
-        request = surfacing(&said, request)?;
-        // SAFETY: as for this function.
-        request = unsafe { mesh(&said, request) }?;
+        let settings = unsafe { settings(&said) }?;
+        let mut request = control.of(Reconstruction::by(settings));
         if said.threads != 0 {
             request = request.threads(said.threads as usize);
         }
@@ -258,85 +251,6 @@ impl Asked {
     }
 }
 
-/// How particles are sampled.
-///
-/// # Safety
-/// As for [`Asked::new`].
-unsafe fn sampling(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
-    if let Some(radius) = given(said.radius) {
-        if said.spacing != 0.0 {
-            return Err(Failure::request("options.radius and options.spacing exclude each other"));
-        }
-        if !(radius.is_finite() && radius > 0.0) {
-            return Err(Error::from(UnitError::Length { what: "the radius", value: radius }).into());
-        }
-        request = request.spacing(2.0 * radius);
-    }
-    if let Some(spacing) = given(said.spacing) {
-        request = request.spacing(spacing);
-    }
-    match (given(said.cell_size), given(said.cell)) {
-        (Some(_), Some(_)) => {
-            return Err(Failure::request("options.cell and options.cell_size exclude each other"));
-        }
-        (Some(length), None) => request = request.cell_size(length),
-        (None, Some(spacings)) => request = request.cell(spacings),
-        (None, None) => {}
-    }
-    // SAFETY: as for this function.
-    let (origin, domain, periodic) =
-        unsafe { (numbers(said.origin), numbers(said.domain), numbers(said.periodic)) };
-    if let Some(corner) = origin {
-        request = request.origin(corner);
-    }
-    if let Some([x0, y0, z0, x1, y1, z1]) = domain {
-        request = request.domain([x0, y0, z0], [x1, y1, z1]);
-    }
-    if let Some(faces) = periodic {
-        let is_open = |ends: &[f64; 2]| *ends == [f64::NEG_INFINITY, f64::INFINITY];
-        request = request.periodic(axes(faces).map(|ends| Some(ends).filter(|ends| !is_open(ends))));
-    }
-    // SAFETY: as for this function.
-    if let Some(name) = unsafe { optional(said.particle_type, "options.particle_type") }? {
-        request = request.particle_type(name);
-    }
-    request = match coded(said.indicator, "options.indicator")? {
-        MeniscusIndicator::Default => request,
-        MeniscusIndicator::Cloud => request.indicator(IndicatorKind::Cloud),
-        MeniscusIndicator::Counting => request.indicator(IndicatorKind::Counting),
-        MeniscusIndicator::Symmetry => request.indicator(IndicatorKind::Symmetry),
-    };
-    if let Some(particles) = given(said.mu0) {
-        request = request.mu0(particles);
-    }
-    Ok(if said.skip_invalid != 0 { request.skip_invalid() } else { request })
-}
-
-/// How the surface is made of samples.
-fn surfacing(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
-    request = match coded(said.method, "options.method")? {
-        MeniscusMethod::Dif => request,
-        MeniscusMethod::Mueller => request.method(Method::Mueller { iso: Method::HALF }),
-        MeniscusMethod::ZhuBridson => request.method(Method::ZhuBridson),
-        MeniscusMethod::YuTurk => request.method(Method::YuTurk { iso: Method::HALF }),
-    };
-    request = match coded(said.periodic_mesh, "options.periodic_mesh")? {
-        MeniscusPeriodicMesh::Default => request,
-        MeniscusPeriodicMesh::Cut => request.periodic_mesh(PeriodicMesh::Cut),
-        MeniscusPeriodicMesh::Overlap => request.periodic_mesh(PeriodicMesh::Overlap),
-    };
-    if let Some(spacings) = given(said.smooth) {
-        request = request.smooth(spacings);
-    }
-    if let Some(cells) = given(said.sigma) {
-        request = request.sigma(cells);
-    }
-    if let Some(value) = given(said.iso) {
-        request = request.iso(value);
-    }
-    Ok(if said.detail != 0 { request.detail() } else { request })
-}
-
 fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
     Ok(match coded(axis, what)? {
         MeniscusUp::Default => None,
@@ -345,44 +259,85 @@ fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
     })
 }
 
-/// Says what the mesh is like.
+/// Reads the settings of a surface.
 ///
 /// # Safety
 /// As for [`Asked::new`].
-unsafe fn mesh(said: &MeniscusOptions, mut request: Reconstruction) -> Outcome<Reconstruction> {
-    if said.normals != 0 {
-        request = request.normals();
+unsafe fn settings(said: &MeniscusOptions) -> Outcome<Settings> {
+    if said.radius != 0.0 && said.spacing != 0.0 {
+        return Err(Failure::request("options.radius and options.spacing exclude each other"));
     }
-    if said.attribute_count > 0 {
+    if said.cell != 0.0 && said.cell_size != 0.0 {
+        return Err(Failure::request("options.cell and options.cell_size exclude each other"));
+    }
+    // SAFETY: as for this function.
+    let (origin, domain, periodic) =
+        unsafe { (numbers(said.origin), numbers(said.domain), numbers(said.periodic)) };
+    let faces = |[x0, y0, z0, x1, y1, z1]: [f64; 6]| Faces::from_corners([[x0, y0, z0], [x1, y1, z1]]);
+    // SAFETY: as for this function.
+    let particle_type = unsafe { optional(said.particle_type, "options.particle_type") }?.map(str::to_owned);
+    Ok(Settings {
+        spacing: given(said.spacing),
+        radius: given(said.radius),
+        cell_size: given(said.cell_size),
+        cell: given(said.cell),
+        origin,
+        domain: domain.map(faces),
+        periodic: periodic.map(faces),
+        particle_type,
+        indicator: match coded(said.indicator, "options.indicator")? {
+            MeniscusIndicator::Default => None,
+            MeniscusIndicator::Cloud => Some(IndicatorKind::Cloud),
+            MeniscusIndicator::Counting => Some(IndicatorKind::Counting),
+            MeniscusIndicator::Symmetry => Some(IndicatorKind::Symmetry),
+        },
+        mu0: given(said.mu0),
+        skip_invalid: said.skip_invalid != 0,
+        smooth: given(said.smooth),
+        method: Some(match coded(said.method, "options.method")? {
+            MeniscusMethod::Dif => MethodName::Dif,
+            MeniscusMethod::Mueller => MethodName::Mueller,
+            MeniscusMethod::ZhuBridson => MethodName::ZhuBridson,
+            MeniscusMethod::YuTurk => MethodName::YuTurk,
+        })
+        .filter(|method| *method != MethodName::Dif),
+        sigma: given(said.sigma),
+        iso: given(said.iso).map(Iso::Value),
+        detail: said.detail != 0,
+        periodic_mesh: match coded(said.periodic_mesh, "options.periodic_mesh")? {
+            MeniscusPeriodicMesh::Default => None,
+            MeniscusPeriodicMesh::Cut => Some(PeriodicMesh::Cut),
+            MeniscusPeriodicMesh::Overlap => Some(PeriodicMesh::Overlap),
+        },
+        normals: said.normals != 0,
         // SAFETY: as for this function.
-        let names = unsafe { pointers(said.attributes, said.attribute_count, "options.attributes") }?;
-        let mut wanted = Vec::new();
-        for (index, &name) in names.iter().enumerate() {
-            // SAFETY: as for this function.
-            wanted.extend(unsafe { optional(name, &format!("options.attributes[{index}]")) }?);
-        }
-        let none = wanted == ["none"];
-        request = request.attributes(wanted.into_iter().filter(|_| !none));
+        attributes: unsafe { attributes(said) }?,
+        simplify: given(said.simplify),
+        smallest_component: given(said.smallest_component),
+        smallest_drop: (said.smallest_drop != 0).then_some(said.smallest_drop),
+        compress: said.compress != 0,
+        up: up(said.up, "options.up")?,
+        particles_up: up(said.particles_up, "options.particles_up")?,
+    })
+}
+
+/// Reads the names of attributes.
+///
+/// # Safety
+/// As for [`Asked::new`].
+unsafe fn attributes(said: &MeniscusOptions) -> Outcome<Option<Vec<String>>> {
+    if said.attribute_count == 0 {
+        return Ok(None);
     }
-    if let Some(cells) = given(said.simplify) {
-        request = request.simplify(cells);
+    // SAFETY: as for this function.
+    let names = unsafe { pointers(said.attributes, said.attribute_count, "options.attributes") }?;
+    let mut wanted = Vec::new();
+    for (index, &name) in names.iter().enumerate() {
+        // SAFETY: as for this function.
+        let name = unsafe { optional(name, &format!("options.attributes[{index}]")) }?;
+        wanted.extend(name.map(str::to_owned));
     }
-    if let Some(cells) = given(said.smallest_component) {
-        request = request.smallest_component(cells);
-    }
-    if said.smallest_drop != 0 {
-        request = request.smallest_drop(said.smallest_drop);
-    }
-    if said.compress != 0 {
-        request = request.compress();
-    }
-    if let Some(axis) = up(said.up, "options.up")? {
-        request = request.up(axis);
-    }
-    if let Some(axis) = up(said.particles_up, "options.particles_up")? {
-        request = request.particles_up(axis);
-    }
-    Ok(request)
+    Ok(Some(wanted))
 }
 
 /// Whether a file that is there may be replaced.

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
+use meniscus::Source;
 use meniscus::devices::{self, Backend, DeviceChoice};
 use meniscus::{Error, MemoryBudget};
 use pyo3::prelude::*;
@@ -33,8 +34,8 @@ static OPEN: LazyLock<Mutex<Open>> = LazyLock::new(Mutex::default);
 
 impl Device {
     pub fn backend(&mut self, given: &Given<'_, '_>) -> PyResult<()> {
-        let known = [("auto", Name::Auto), ("cpu", Name::Cpu), ("vulkan", Name::Vulkan)];
-        self.backend = Some(given.one_of(&known)?);
+        let name = given.one_of(&["auto", "cpu", "vulkan"])?;
+        self.backend = Some([Name::Auto, Name::Cpu, Name::Vulkan][name]);
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 
 use crate::errors::other;
 use crate::mesh::Mesh;
-use crate::options::{FILES, Keywords, MACHINE, SAMPLING, SURFACE};
+use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
@@ -42,10 +42,15 @@ impl Frame {
         let all = self.asked.bind(py).copy()?;
         if let Some(keywords) = keywords {
             // By what may be said, and then with all that was.
-            Keywords::of(function, Some(keywords), &[&SURFACE])?;
+            Keywords::of(function, Some(keywords), &[Known::Surface])?;
             all.update(keywords.as_mapping())?;
         }
-        let request = Keywords::of(function, Some(&all), &[&SAMPLING, &SURFACE, &MACHINE, &FILES])?.request;
+        let request = Keywords::of(
+            function,
+            Some(&all),
+            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files],
+        )?
+        .request;
         Ok(match &self.named {
             Some(names) => request.attributes(names),
             None => request,
@@ -80,7 +85,7 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let keywords = Keywords::of("Frame", keywords, &[&SAMPLING, &SURFACE, &MACHINE])?;
+        let keywords = Keywords::of("Frame", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
         let arrays = Arrays::take(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
         let named = arrays.named();
@@ -122,7 +127,8 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let request = Keywords::of("load", keywords, &[&SAMPLING, &SURFACE, &MACHINE, &FILES])?;
+        let request =
+            Keywords::of("load", keywords, &[Known::Sampling, Known::Surface, Known::Machine, Known::Files])?;
         let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.holds(request, progress.is_some());

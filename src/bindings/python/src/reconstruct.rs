@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::mesh::Mesh;
-use crate::options::{Keywords, MACHINE, SAMPLING, SURFACE};
+use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::work::{Work, with_progress};
 
@@ -110,7 +110,7 @@ pub fn reconstruct(
     progress: Option<&Bound<'_, PyAny>>,
     keywords: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Mesh> {
-    let keywords = Keywords::of("reconstruct", keywords, &[&SAMPLING, &SURFACE, &MACHINE])?;
+    let keywords = Keywords::of("reconstruct", keywords, &[Known::Sampling, Known::Surface, Known::Machine])?;
     let arrays = Arrays::take(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
     if let Some(names) = arrays.named() {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Mutex, TryLockError};
 
+use meniscus::Source;
 use meniscus::{LiveSimulation, Reconstruction, Simulation as Files};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -11,14 +12,14 @@ use pyo3::types::PyDict;
 use crate::errors::{InputError, exception, other, warn};
 use crate::files::paths;
 use crate::mesh::Mesh;
-use crate::options::{FILES, Keywords, MACHINE, SAMPLING, SURFACE};
+use crate::options::{Keywords, Known};
 use crate::particles::Arrays;
 use crate::summary::{Event, Summary};
 use crate::values::Given;
 use crate::work::{News, Work, with_progress};
 
 /// The keywords of which frames are made, and how it goes.
-const SIMULATION: [&str; 9] =
+pub const SIMULATION: [&str; 9] =
     ["start", "end", "step", "frames", "resume", "overwrite", "watch", "fps", "preview"];
 
 /// The frames of a simulation, all alike: cells, grid and calibration are measured once, and frozen.
@@ -112,7 +113,7 @@ impl Simulation {
             Some(value) if !value.is_none() => Some(Given { name: "attributes", value: &value }.names()?),
             _ => None,
         };
-        let known: &[&[&str]] = &[&SAMPLING, &SURFACE, &MACHINE, &FILES, &SIMULATION];
+        let known = &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Simulation];
         let asked = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
             if inputs.is_some() || output.is_some() {
@@ -283,9 +284,9 @@ fn of_files(
         }
         let given = Given { name: &name, value: &value };
         files = match name.as_str() {
-            "start" => files.start(given.count()?),
-            "end" => files.end(given.count()?),
-            "step" => files.step(given.count()?),
+            "start" => files.start(given.whole()?),
+            "end" => files.end(given.whole()?),
+            "step" => files.step(given.whole()?),
             "frames" => {
                 let wrong = |_| PyTypeError::new_err("frames: a pair of numbers is needed: first and last");
                 let (first, last): (u64, u64) = value.extract().map_err(wrong)?;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use bytesize::ByteSize;
+use meniscus::{Faces, Source};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -22,25 +23,11 @@ impl<'py> Given<'_, 'py> {
         PyTypeError::new_err(format!("{}: {what} is needed, not {kind}", self.name))
     }
 
-    pub fn number(&self) -> PyResult<f64> {
-        self.value.extract().map_err(|_| self.wants("a number"))
-    }
-
     /// Takes a whole number that is not negative.
-    pub fn count<T: TryFrom<u64>>(&self) -> PyResult<T> {
+    pub fn whole<T: TryFrom<u64>>(&self) -> PyResult<T> {
         let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
         let count = u64::try_from(number).ok().and_then(|number| T::try_from(number).ok());
         count.ok_or_else(|| InputError::new_err(format!("{}: {number} is out of range", self.name)))
-    }
-
-    pub fn switch(&self) -> PyResult<bool> {
-        // Also those of NumPy's own type.
-        let is_bool = self.value.extract::<bool>();
-        is_bool.map_err(|_| self.wants("True or False"))
-    }
-
-    pub fn text(&self) -> PyResult<String> {
-        self.value.extract().map_err(|_| self.wants("a str"))
     }
 
     /// Takes a text, or a whole number as its digits.
@@ -53,50 +40,6 @@ impl<'py> Given<'_, 'py> {
 
     pub fn path(&self) -> PyResult<PathBuf> {
         self.value.extract().map_err(|_| self.wants("a str or a path"))
-    }
-
-    /// Takes the one of some words that was given.
-    pub fn one_of<T: Copy>(&self, known: &[(&str, T)]) -> PyResult<T> {
-        let word = self.text()?;
-        let found = known.iter().find(|(name, _)| *name == word).map(|(_, value)| *value);
-        found.ok_or_else(|| {
-            let names: Vec<_> = known.iter().map(|(name, _)| *name).collect();
-            InputError::new_err(format!("{}: {word:?} is none of {}", self.name, names.join(", ")))
-        })
-    }
-
-    /// Takes names, and not one alone, whose letters would each be one.
-    pub fn names(&self) -> PyResult<Vec<String>> {
-        if self.value.is_instance_of::<PyString>() {
-            return Err(self.wants("a list of names"));
-        }
-        let names = self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
-        names.map_err(|_| self.wants("a list of names"))
-    }
-
-    /// Takes a point.
-    pub fn point(&self) -> PyResult<[f64; 3]> {
-        let ends = self.ends()?;
-        let numbers: Option<Vec<f64>> = ends.into_iter().collect();
-        numbers
-            .and_then(|numbers| numbers.try_into().ok())
-            .ok_or_else(|| InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name)))
-    }
-
-    /// Takes a box by its lowest and its highest corner: six numbers or two times three, `None` for both ends of an axis that is open.
-    pub fn faces(&self) -> PyResult<[Option<[f64; 2]>; 3]> {
-        let refused = |what: &str| InputError::new_err(format!("{}: {what}", self.name));
-        let ends: [Option<f64>; 6] =
-            self.ends()?.try_into().map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
-        let mut faces = [None; 3];
-        for (axis, face) in faces.iter_mut().enumerate() {
-            *face = match (ends[axis], ends[axis + 3]) {
-                (Some(low), Some(high)) => Some([low, high]),
-                (None, None) => None,
-                _ => return Err(refused("both ends of an axis are numbers, or both are None")),
-            };
-        }
-        Ok(faces)
     }
 
     /// Numbers in sequences, at most one within another; `None` is none.
@@ -125,6 +68,64 @@ impl<'py> Given<'_, 'py> {
                 InputError::new_err(format!("{}: {text:?} is no size such as \"512MiB\"", self.name))
             });
         }
-        self.count()
+        self.whole()
+    }
+}
+
+impl Source for Given<'_, '_> {
+    type Error = PyErr;
+
+    fn number(&self) -> PyResult<f64> {
+        self.value.extract().map_err(|_| self.wants("a number"))
+    }
+
+    fn count(&self) -> PyResult<u32> {
+        self.whole()
+    }
+
+    fn switch(&self) -> PyResult<bool> {
+        // Also those of NumPy's own type.
+        let is_bool = self.value.extract::<bool>();
+        is_bool.map_err(|_| self.wants("True or False"))
+    }
+
+    fn text(&self) -> PyResult<String> {
+        self.value.extract().map_err(|_| self.wants("a str"))
+    }
+
+    fn one_of(&self, words: &[&str]) -> PyResult<usize> {
+        let word = self.text()?;
+        words.iter().position(|known| *known == word).ok_or_else(|| {
+            InputError::new_err(format!("{}: {word:?} is none of {}", self.name, words.join(", ")))
+        })
+    }
+
+    /// Takes names, and not one alone, whose letters would each be one.
+    fn names(&self) -> PyResult<Vec<String>> {
+        if self.value.is_instance_of::<PyString>() {
+            return Err(self.wants("a list of names"));
+        }
+        let names = self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
+        names.map_err(|_| self.wants("a list of names"))
+    }
+
+    fn point(&self) -> PyResult<[f64; 3]> {
+        let ends = self.ends()?;
+        let numbers: Option<Vec<f64>> = ends.into_iter().collect();
+        numbers
+            .and_then(|numbers| numbers.try_into().ok())
+            .ok_or_else(|| InputError::new_err(format!("{}: three numbers are needed: x, y, z", self.name)))
+    }
+
+    /// Takes six numbers or two times three, `None` for both ends of an axis that is open.
+    fn faces(&self) -> PyResult<Faces> {
+        let refused = |what: &str| InputError::new_err(format!("{}: {what}", self.name));
+        let ends: [Option<f64>; 6] =
+            self.ends()?.try_into().map_err(|_| refused("six numbers are needed: x0, y0, z0, x1, y1, z1"))?;
+        ends.try_into().map_err(|what: String| refused(&what))
+    }
+
+    fn is_word(&self, word: &str) -> bool {
+        self.text().is_ok_and(|text| text == word)
     }
 }

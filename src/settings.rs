@@ -1,0 +1,415 @@
+//! What a caller can say of a surface: each setting once, with its name, its type, and the help that people read.
+//!
+//! The command line is parsed into [`Settings`], the bindings fill them by name, state files and plans keep them, and errors name
+//! them by [`Setting`]. Numbers are checked where they are used.
+
+mod faces;
+mod value;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::baselines::Method;
+use crate::field::indicator::IndicatorKind;
+use crate::grid::PeriodicMesh;
+use crate::grid::units::Isovalue;
+use crate::surface::mesh::up::UpAxis;
+
+pub use faces::Faces;
+use value::Given;
+pub use value::{Iso, MethodName, Source, Taken};
+
+/// The name of a setting, such as `smallest_drop`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Setting(&'static str);
+
+impl Setting {
+    /// A setting by its name in snake case.
+    #[must_use]
+    pub const fn named(name: &'static str) -> Self {
+        Self(name)
+    }
+
+    /// The name in snake case, as a field has it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.0
+    }
+
+    /// The name in kebab case, as options and files have it.
+    #[must_use]
+    pub fn key(self) -> String {
+        self.0.replace('_', "-")
+    }
+}
+
+impl std::fmt::Display for Setting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.key())
+    }
+}
+
+macro_rules! settings {
+    ($( $(#[doc = $doc:literal])* #[arg($($arg:tt)*)] $name:ident: $type:ty, )*) => {
+        /// What a caller can say of a surface; what is not said is measured, or the default.
+        #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+        #[cfg_attr(feature = "cli", derive(clap::Args))]
+        pub struct Settings {
+            $(
+                $(#[doc = $doc])*
+                #[serde(skip_serializing_if = "Given::is_not_given")]
+                #[cfg_attr(feature = "cli", arg(long, $($arg)*))]
+                pub $name: $type,
+            )*
+        }
+
+        impl Settings {
+            /// All settings, in the order of the program's help.
+            pub const ALL: &[Setting] = &[$(Setting(stringify!($name))),*];
+
+            /// Sets what is called so in snake case from a caller's value; `false` where nothing is.
+            ///
+            /// # Errors
+            /// Those of the source, for a value of another type.
+            pub fn set<S: Source>(&mut self, name: &str, source: &S) -> Result<bool, S::Error> {
+                match name {
+                    $(stringify!($name) => self.$name = Taken::taken(source)?,)*
+                    _ => return Ok(false),
+                }
+                Ok(true)
+            }
+
+            /// The first setting that is given, differs from another one's, and is one of those that are meant.
+            pub(crate) fn given_otherwise(
+                &self,
+                other: &Self,
+                mut meant: impl FnMut(Setting) -> bool,
+            ) -> Option<Setting> {
+                $(
+                    let setting = Setting(stringify!($name));
+                    if !self.$name.is_not_given() && self.$name != other.$name && meant(setting) {
+                        return Some(setting);
+                    }
+                )*
+                None
+            }
+        }
+    };
+}
+
+settings! {
+    /// Distance between neighbouring particles.
+    ///
+    /// By default it is taken from the file or the scene beside it, else estimated.
+    #[arg(value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true, help_heading = "Input")]
+    spacing: Option<f64>,
+
+    /// Half of the spacing.
+    #[arg(value_name = "LENGTH", allow_negative_numbers = true, help_heading = "Input", hide_short_help = true)]
+    radius: Option<f64>,
+
+    /// Edge of a cell.
+    #[arg(value_name = "LENGTH", conflicts_with = "cell", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    cell_size: Option<f64>,
+
+    /// Edge of a cell, in spacings [default: 0.5].
+    ///
+    /// The default for the indicators counting and symmetry is 0.6667.
+    #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
+    cell: Option<f64>,
+
+    /// A corner of the grid's cells [default: 0,0,0].
+    #[arg(value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
+    origin: Option<[f64; 3]>,
+
+    /// The type of particles, of an input that holds several [default: gas, or fluid].
+    ///
+    /// PartType1 of a SWIFT or GADGET snapshot, an array of PySPH, or a species of openPMD.
+    #[arg(value_name = "NAME", help_heading = "Input", hide_short_help = true)]
+    particle_type: Option<String>,
+
+    /// A tank with walls [default: unbounded].
+    ///
+    /// Particles outside are not counted. `-` for both ends of an axis leaves it without walls.
+    #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
+    domain: Option<Faces>,
+
+    /// A box beyond whose faces the fluid repeats itself.
+    ///
+    /// `-` for both ends of an axis leaves it open: 0,-,0,1,-,1 is periodic along x and z. Beyond a face the fluid goes on as it does
+    /// behind the opposite one. Particles on an upper face count as on the lower one; others outside are refused.
+    #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
+    periodic: Option<Faces>,
+
+    /// How a cell's share of fluid is told from its particles [default: cloud].
+    #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
+    indicator: Option<IndicatorKind>,
+
+    /// Mean number of particles in a full cell, for counting [default: measured].
+    #[arg(value_name = "VALUE", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    mu0: Option<f64>,
+
+    /// Leave out particles that are not finite or too far away, and count them.
+    #[arg(help_heading = "Input", hide_short_help = true)]
+    skip_invalid: bool,
+
+    /// Smoothing width in spacings; more is calmer [default: 1.6].
+    ///
+    /// Particles within this distance merge: 2 for the noise of FLIP, less to see every ripple. For the indicator cloud.
+    #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
+    smooth: Option<f64>,
+
+    /// How the field is made: by discrete indicator functions, or by a kernel method to compare them with [default: dif].
+    #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
+    method: Option<MethodName>,
+
+    /// Width of the Gaussian, for the indicators counting and symmetry [default: a spacing, and a cell at the least].
+    #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Surface", hide_short_help = true)]
+    sigma: Option<f64>,
+
+    /// Isovalue between 0 and 1, for the indicators counting and symmetry and the methods mueller and yu-turk [default: auto].
+    ///
+    /// auto is 0.47 of the field deep in the fluid. Where no fluid is deep, the spacing tells what the field would be there. For kernel
+    /// methods auto is 0.5.
+    #[arg(value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
+    iso: Option<Iso>,
+
+    /// Recover details that smoothing loses, such as drops, for the indicators counting and symmetry.
+    #[arg(help_heading = "Surface", hide_short_help = true)]
+    detail: bool,
+
+    /// Where the mesh ends at the faces of a periodic box [default: cut].
+    #[arg(value_enum, value_name = "ENDS", help_heading = "Surface", hide_short_help = true)]
+    periodic_mesh: Option<PeriodicMesh>,
+
+    /// Vertex normals, from the field's gradient.
+    #[arg(help_heading = "Output")]
+    normals: bool,
+
+    /// Attributes to carry to the vertices [default: velocity].
+    ///
+    /// Those of the particles by their names, or none. Velocity goes where the format can hold it.
+    #[arg(value_name = "NAME,...", value_delimiter = ',', help_heading = "Output")]
+    attributes: Option<Vec<String>>,
+
+    /// Use fewer triangles, within this distance.
+    ///
+    /// No part of the surface moves farther.
+    #[arg(value_name = "CELLS", allow_negative_numbers = true, help_heading = "Output")]
+    simplify: Option<f64>,
+
+    /// Leave out whole components, drops or bubbles, of less than this volume, in cells.
+    #[arg(alias = "drop-smaller", value_name = "CELLS3", allow_negative_numbers = true, help_heading = "Output", hide_short_help = true)]
+    smallest_component: Option<f64>,
+
+    /// Leave out drops of fewer particles, as told by their volume [default: 1, which leaves out none].
+    #[arg(value_name = "PARTICLES", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Output", hide_short_help = true)]
+    smallest_drop: Option<u32>,
+
+    /// Write a .glb file quantized and compressed (EXT_meshopt_compression).
+    #[arg(help_heading = "Output", hide_short_help = true)]
+    compress: bool,
+
+    /// The axis that points up in the mesh, which is turned where the particles have the other one up. In a .glb y does
+    /// [default: as in the particles].
+    #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
+    up: Option<UpAxis>,
+
+    /// The axis that points up in the particles [default: z for .bi4, else y].
+    #[arg(value_enum, help_heading = "Input", hide_short_help = true)]
+    particles_up: Option<UpAxis>,
+}
+
+/// Settings by their keys, as state files and plans keep them.
+pub type Kept = Map<String, Value>;
+
+/// Says what is different now from when a version was asked for some settings, for people; empty where nothing is. Another version may
+/// have made something else of the same settings.
+pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
+    if version != env!("CARGO_PKG_VERSION") {
+        return "version".into();
+    }
+    let keys = kept.keys().chain(wanted.keys().filter(|key| !kept.contains_key(*key)));
+    keys.filter(|key| kept.get(*key) != wanted.get(*key)).map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
+const OF_PARTICLES: [&str; 12] = [
+    "spacing",
+    "radius",
+    "cell_size",
+    "cell",
+    "origin",
+    "domain",
+    "periodic",
+    "indicator",
+    "mu0",
+    "skip_invalid",
+    "particle_type",
+    "method",
+];
+
+impl Setting {
+    /// Whether it says how particles are sampled, and not how a surface is drawn of the samples.
+    #[must_use]
+    pub fn needs_particles(self) -> bool {
+        OF_PARTICLES.contains(&self.0)
+    }
+
+    /// Whether packed frames, which hold samples and are made by indicators alone, are made by it.
+    #[must_use]
+    pub fn is_of_samples(self) -> bool {
+        self.needs_particles() && self.0 != "method"
+    }
+}
+
+impl Settings {
+    /// The spacing, or twice the radius.
+    #[must_use]
+    pub fn spacing_or_radius(&self) -> Option<f64> {
+        self.spacing.or(self.radius.map(|radius| 2.0 * radius))
+    }
+
+    /// The same, with a spacing in place of a radius.
+    pub(crate) fn by_spacing(&self) -> Self {
+        Self { spacing: self.spacing_or_radius(), radius: None, ..self.clone() }
+    }
+
+    /// The isovalue, unless it is to be measured.
+    #[must_use]
+    pub fn isovalue(&self) -> Option<f64> {
+        match self.iso {
+            Some(Iso::Value(value)) => Some(value),
+            Some(Iso::Auto) | None => None,
+        }
+    }
+
+    /// The kernel method, if the field is made by one.
+    #[must_use]
+    pub fn kernels(&self) -> Option<Method> {
+        match self.method {
+            None | Some(MethodName::Dif) => None,
+            Some(MethodName::Mueller) => Some(Method::Mueller { iso: Method::HALF }),
+            Some(MethodName::ZhuBridson) => Some(Method::ZhuBridson),
+            Some(MethodName::YuTurk) => Some(Method::YuTurk { iso: Method::HALF }),
+        }
+    }
+
+    /// The names of the attributes that are to be carried; `None` for the velocity, where it can be held.
+    #[must_use]
+    pub fn attribute_names(&self) -> Option<&[String]> {
+        let names = self.attributes.as_deref()?;
+        Some(if names == ["none"] { &[] } else { names })
+    }
+
+    /// The settings as state files and plans keep them: those that make the same mesh are the same.
+    #[must_use]
+    pub fn kept(&self) -> Kept {
+        // Held as the nearest step of the field.
+        let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
+        let none = ["none".to_owned()];
+        let kept = Self {
+            iso: iso.map(|iso| Iso::Value(iso.value())),
+            indicator: self.indicator.filter(|kind| *kind != IndicatorKind::default()),
+            method: self.method.filter(|method| *method != MethodName::Dif),
+            periodic_mesh: self.periodic_mesh.filter(|ends| *ends != PeriodicMesh::default()),
+            attributes: self
+                .attribute_names()
+                .map(|names| if names.is_empty() { &none } else { names }.to_vec()),
+            ..self.by_spacing()
+        };
+        match serde_json::to_value(kept) {
+            Ok(Value::Object(map)) => map,
+            _ => Kept::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Settings of which each says something.
+    fn all() -> Settings {
+        Settings {
+            spacing: Some(0.5),
+            radius: Some(0.25),
+            cell_size: Some(0.1),
+            cell: Some(0.5),
+            origin: Some([1.0, 2.0, 3.0]),
+            particle_type: Some("gas".into()),
+            domain: Some(Faces([Some([0.0, 1.0]), None, Some([-1.0, 2.0])])),
+            periodic: Some(Faces([None, Some([0.0, 4.0]), None])),
+            indicator: Some(IndicatorKind::Counting),
+            mu0: Some(3.0),
+            skip_invalid: true,
+            smooth: Some(2.0),
+            method: Some(MethodName::YuTurk),
+            sigma: Some(1.0),
+            iso: Some(Iso::Value(0.4)),
+            detail: true,
+            periodic_mesh: Some(PeriodicMesh::Overlap),
+            normals: true,
+            attributes: Some(vec!["heat".into()]),
+            simplify: Some(0.3),
+            smallest_component: Some(9.0),
+            smallest_drop: Some(2),
+            compress: true,
+            up: Some(UpAxis::Z),
+            particles_up: Some(UpAxis::Y),
+        }
+    }
+
+    #[test]
+    fn every_setting_is_kept_by_its_key_and_comes_back() {
+        let Ok(Value::Object(map)) = serde_json::to_value(all()) else { panic!("no map") };
+        let keys: Vec<String> = Settings::ALL.iter().map(|setting| setting.key()).collect();
+        assert!(map.keys().all(|key| keys.contains(key)) && map.len() == keys.len(), "{map:?}");
+        let settings: Settings = serde_json::from_value(Value::Object(map)).unwrap();
+        assert_eq!(settings, all());
+        assert!(serde_json::from_str::<Settings>(r#"{"spacng": 1}"#).is_err());
+        assert_eq!(serde_json::from_str::<Settings>("{}").unwrap(), Settings::default());
+    }
+
+    #[test]
+    fn settings_that_make_the_same_mesh_are_kept_alike() {
+        let nothing = Settings::default().kept();
+        let said = Settings {
+            iso: Some(Iso::Auto),
+            indicator: Some(IndicatorKind::Cloud),
+            method: Some(MethodName::Dif),
+            periodic_mesh: Some(PeriodicMesh::Cut),
+            ..Settings::default()
+        };
+        assert_eq!(said.kept(), nothing);
+        let [by_radius, by_spacing] = [(None, Some(0.25)), (Some(0.5), None)]
+            .map(|(spacing, radius)| Settings { spacing, radius, ..Settings::default() }.kept());
+        assert_eq!(by_radius, by_spacing);
+        let none = |names: &[&str]| Settings {
+            attributes: Some(names.iter().map(|name| (*name).to_owned()).collect()),
+            ..Settings::default()
+        };
+        assert_eq!(none(&[]).kept(), none(&["none"]).kept());
+        let version = env!("CARGO_PKG_VERSION");
+        assert_eq!(differing(version, &by_radius, &nothing), "spacing");
+        assert_eq!(differing("0.1", &by_radius, &nothing), "version");
+    }
+
+    #[test]
+    fn names_of_settings_in_lists_are_those_of_settings() {
+        for name in OF_PARTICLES {
+            assert!(Settings::ALL.contains(&Setting::named(name)), "{name}");
+        }
+    }
+
+    #[test]
+    fn the_first_setting_that_is_given_otherwise_is_found() {
+        let (all, nothing) = (all(), Settings::default());
+        assert_eq!(all.given_otherwise(&nothing, |_| true), Some(Setting("spacing")));
+        let of_surface = |setting: Setting| !setting.needs_particles();
+        assert_eq!(all.given_otherwise(&nothing, of_surface), Some(Setting("smooth")));
+        assert_eq!(all.given_otherwise(&all, |_| true), None);
+        assert_eq!(nothing.given_otherwise(&all, |_| true), None);
+    }
+}

@@ -1,0 +1,72 @@
+//! Boxes and points as people write them: numbers with commas between.
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// A box by both ends of each axis, `None` for an axis that is open.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(into = "[Option<f64>; 6]", try_from = "[Option<f64>; 6]")]
+pub struct Faces(pub [Option<[f64; 2]>; 3]);
+
+impl Faces {
+    /// The lowest and the highest corner: an axis that is open goes from -inf to inf.
+    #[must_use]
+    pub fn corners(&self) -> [[f64; 3]; 2] {
+        let open = [f64::NEG_INFINITY, f64::INFINITY];
+        [0, 1].map(|end| self.0.map(|ends| ends.unwrap_or(open)[end]))
+    }
+
+    /// A box by its corners, where -inf and inf leave an axis open.
+    #[must_use]
+    pub fn from_corners([lowest, highest]: [[f64; 3]; 2]) -> Self {
+        let is_open = |ends: &[f64; 2]| *ends == [f64::NEG_INFINITY, f64::INFINITY];
+        Self([0, 1, 2].map(|axis| Some([lowest[axis], highest[axis]]).filter(|ends| !is_open(ends))))
+    }
+}
+
+impl From<Faces> for [Option<f64>; 6] {
+    fn from(faces: Faces) -> Self {
+        let [x, y, z] = faces.0;
+        let end = |ends: Option<[f64; 2]>, end: usize| ends.map(|ends| ends[end]);
+        [end(x, 0), end(y, 0), end(z, 0), end(x, 1), end(y, 1), end(z, 1)]
+    }
+}
+
+impl TryFrom<[Option<f64>; 6]> for Faces {
+    type Error = String;
+
+    fn try_from([x0, y0, z0, x1, y1, z1]: [Option<f64>; 6]) -> Result<Self, String> {
+        let axis = |(name, ends)| match ends {
+            (Some(lo), Some(hi)) => Ok(Some([lo, hi])),
+            (None, None) => Ok(None),
+            _ => Err(format!("both ends of {name} are numbers, or neither is")),
+        };
+        Ok(Self([axis(("x", (x0, x1)))?, axis(("y", (y0, y1)))?, axis(("z", (z0, z1)))?]))
+    }
+}
+
+impl FromStr for Faces {
+    type Err = String;
+
+    /// Reads six ends, of which both of an axis may be `-`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let end = |part: &str| match part.trim() {
+            "-" => Ok(None),
+            number => number.parse().map(Some).map_err(|e| format!("{number:?}: {e}")),
+        };
+        let ends: Vec<Option<f64>> = text.split(',').map(end).collect::<Result<_, String>>()?;
+        let count = ends.len();
+        let ends: [_; 6] =
+            ends.try_into().map_err(|_| format!("6 numbers with commas between, not {count}"))?;
+        ends.try_into()
+    }
+}
+
+/// Reads three numbers.
+#[cfg(feature = "cli")]
+pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
+    let values: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    let values = values.map_err(|e| e.to_string())?;
+    values.try_into().map_err(|v: Vec<f64>| format!("3 numbers with commas between, not {}", v.len()))
+}

@@ -1,0 +1,134 @@
+//! Values of settings, and how a caller's values become such.
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::Faces;
+use crate::field::indicator::IndicatorKind;
+use crate::grid::PeriodicMesh;
+use crate::surface::mesh::up::UpAxis;
+
+/// How a field is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum MethodName {
+    /// Discrete indicator functions.
+    Dif,
+    /// Mueller, Charypar and Gross 2003.
+    Mueller,
+    /// Zhu and Bridson 2005.
+    ZhuBridson,
+    /// Yu and Turk 2013.
+    YuTurk,
+}
+
+/// An isovalue, as it is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Iso {
+    /// Measured.
+    Auto,
+    /// A value between 0 and 1.
+    #[serde(untagged)]
+    Value(f64),
+}
+
+impl FromStr for Iso {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            _ => text.parse().map(Self::Value).map_err(|_| "a number between 0 and 1, or auto".to_owned()),
+        }
+    }
+}
+
+/// Whether a field of [`Settings`](super::Settings) says something.
+pub(super) trait Given {
+    /// Whether it says nothing.
+    fn is_not_given(&self) -> bool;
+}
+
+impl<T> Given for Option<T> {
+    fn is_not_given(&self) -> bool {
+        self.is_none()
+    }
+}
+
+impl Given for bool {
+    fn is_not_given(&self) -> bool {
+        !self
+    }
+}
+
+/// A value of a caller that knows no types of this language. It refuses what is of another type.
+#[allow(missing_docs, clippy::missing_errors_doc)]
+pub trait Source {
+    type Error;
+    fn number(&self) -> Result<f64, Self::Error>;
+    /// Takes a whole number that is not negative.
+    fn count(&self) -> Result<u32, Self::Error>;
+    fn switch(&self) -> Result<bool, Self::Error>;
+    fn text(&self) -> Result<String, Self::Error>;
+    /// Takes the one of some words that was given, by its place among them.
+    fn one_of(&self, words: &[&str]) -> Result<usize, Self::Error>;
+    fn names(&self) -> Result<Vec<String>, Self::Error>;
+    fn point(&self) -> Result<[f64; 3], Self::Error>;
+    /// Takes a box by its lowest and its highest corner.
+    fn faces(&self) -> Result<Faces, Self::Error>;
+    /// Whether it is this word, and no other value.
+    fn is_word(&self, word: &str) -> bool;
+}
+
+/// The value of a setting, taken from a [`Source`].
+pub trait Taken: Sized {
+    /// Takes it.
+    ///
+    /// # Errors
+    /// Those of the source.
+    fn taken<S: Source>(source: &S) -> Result<Self, S::Error>;
+}
+
+impl<T: Taken> Taken for Option<T> {
+    fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+        T::taken(source).map(Some)
+    }
+}
+
+macro_rules! taken {
+    ($($type:ty: $by:ident),*) => {
+        $(impl Taken for $type {
+            fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+                source.$by()
+            }
+        })*
+    };
+}
+
+taken!(f64: number, u32: count, bool: switch, String: text, Vec<String>: names, [f64; 3]: point, Faces: faces);
+
+impl Taken for Iso {
+    fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+        if source.is_word("auto") { Ok(Self::Auto) } else { source.number().map(Self::Value) }
+    }
+}
+
+macro_rules! taken_by_name {
+    ($($type:ty: $($name:literal => $value:ident),*;)*) => {
+        $(impl Taken for $type {
+            fn taken<S: Source>(source: &S) -> Result<Self, S::Error> {
+                source.one_of(&[$($name),*]).map(|index| [$(Self::$value),*][index])
+            }
+        })*
+    };
+}
+
+taken_by_name! {
+    IndicatorKind: "cloud" => Cloud, "counting" => Counting, "symmetry" => Symmetry;
+    MethodName: "dif" => Dif, "mueller" => Mueller, "zhu-bridson" => ZhuBridson, "yu-turk" => YuTurk;
+    UpAxis: "y" => Y, "z" => Z;
+    PeriodicMesh: "cut" => Cut, "overlap" => Overlap;
+}
