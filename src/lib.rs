@@ -116,7 +116,7 @@ pub mod picture {
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
     pub use crate::io::identity::is_same_file;
-    pub use crate::io::input::file_and_step;
+    pub use crate::io::input::{InputFormat, file_and_step};
     pub use crate::io::output::MeshFormat;
     pub use crate::io::series::SeriesFrame;
     pub use crate::io::stamp::Stamp;
@@ -124,7 +124,7 @@ pub mod files {
     pub use crate::io::{ParticleFile, UpAxis};
     pub use crate::particles::{AttributeInfo, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_of_type,
+        FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_by,
         open_particles, usual_up,
     };
     pub use crate::simulation::{FrameFile, frames};
@@ -185,7 +185,7 @@ pub mod internals {
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }
-    /// What a caller can say of a surface: each setting once.
+    /// Settings of a surface, each said once.
     pub mod settings {
         pub use crate::settings::*;
     }

@@ -1,4 +1,4 @@
-//! What a caller can say of a surface: each setting once, with its name, its type, and the help that people read.
+//! Settings of a surface: each said once, with its name, its type, and the help that people read.
 //!
 //! The command line is parsed into [`Settings`], the bindings fill them by name, state files and plans keep them, and errors name
 //! them by [`Setting`]. Numbers are checked where they are used.
@@ -13,6 +13,7 @@ use crate::baselines::Method;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
 use crate::grid::units::Isovalue;
+use crate::io::input::InputFormat;
 use crate::surface::mesh::up::UpAxis;
 
 pub use faces::Faces;
@@ -28,6 +29,12 @@ impl Setting {
     #[must_use]
     pub const fn named(name: &'static str) -> Self {
         Self(name)
+    }
+
+    /// A setting of [`Settings`] by its key.
+    #[must_use]
+    pub fn by_key(key: &str) -> Option<Self> {
+        Settings::ALL.iter().copied().find(|setting| setting.key() == key)
     }
 
     /// The name in snake case, as a field has it.
@@ -51,7 +58,7 @@ impl std::fmt::Display for Setting {
 
 macro_rules! settings {
     ($( $(#[doc = $doc:literal])* #[arg($($arg:tt)*)] $name:ident: $type:ty, )*) => {
-        /// What a caller can say of a surface; what is not said is measured, or the default.
+        /// Settings of a surface. One that is not given is measured, or the default.
         #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
         #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
         #[cfg_attr(feature = "cli", derive(clap::Args))]
@@ -122,6 +129,10 @@ settings! {
     /// A corner of the grid's cells [default: 0,0,0].
     #[arg(value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     origin: Option<[f64; 3]>,
+
+    /// The format of the input, where its extension does not name it [default: by the extension].
+    #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
+    format: Option<InputFormat>,
 
     /// The type of particles, of an input that holds several [default: gas, or fluid].
     ///
@@ -235,7 +246,8 @@ pub(crate) fn differing(version: &str, kept: &Kept, wanted: &Kept) -> String {
 }
 
 /// Settings that need the particles: a frame that is sampled keeps those that it was sampled by.
-const OF_PARTICLES: [&str; 12] = [
+const OF_PARTICLES: [&str; 13] = [
+    "format",
     "spacing",
     "radius",
     "cell_size",
@@ -271,7 +283,7 @@ impl Settings {
         self.spacing.or(self.radius.map(|radius| 2.0 * radius))
     }
 
-    /// The same, with a spacing in place of a radius.
+    /// Settings that say the same by a spacing in place of a radius.
     pub(crate) fn by_spacing(&self) -> Self {
         Self { spacing: self.spacing_or_radius(), radius: None, ..self.clone() }
     }
@@ -338,6 +350,7 @@ mod tests {
             cell_size: Some(0.1),
             cell: Some(0.5),
             origin: Some([1.0, 2.0, 3.0]),
+            format: Some(InputFormat::Csv),
             particle_type: Some("gas".into()),
             domain: Some(Faces([Some([0.0, 1.0]), None, Some([-1.0, 2.0])])),
             periodic: Some(Faces([None, Some([0.0, 4.0]), None])),

@@ -105,15 +105,15 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (vec![".", "-o", "out.ply"], "{}"),
         (ball(&["--sigma", "0"]), "sigma"),
         (ball(&["--sigma", "nan"]), "sigma"),
-        (ball(&["--iso", "1.5"]), "isovalue"),
+        (ball(&["--iso", "1.5"]), "--iso must be"),
         (ball(&["--iso", "high"]), "auto"),
         (ball(&["--mu0", "3", "--indicator", "symmetry"]), "symmetry"),
         (ball(&["--method", "guess"]), "guess"),
         (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
         (ball(&["--method", "yu-turk", "--smooth", "2"]), "--smooth"),
         (ball(&["--adaptive"]), "--adaptive"),
-        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings; 0.79 is not"),
-        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings; 4.01 is not"),
+        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings, not 0.79"),
+        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, not 4.01"),
         (ball(&["--smooth", "-1"]), "--smooth must be"),
         (ball(&["--smooth", "nan"]), "--smooth must be"),
         (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
@@ -132,7 +132,7 @@ fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
         (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
         (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
         (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
-        (ball(&["--cell", "0"]), "--cell must be positive and finite; 0 is not"),
+        (ball(&["--cell", "0"]), "--cell must be positive and finite, not 0"),
         (ball(&["--cell-size", "-1"]), "--cell-size"),
         (ball(&["--cell-size", "1", "--cell", "1"]), "cannot be used with"),
         (ball(&["--spacing", "inf"]), "--spacing"),
@@ -983,4 +983,37 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
         assert_eq!(run.status.code(), Some(2), "{said}");
         assert!(said.contains(&format!("{} is for surfaces", given[0])), "{said}");
     }
+}
+
+#[test]
+fn a_format_that_is_named_is_read_whatever_files_are_called() {
+    let folder = folder_with_ball();
+    let path = |name: &str| folder.path().join(name);
+    let run = |arguments: &[&str], code: i32| {
+        let run = meniscus(folder.path(), arguments);
+        let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {said}");
+        said
+    };
+    run(&["reconstruct", "ball.xyz", "-o", "known.ply"], 0);
+    let known = fs::read(path("known.ply")).unwrap();
+    for name in ["dump", "dump_1.out", "dump_2.csv"] {
+        fs::copy(path("ball.xyz"), path(name)).unwrap();
+        run(&["reconstruct", name, "-o", "named.ply", "--format", "xyz", "--overwrite"], 0);
+        assert!(fs::read(path("named.ply")).unwrap() == known, "{name}");
+        assert!(run(&["info", name, "--format", "xyz"], 0).contains("spacing"));
+    }
+    let said = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
+    assert!(said.contains("extension") && said.contains("--format"), "{said}");
+    // As what it is not.
+    run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
+    fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();
+    run(&["reconstruct", "dump_{}.out", "-o", "out/m_{}.ply", "--format", "xyz"], 0);
+    assert!(["m_1.ply", "m_3.ply"].iter().all(|mesh| path("out").join(mesh).is_file()));
+    assert!(!path("other.ply").exists());
+    let parts = ["reconstruct", "dump", "-o", "parts.ply", "--format", "xyz", "--parts", "2"];
+    for step in [&["--plan"][..], &["--part", "0"], &["--part", "1"], &["--merge"]] {
+        run(&[&parts[..], step].concat(), 0);
+    }
+    assert!(fs::read(path("parts.ply")).unwrap() == known);
 }

@@ -20,7 +20,7 @@ use meniscus::internals::io::output::read_mesh;
 use meniscus::internals::particles::{Particles, StridedPositions};
 use meniscus::internals::reconstruction::SpacingSource;
 use meniscus::internals::surface::mesh::check::check;
-use meniscus::{Emptiness, LiveSimulation, Reconstruction, Surface, UpAxis, Warning};
+use meniscus::{Emptiness, LiveSimulation, Reconstruction, Settings, Surface, UpAxis, Warning};
 use tempfile::TempDir;
 
 /// A ball of particles at spacing 0.5.
@@ -125,15 +125,15 @@ fn numbers_out_of_range_are_refused_before_any_work() {
     let asked = Reconstruction::new;
     for (what, request) in [
         ("spacing", asked().spacing(0.0)),
-        ("cell size", asked().cell_size(f64::NAN)),
-        ("cell size", asked().cell(-1.0)),
+        ("cell-size", asked().cell_size(f64::NAN)),
+        ("cell must", asked().cell(-1.0)),
         ("finite", asked().origin([f64::INFINITY, 0.0, 0.0])),
         ("smooth", asked().smooth(0.01)),
         ("sigma", asked().indicator(IndicatorKind::Counting).sigma(-1.0)),
-        ("isovalue", asked().indicator(IndicatorKind::Counting).iso(2.0)),
+        ("iso", asked().indicator(IndicatorKind::Counting).iso(2.0)),
         ("mu0", asked().indicator(IndicatorKind::Counting).mu0(0.0)),
-        ("simplifying", asked().simplify(1e9)),
-        ("smallest component", asked().smallest_component(-2.0)),
+        ("simplify", asked().simplify(1e9)),
+        ("smallest-component", asked().smallest_component(-2.0)),
         ("memory", asked().memory(MemoryBudget(1 << 10))),
         ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
     ] {
@@ -298,7 +298,9 @@ fn surfaces_that_are_kept_hold_no_threads() {
 #[test]
 fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_the_scene() {
     let folder = data("dambreak_small");
-    let file = meniscus::files::open_particles(folder.join("ParticleData_Fluid_20.bgeo"), None).unwrap();
+    let file =
+        meniscus::files::open_particles(folder.join("ParticleData_Fluid_20.bgeo"), &Settings::default())
+            .unwrap();
     assert_eq!(file.spacing, Some(0.05));
     assert!(
         file.particles.attributes().iter().any(|info| info.is_velocity()),
@@ -308,7 +310,7 @@ fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_th
     let mut first = [[0.0; 3]];
     file.particles.positions(0, &mut first);
     assert!(first[0].iter().all(|x| x.is_finite()));
-    let error = meniscus::files::open_particles(folder.join("scene.json"), None).unwrap_err();
+    let error = meniscus::files::open_particles(folder.join("scene.json"), &Settings::default()).unwrap_err();
     assert_eq!(error.cause(), Cause::Request, "{error}");
 }
 

@@ -408,7 +408,7 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
     }
     // As the program before wrote it, with an option that is gone: other settings, which --resume makes anew.
     let settings = state["settings"].as_object_mut().unwrap();
-    settings.remove("smooth").unwrap();
+    settings.insert("smooth".into(), 2.0.into());
     settings.insert("adaptive".into(), false.into());
     fs::write(&path, state.to_string()).unwrap();
     let errors = run(folder.path(), &ALL, 2);

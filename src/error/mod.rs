@@ -186,6 +186,20 @@ pub enum Cause {
 }
 
 impl Error {
+    /// The message, with settings called as `name` says: an option's name for a program, a keyword's for a binding.
+    #[must_use]
+    pub fn told(&self, name: &dyn Fn(Setting) -> String) -> String {
+        match self {
+            Self::Unfit(unfit) => unfit.told(name),
+            // Its message begins with the key.
+            Self::Unit(unit) => match Setting::by_key(unit.name()) {
+                Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
+                None => unit.to_string(),
+            },
+            _ => self.to_string(),
+        }
+    }
+
     /// Names the file that particles are of, where the error does not say it.
     #[must_use]
     pub fn of_file(mut self, file: &Path) -> Self {

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use super::input::{extension, file_and_step};
+use super::input::file_and_step;
+use super::input_format::extension;
 pub use super::piece_name::snapshot_piece;
 use super::{ReadError, bi4, vtp};
 

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use super::bytes::{Bytes, Unpacking, View, open_bytes, open_bytes_within};
+pub use super::input_format::InputFormat;
+use super::input_format::extension;
 use super::wanted::{Wanted, no_types};
 use super::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, ply, vtk, vtp, xyz};
 
@@ -46,7 +48,8 @@ pub fn open_wanted(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<
 fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFile, ReadError> {
     let fail = |fault| ReadError::new(path, fault);
     let (file, step) = file_and_step(path);
-    let reader = reader_for(file).ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?;
+    let format = wanted.format.or_else(|| InputFormat::of(file));
+    let reader = reader(format.ok_or_else(|| fail(ReadFault::UnknownExtension { known: KNOWN }))?);
     let bytes = open_bytes_within(file, unpacking)?;
     if let (Some(name), Reader::OneFile(_) | Reader::Pieces(_)) = (wanted.particle_type, &reader) {
         return Err(fail(no_types(name)));
@@ -63,7 +66,7 @@ fn read(path: &Path, wanted: Wanted, unpacking: Unpacking) -> Result<ParticleFil
 pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
     let cut = path.to_str().and_then(|text| {
         let (file, step) = text.rsplit_once('#')?;
-        let holds_steps = matches!(reader_for(Path::new(file)), Some(Reader::Steps(_)));
+        let holds_steps = InputFormat::of(Path::new(file)) == Some(InputFormat::Hdf5);
         Some((Path::new(file), step.parse().ok().filter(|_| holds_steps)?))
     });
     cut.map_or((path, None), |(file, step)| (file, Some(step)))
@@ -74,9 +77,9 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
 /// # Errors
 /// [`ReadError`] where the file may hold several and cannot be read.
 pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
-    match reader_for(path) {
+    match InputFormat::of(path) {
         #[cfg(feature = "hdf5")]
-        Some(Reader::Steps(_)) => {
+        Some(InputFormat::Hdf5) => {
             super::h5::steps(open_bytes(path)?).map_err(|fault| ReadError::new(path, fault))
         }
         _ => Ok(Vec::new()),
@@ -86,7 +89,7 @@ pub fn steps(path: &Path) -> Result<Vec<u64>, ReadError> {
 /// Whether a file's extension names a format of particles.
 #[must_use]
 pub fn is_known(path: &Path) -> bool {
-    reader_for(path).is_some()
+    InputFormat::of(path).is_some()
 }
 
 /// Whether a file holds a mesh rather than particles: by its extension, or by its faces where the format
@@ -119,13 +122,6 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))
 }
 
-/// In lower case, without `.gz`.
-pub(super) fn extension(path: &Path) -> Option<String> {
-    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
-    Some(extension.to_owned())
-}
-
 enum Reader {
     OneFile(fn(Bytes, Unpacking) -> Result<ParticleFile, ReadFault>),
     /// Frame by frame, or all of a file that is one.
@@ -148,22 +144,21 @@ pub(super) fn no_hdf5() -> ReadFault {
     ReadFault::Unsupported("HDF5 is read by a meniscus built with the feature hdf5".to_owned())
 }
 
-fn reader_for(path: &Path) -> Option<Reader> {
-    Some(Reader::OneFile(match extension(path)?.as_str() {
-        // `.bgeo.sc` is recognised to say what to do instead.
-        "bgeo" | "bhclassic" | "sc" => |bytes, _| bgeo::read_particles(bytes),
-        "bi4" => return Some(Reader::Pieces(bi4::open_particles)),
-        "csv" | "txt" => xyz::read_text,
-        "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => return Some(Reader::Steps(HDF5)),
-        "npy" => |bytes, _| npy::read_particles(bytes),
-        "npz" => npz::read_particles,
-        "ply" => ply::read_particles,
-        "pvtp" | "pvtu" => return Some(Reader::Pieces(vtp::parallel::open_particles)),
-        "vtk" => vtk::read_particles,
-        "vtp" | "vtu" => vtp::read_particles,
-        "xyz" => xyz::read_particles,
-        _ => return None,
-    }))
+fn reader(format: InputFormat) -> Reader {
+    use InputFormat::{Bgeo, Bi4, Csv, Hdf5, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz};
+    match format {
+        Bgeo => Reader::OneFile(|bytes, _| bgeo::read_particles(bytes)),
+        Bi4 => Reader::Pieces(bi4::open_particles),
+        Csv => Reader::OneFile(xyz::read_text),
+        Hdf5 => Reader::Steps(HDF5),
+        Npy => Reader::OneFile(|bytes, _| npy::read_particles(bytes)),
+        Npz => Reader::OneFile(npz::read_particles),
+        Ply => Reader::OneFile(ply::read_particles),
+        Pvtp => Reader::Pieces(vtp::parallel::open_particles),
+        Vtk => Reader::OneFile(vtk::read_particles),
+        Vtp => Reader::OneFile(vtp::read_particles),
+        Xyz => Reader::OneFile(xyz::read_particles),
+    }
 }
 
 #[cfg(test)]
@@ -179,7 +174,7 @@ mod tests {
     fn the_extensions_that_messages_know_are_those_that_have_a_reader() {
         let known: BTreeSet<&str> =
             KNOWN.split(&[',', ' '][..]).filter_map(|word| word.strip_prefix('.')).collect();
-        let (_, arms) = include_str!("input.rs").split_once("fn reader_for").unwrap();
+        let (_, arms) = include_str!("input_format.rs").split_once("match extension(path)?").unwrap();
         let (arms, _) = arms.split_once("_ => return None").unwrap();
         let arms = arms.lines().filter_map(|line| line.split_once("=>")).flat_map(|(arm, _)| arm.split('"'));
         let is_extension = |word: &&str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric());

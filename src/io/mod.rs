@@ -18,6 +18,7 @@ pub mod glb;
 pub mod h5;
 pub mod identity;
 pub mod input;
+mod input_format;
 pub mod mnf;
 pub mod names;
 pub mod npy;

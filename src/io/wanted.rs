@@ -2,6 +2,7 @@
 
 use crate::particles::{AttributeInfo, Particles, velocity_attribute};
 
+use super::input_format::InputFormat;
 use super::{ParticleFile, ReadFault};
 
 /// Names of VTK's flags of points or cells that are copies, or hidden: today's, and that of levels of copies before version 6.3.
@@ -14,6 +15,8 @@ pub(super) const TAG: &str = "tag";
 pub struct Wanted<'a> {
     /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
     pub particle_type: Option<&'a str>,
+    /// Format of the input, where its extension does not name it.
+    pub format: Option<InputFormat>,
     /// Attributes that have to be there. A format that reads all at once has others too.
     pub attributes: WantedAttributes<'a>,
     /// Pieces that are read, of an input in several files.

@@ -10,7 +10,12 @@ impl Settings {
     /// Particles and attributes that have to be read of an input.
     pub(crate) fn wanted(&self) -> Wanted<'_> {
         let attributes = self.attribute_names().map_or(WantedAttributes::Velocity, WantedAttributes::Named);
-        Wanted { particle_type: self.particle_type.as_deref(), attributes, ..Wanted::default() }
+        Wanted {
+            format: self.format,
+            particle_type: self.particle_type.as_deref(),
+            attributes,
+            ..Wanted::default()
+        }
     }
 
     /// The numbers of the attributes that go to the vertices, of those that there are. Velocity goes where a format can hold it.

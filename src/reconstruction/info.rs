@@ -134,21 +134,23 @@ static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
 /// # Errors
 /// [`Error::Read`].
 pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
-    info_of_type(path, None)
+    info_by(path, &Settings::default())
 }
 
-/// Looks into a file like [`info`], for the particles of a type where it holds several.
+/// Looks into a file like [`info`], read in the format and for the type of particles that settings name.
 ///
 /// # Errors
 /// [`Error::Read`], also where there is no such type.
-pub fn info_of_type(path: impl AsRef<Path>, particle_type: Option<&str>) -> Result<Info, Error> {
+pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
-    if is_packed(path) {
+    if settings.format.is_some() {
+        particles(path, settings).map(Info::Particles)
+    } else if is_packed(path) {
         frame(path).map(Info::Frame)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
     } else if is_known(file_and_step(path).0) {
-        particles(path, particle_type).map(Info::Particles)
+        particles(path, settings).map(Info::Particles)
     } else {
         Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())
     }
@@ -190,11 +192,11 @@ fn mesh(path: &Path) -> Result<MeshInfo, Error> {
     })
 }
 
-fn particles(path: &Path, particle_type: Option<&str>) -> Result<ParticlesInfo, Error> {
+fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let scratch = std::env::temp_dir();
     let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
     // Names of attributes are enough, where their values would have to be unpacked.
-    let wanted = Wanted { particle_type, attributes: WantedAttributes::Named(&[]), ..Wanted::default() };
+    let wanted = Wanted { attributes: WantedAttributes::Named(&[]), ..settings.wanted() };
     let file = open_wanted(path, wanted, unpacking)?;
     let particles = &file.particles;
     let bounds = bounds(particles);

@@ -30,7 +30,7 @@ pub use cells::{CellSize, Cells, Slab, Source};
 pub(crate) use checked::{Checked, Ready};
 pub(crate) use draw::{Drawn, Kept};
 pub use frame::Frame;
-pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_of_type};
+pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_by};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use opened::{Needs, Opened};
 pub(crate) use orientation::Orientation;

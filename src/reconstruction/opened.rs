@@ -18,7 +18,6 @@ use crate::system::timings::Timings;
 
 use super::checked::{Checked, Ready};
 use super::frame::{Frame, Sampled};
-use super::orientation::usual_up;
 use super::{Cells, ChosenSampling, Source};
 
 /// An input that was opened, and is not sampled yet.
@@ -212,8 +211,8 @@ impl Opened {
     /// [`Error::Frame`] for particles that cannot be placed, or that the memory cannot hold, and [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
         let Self { path, ready, input, mut timings } = self;
-        let up = usual_up(&path);
         let checked = &ready.checked;
+        let up = checked.settings.usual_up(&path);
         let sampled = ready.threads.install(|| match input {
             Input::Packed(sampled) => {
                 let engine = Engine::from_sampled(*sampled, &checked.surfacing, checked.resources.clone());

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::io::UpAxis;
 use crate::io::glb::{Compression, Layout};
+use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
 use crate::surface::mesh::bounds::Bounds;
 use crate::surface::mesh::source::MeshSource;
@@ -24,11 +25,20 @@ pub(crate) struct Orientation {
 /// The axis that points up in the particles of a file, by who wrote it: DualSPHysics lets z point up, other simulators mostly y.
 #[must_use]
 pub fn usual_up(input: &Path) -> UpAxis {
-    let name = input.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    if name.trim_end_matches(".gz").ends_with(".bi4") { UpAxis::Z } else { UpAxis::Y }
+    if InputFormat::of(input) == Some(InputFormat::Bi4) { UpAxis::Z } else { UpAxis::Y }
 }
 
 impl Settings {
+    /// The axis that points up in the particles of a file, by its format.
+    #[must_use]
+    pub fn usual_up(&self, input: &Path) -> UpAxis {
+        match self.format {
+            Some(InputFormat::Bi4) => UpAxis::Z,
+            Some(_) => UpAxis::Y,
+            None => usual_up(input),
+        }
+    }
+
     /// The axes of a mesh in a format, of particles whose usual axis is known.
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);

@@ -7,16 +7,17 @@ use crate::io::ParticleFile;
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
 use crate::io::scene::spacing_beside;
-use crate::io::wanted::{Wanted, WantedAttributes, WantedPieces};
+use crate::io::wanted::{Wanted, WantedAttributes};
+use crate::settings::Settings;
 use crate::system::memory::default_memory;
 
-/// Opens a file of particles with all of their attributes, for those of a type where it holds several. Where it does not say their
-/// spacing, that is the one of a scene beside it, if there is one.
+/// Opens a file of particles with all of their attributes, in the format and for the type of particles that settings name. Where it does
+/// not say their spacing, that is the one of a scene beside it, if there is one.
 ///
 /// ```no_run
-/// use meniscus::{Particles, Reconstruction, files};
+/// use meniscus::{Particles, Reconstruction, Settings, files};
 ///
-/// let file = files::open_particles("frame_20.bgeo", None)?;
+/// let file = files::open_particles("frame_20.bgeo", &Settings::default())?;
 /// let mut positions = vec![[0.0; 3]; file.particles.len()];
 /// file.particles.positions(0, &mut positions);
 /// positions.retain(|[_, height, _]| *height > 0.0);
@@ -26,10 +27,10 @@ use crate::system::memory::default_memory;
 ///
 /// # Errors
 /// [`Error::Read`], also where there is no such type.
-pub fn open_particles(path: impl AsRef<Path>, particle_type: Option<&str>) -> Result<ParticleFile, Error> {
+pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<ParticleFile, Error> {
     let (path, scratch) = (path.as_ref(), std::env::temp_dir());
     let unpacking = Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch };
-    let wanted = Wanted { particle_type, attributes: WantedAttributes::All, pieces: WantedPieces::All };
+    let wanted = Wanted { attributes: WantedAttributes::All, ..settings.wanted() };
     let mut file = open_wanted(path, wanted, unpacking)?;
     file.spacing = file.spacing.or_else(|| spacing_beside(path).map(|(spacing, _)| spacing));
     Ok(file)

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Faces;
 use crate::field::indicator::IndicatorKind;
 use crate::grid::PeriodicMesh;
+use crate::io::input::InputFormat;
 use crate::surface::mesh::up::UpAxis;
 
 /// How a field is made.
@@ -129,6 +130,70 @@ macro_rules! taken_by_name {
 taken_by_name! {
     IndicatorKind: "cloud" => Cloud, "counting" => Counting, "symmetry" => Symmetry;
     MethodName: "dif" => Dif, "mueller" => Mueller, "zhu-bridson" => ZhuBridson, "yu-turk" => YuTurk;
+    InputFormat: "bgeo" => Bgeo, "bi4" => Bi4, "csv" => Csv, "hdf5" => Hdf5, "npy" => Npy, "npz" => Npz, "ply" => Ply,
+        "pvtp" => Pvtp, "vtk" => Vtk, "vtp" => Vtp, "xyz" => Xyz;
     UpAxis: "y" => Y, "z" => Z;
     PeriodicMesh: "cut" => Cut, "overlap" => Overlap;
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+    use std::fmt::Debug;
+
+    use super::*;
+
+    /// Words of which the one of a number is taken, and which are noted.
+    struct Nth(usize, RefCell<Vec<String>>);
+
+    impl Source for Nth {
+        type Error = ();
+        fn one_of(&self, words: &[&str]) -> Result<usize, ()> {
+            *self.1.borrow_mut() = words.iter().map(|word| (*word).to_owned()).collect();
+            Ok(self.0)
+        }
+        fn number(&self) -> Result<f64, ()> {
+            Err(())
+        }
+        fn count(&self) -> Result<u32, ()> {
+            Err(())
+        }
+        fn switch(&self) -> Result<bool, ()> {
+            Err(())
+        }
+        fn text(&self) -> Result<String, ()> {
+            Err(())
+        }
+        fn names(&self) -> Result<Vec<String>, ()> {
+            Err(())
+        }
+        fn point(&self) -> Result<[f64; 3], ()> {
+            Err(())
+        }
+        fn faces(&self) -> Result<Faces, ()> {
+            Err(())
+        }
+        fn is_word(&self, _: &str) -> bool {
+            false
+        }
+    }
+
+    fn are_called_as_in_files<T: Taken + Serialize + Debug>(count: usize) {
+        for index in 0..count {
+            let source = Nth(index, RefCell::default());
+            let value = T::taken(&source).unwrap();
+            let words = source.1.into_inner();
+            assert_eq!(words.len(), count);
+            assert_eq!(serde_json::to_value(&value).unwrap(), words[index].as_str(), "{value:?}");
+        }
+    }
+
+    #[test]
+    fn callers_call_values_as_files_do() {
+        are_called_as_in_files::<IndicatorKind>(3);
+        are_called_as_in_files::<MethodName>(4);
+        are_called_as_in_files::<InputFormat>(11);
+        are_called_as_in_files::<UpAxis>(2);
+        are_called_as_in_files::<PeriodicMesh>(2);
+    }
 }

@@ -23,7 +23,7 @@ use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     Checked, Doubt, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
-    coordinate_width, merged, refuse_same_file, usual_up,
+    coordinate_width, merged, refuse_same_file,
 };
 use crate::surface::mesh::bounds::Bounded;
 use crate::surface::mesh::source::MeshSource;
@@ -96,7 +96,7 @@ impl Conversion<'_> {
         let replace = if allowed { Replace::Allow } else { Replace::Refuse };
         let target = self.output(frame);
         refuse_same_file(&target, file_and_step(path).0)?;
-        let orientation = checked.settings.orientation(usual_up(path), self.format);
+        let orientation = checked.settings.orientation(checked.settings.usual_up(path), self.format);
         let output = Output::prepare(&checked.settings, &target, replace, self.cancel())?;
         let output = output.with_layout(checked.settings.layout(orientation));
         stage(Stage::Reading);

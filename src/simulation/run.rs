@@ -11,7 +11,7 @@ use crate::io::mnf::is_packed;
 use crate::io::series::Series;
 use crate::io::whole::{make_folder, sweep};
 use crate::io::{WriteError, WriteFault};
-use crate::reconstruction::{Checked, usual_up};
+use crate::reconstruction::Checked;
 use crate::system::control::Control;
 
 use super::builder::Simulation;
@@ -184,7 +184,10 @@ impl Simulation {
         let format = setup.format(first)?;
         let simulation = naming.simulation(first);
         let store = Store::beside(&simulation);
-        let up = setup.checked.settings.orientation(usual_up(&first.path), format).shown;
+        let up = {
+            let settings = &setup.checked.settings;
+            settings.orientation(settings.usual_up(&first.path), format).shown
+        };
         let series = Series { format, simulation, fps: self.fps, up };
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();

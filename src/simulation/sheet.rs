@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use crate::error::Error;
 use crate::io::UpAxis;
 use crate::io::whole::Replace;
-use crate::reconstruction::usual_up;
 use crate::surface::picture::Picture;
 
 use super::builder::Simulation;
@@ -33,7 +32,7 @@ impl Simulation {
             drop(PictureFile::prepare(&path, replace)?);
         }
         let settings = &self.request.settings;
-        let usual = || self.inputs.first().map_or(UpAxis::Y, |input| usual_up(input));
+        let usual = || self.inputs.first().map_or(UpAxis::Y, |input| settings.usual_up(input));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
         let pictures = Pictures::new(picture, [&self.output], &path).replace(replace);

@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3, EulerRot};
 use meniscus::files::open_particles;
 use meniscus::internals::field::spacing::evidence;
 use meniscus::internals::reconstruction::{Cells, SamplingRequest, Source};
-use meniscus::{Doubt, Mistake, Particles, Reconstruction};
+use meniscus::{Doubt, Mistake, Particles, Reconstruction, Settings};
 
 use crate::scene::Random;
 use crate::tables::{Table, figure};
@@ -40,7 +40,8 @@ pub fn run(options: &Options) -> Outcome<()> {
             Some((path, truth)) => (path, Some(truth.parse()?)),
             None => (file.as_str(), None),
         };
-        let particles = open_particles(path, None).map_err(|fault| format!("{path}: {fault}"))?;
+        let particles =
+            open_particles(path, &Settings::default()).map_err(|fault| format!("{path}: {fault}"))?;
         let name = Path::new(path).file_name().unwrap_or_default().to_string_lossy().into_owned();
         let truth = truth.or_else(|| named(&name)).or(particles.spacing);
         let truth = truth.ok_or_else(|| format!("{path}: the true spacing is not known"))?;

@@ -2,8 +2,8 @@
 
 use bytesize::ByteSize;
 use meniscus::error::{
-    BinError, Error, FrameError, PartsError, ReadFault, Remedy, Setting, SimulationError, TooFine, Unread,
-    Untold, WriteFault, shown, significant,
+    BinError, Error, FrameError, PartsError, ReadFault, Remedy, SimulationError, TooFine, Unread, Untold,
+    WriteFault, shown, significant,
 };
 use meniscus::{Doubt, Emptiness, Mistake, SpacingSource, TooSmall, Warning};
 
@@ -22,9 +22,7 @@ pub fn told(error: &Error) -> String {
 /// An error about options, in their names.
 fn in_options(error: &Error) -> Option<String> {
     Some(match error {
-        Error::Unfit(unfit) => unfit.told(&option),
-        // The message begins with the setting.
-        Error::Unit(unit) => format!("--{unit}"),
+        Error::Unfit(_) | Error::Unit(_) => error.told(&|setting| format!("--{setting}")),
         Error::LittleMemory { least, simplifying: None } => {
             format!("--memory must be at least {}", ByteSize(*least))
         }
@@ -46,9 +44,9 @@ fn in_options(error: &Error) -> Option<String> {
     })
 }
 
-/// A setting by its option.
-fn option(setting: Setting) -> String {
-    format!("--{setting}")
+/// Whether a file could hold particles, if only its format were known.
+fn is_of_unknown_particles(fault: &ReadFault) -> bool {
+    matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
 
 fn advice(error: &Error) -> String {
@@ -62,6 +60,9 @@ fn advice(error: &Error) -> String {
             WriteFault::ExistsInSimulation => "; --resume goes on with the frames, --overwrite replaces them",
             _ => "",
         },
+        Error::Read(error) if is_of_unknown_particles(&error.fault) => {
+            "; --format names the format of particles"
+        }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",
         Error::Simulation(SimulationError::State { .. }) => "; --overwrite begins anew",
         Error::Simulation(SimulationError::Settings { .. }) => {

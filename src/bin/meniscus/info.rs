@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use bytesize::ByteSize;
 use clap::Args;
-use meniscus::Error;
 use meniscus::error::{shown, significant};
-use meniscus::files::{AttributeInfo, FrameInfo, Info, MeshInfo, ParticlesInfo, info_of_type};
+use meniscus::files::{AttributeInfo, FrameInfo, Info, InputFormat, MeshInfo, ParticlesInfo, info_by};
+use meniscus::{Error, Settings};
 
 use crate::advice::say_error;
 use crate::outcome::{Verdict, corners, point, print, print_json};
@@ -19,6 +19,9 @@ pub struct Options {
     /// The type of particles, of files that hold several [default: gas, or fluid].
     #[arg(long, value_name = "NAME")]
     particle_type: Option<String>,
+    /// The format of particle files, where their extension does not name it [default: by the extension].
+    #[arg(long, value_enum, value_name = "NAME")]
+    format: Option<InputFormat>,
     /// Print JSON, for programs: a list with an entry for each file.
     #[arg(long)]
     json: bool,
@@ -26,10 +29,11 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<Verdict, Error> {
-    let kind = options.particle_type.as_deref();
+    let Options { format, particle_type, .. } = options;
+    let settings = Settings { format: *format, particle_type: particle_type.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
     for file in &options.files {
-        match info_of_type(file, kind) {
+        match info_by(file, &settings) {
             Ok(info) if options.json => infos.push(info),
             Ok(info) => print(&describe(&info))?,
             Err(error) => errors.push(error),

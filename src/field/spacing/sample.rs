@@ -19,7 +19,7 @@ pub struct Share {
     held: Mutex<Held>,
 }
 
-/// What a share has of the particles that it was shown.
+/// Positions that a share holds, and the bounds of all particles that it was shown.
 struct Held {
     positions: Vec<[f64; 3]>,
     /// Positions that may be held before duplicates are dropped.

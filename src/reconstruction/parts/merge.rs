@@ -7,7 +7,6 @@ use crate::grid::units::Isovalue;
 use crate::reconstruction::SinglePrecision;
 use crate::reconstruction::checked::{Checked, Ready};
 use crate::reconstruction::draw::{Drawn, Kept};
-use crate::reconstruction::orientation::usual_up;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
 use crate::reconstruction::warning::{of_particles, with_doubts};
@@ -60,7 +59,7 @@ impl Parts {
         drawn.report.timings = timings;
         let settings = checked.settings.clone();
         let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
-        let (threads, particles_up) = ((&threads).into(), usual_up(&self.input));
+        let (threads, particles_up) = ((&threads).into(), settings.usual_up(&self.input));
         Ok(Surface { drawn, threads, settings, particles_up, control, memory })
     }
 }

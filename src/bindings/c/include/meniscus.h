@@ -192,6 +192,45 @@ typedef int32_t MeniscusUp;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
+// A format of particle files.
+enum MeniscusFormat
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : int32_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+  // Not said: the one that the extension names.
+  MENISCUS_FORMAT_DEFAULT = 0,
+  // Houdini's classic .bgeo.
+  MENISCUS_FORMAT_BGEO = 1,
+  // DualSPHysics' .bi4.
+  MENISCUS_FORMAT_BI4 = 2,
+  // Tables of text, as in .csv and .txt.
+  MENISCUS_FORMAT_CSV = 3,
+  // HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
+  MENISCUS_FORMAT_HDF5 = 4,
+  // An array of NumPy.
+  MENISCUS_FORMAT_NPY = 5,
+  // Arrays of NumPy in one file.
+  MENISCUS_FORMAT_NPZ = 6,
+  // Stanford's .ply.
+  MENISCUS_FORMAT_PLY = 7,
+  // Parallel VTK, .pvtp and .pvtu.
+  MENISCUS_FORMAT_PVTP = 8,
+  // Legacy VTK.
+  MENISCUS_FORMAT_VTK = 9,
+  // VTK's XML, .vtp and .vtu.
+  MENISCUS_FORMAT_VTP = 10,
+  // Floats of 32 bits without a header, three for each particle.
+  MENISCUS_FORMAT_XYZ = 11,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum MeniscusFormat MeniscusFormat;
+#else
+typedef int32_t MeniscusFormat;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
 // Where the stages run; the bytes of the result are the same.
 enum MeniscusBackend
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -461,6 +500,8 @@ typedef struct MeniscusOptions {
   int32_t normals;
   // Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
   int32_t compress;
+  // The format of an input whose extension does not name it, one of MeniscusFormat.
+  int32_t format;
 } MeniscusOptions;
 
 // The end of a conversion. The caller sets `size`, and the library fills the rest.

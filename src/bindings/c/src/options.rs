@@ -4,7 +4,7 @@ use std::ffi::{c_char, c_void};
 use std::path::Path;
 
 use meniscus::devices::{DeviceChoice, bytes_of, device, fastest};
-use meniscus::files::Replace;
+use meniscus::files::{InputFormat, Replace};
 use meniscus::{
     Error, Faces, IndicatorKind, Iso, MemoryBudget, MethodName, PeriodicMesh, Reconstruction, Settings,
     UpAxis, default_memory,
@@ -68,6 +68,36 @@ pub enum MeniscusUp {
     Z = 2,
 }
 
+/// A format of particle files.
+#[repr(i32)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeniscusFormat {
+    /// Not said: the one that the extension names.
+    Default = 0,
+    /// Houdini's classic .bgeo.
+    Bgeo = 1,
+    /// DualSPHysics' .bi4.
+    Bi4 = 2,
+    /// Tables of text, as in .csv and .txt.
+    Csv = 3,
+    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
+    Hdf5 = 4,
+    /// An array of NumPy.
+    Npy = 5,
+    /// Arrays of NumPy in one file.
+    Npz = 6,
+    /// Stanford's .ply.
+    Ply = 7,
+    /// Parallel VTK, .pvtp and .pvtu.
+    Pvtp = 8,
+    /// Legacy VTK.
+    Vtk = 9,
+    /// VTK's XML, .vtp and .vtu.
+    Vtp = 10,
+    /// Floats of 32 bits without a header, three for each particle.
+    Xyz = 11,
+}
+
 /// Where the stages run; the bytes of the result are the same.
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -86,6 +116,7 @@ codes!(MeniscusIndicator: Default, Cloud, Counting, Symmetry);
 codes!(MeniscusMethod: Dif, Mueller, ZhuBridson, YuTurk);
 codes!(MeniscusPeriodicMesh: Default, Cut, Overlap);
 codes!(MeniscusUp: Default, Y, Z);
+codes!(MeniscusFormat: Default, Bgeo, Bi4, Csv, Hdf5, Npy, Npz, Ply, Pvtp, Vtk, Vtp, Xyz);
 codes!(MeniscusBackend: Default, Auto, Cpu, Vulkan);
 
 /// Options of a surface, by the names of the options of `meniscus reconstruct`. To be filled with zeros but for what is said: 0 and NULL
@@ -170,6 +201,8 @@ pub struct MeniscusOptions {
     pub normals: i32,
     /// Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
     pub compress: i32,
+    /// The format of an input whose extension does not name it, one of MeniscusFormat.
+    pub format: i32,
 }
 
 // SAFETY: numbers, pointers and a nullable callback.
@@ -259,6 +292,23 @@ fn up(axis: i32, what: &str) -> Outcome<Option<UpAxis>> {
     })
 }
 
+fn format(format: i32) -> Outcome<Option<InputFormat>> {
+    Ok(Some(match coded(format, "options.format")? {
+        MeniscusFormat::Default => return Ok(None),
+        MeniscusFormat::Bgeo => InputFormat::Bgeo,
+        MeniscusFormat::Bi4 => InputFormat::Bi4,
+        MeniscusFormat::Csv => InputFormat::Csv,
+        MeniscusFormat::Hdf5 => InputFormat::Hdf5,
+        MeniscusFormat::Npy => InputFormat::Npy,
+        MeniscusFormat::Npz => InputFormat::Npz,
+        MeniscusFormat::Ply => InputFormat::Ply,
+        MeniscusFormat::Pvtp => InputFormat::Pvtp,
+        MeniscusFormat::Vtk => InputFormat::Vtk,
+        MeniscusFormat::Vtp => InputFormat::Vtp,
+        MeniscusFormat::Xyz => InputFormat::Xyz,
+    }))
+}
+
 /// Reads the settings of a surface.
 ///
 /// # Safety
@@ -284,6 +334,7 @@ unsafe fn settings(said: &MeniscusOptions) -> Outcome<Settings> {
         origin,
         domain: domain.map(faces),
         periodic: periodic.map(faces),
+        format: format(said.format)?,
         particle_type,
         indicator: match coded(said.indicator, "options.indicator")? {
             MeniscusIndicator::Default => None,

@@ -58,7 +58,7 @@ impl From<Error> for Failure {
             Cause::Cancelled => MeniscusStatus::Cancelled,
             _ => MeniscusStatus::Internal,
         };
-        Self { status, message: error.to_string() }
+        Self { status, message: error.told(&|setting| format!("options.{}", setting.name())) }
     }
 }
 

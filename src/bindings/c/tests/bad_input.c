@@ -51,14 +51,14 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
 
 static void options_are_refused(void) {
   MeniscusParticles water = particles_of(positions);
-  OPTION("the spacing must be positive and finite; -0.05 is not", .spacing = -0.05);
-  OPTION("the spacing must be positive and finite; NaN is not", .spacing = NAN);
-  OPTION("the spacing must be positive and finite; inf is not", .spacing = INFINITY);
-  OPTION("the radius must be positive and finite; -1 is not", .radius = -1);
+  OPTION("options.spacing must be positive and finite, not -0.05", .spacing = -0.05);
+  OPTION("options.spacing must be positive and finite, not NaN", .spacing = NAN);
+  OPTION("options.spacing must be positive and finite, not inf", .spacing = INFINITY);
+  OPTION("options.radius must be positive and finite, not -1", .radius = -1);
   OPTION("options.radius and options.spacing exclude each other", .radius = 1, .spacing = 2);
   OPTION("options.cell and options.cell_size exclude each other", .cell = 1, .cell_size = 2);
-  OPTION("the cell size must be positive", .cell_size = NAN);
-  OPTION("the cell size in spacings must be positive", .cell = -0.5);
+  OPTION("options.cell_size must be positive", .cell_size = NAN);
+  OPTION("options.cell must be positive", .cell = -0.5);
   OPTION("origin", .origin = nan_corner);
   OPTION("domain", .domain = inside_out);
   OPTION("periodic box", .periodic = flat);
@@ -68,11 +68,11 @@ static void options_are_refused(void) {
   OPTION("smooth must be", .smooth = NAN);
   OPTION("sigma must be", .indicator = MENISCUS_INDICATOR_COUNTING, .sigma = -1);
   OPTION("mu0 must be", .indicator = MENISCUS_INDICATOR_COUNTING, .mu0 = INFINITY);
-  OPTION("has no meaning for the indicator", .mu0 = 1);
-  OPTION("isovalue must lie", .indicator = MENISCUS_INDICATOR_SYMMETRY, .iso = 2);
-  OPTION("has no meaning for this kernel method", .method = MENISCUS_METHOD_ZHU_BRIDSON, .iso = 0.5);
-  OPTION("tolerance of simplifying", .simplify = -1);
-  OPTION("smallest component", .smallest_component = NAN);
+  OPTION("options.mu0 has no meaning for options.indicator cloud", .mu0 = 1);
+  OPTION("options.iso must be", .indicator = MENISCUS_INDICATOR_SYMMETRY, .iso = 2);
+  OPTION("options.iso has no meaning for this options.method", .method = MENISCUS_METHOD_ZHU_BRIDSON, .iso = 0.5);
+  OPTION("options.simplify must be", .simplify = -1);
+  OPTION("options.smallest_component must be", .smallest_component = NAN);
   OPTION("memory of at least", .memory = 1);
   OPTION("threads cannot be started: their number must be 1 to 1024", .threads = 4000000000u);
   OPTION("options.indicator is 4, which is no MeniscusIndicator", .indicator = 4);
@@ -80,6 +80,7 @@ static void options_are_refused(void) {
   OPTION("options.periodic_mesh is 9, which is no MeniscusPeriodicMesh", .periodic_mesh = 9);
   OPTION("options.up is 3, which is no MeniscusUp", .up = 3);
   OPTION("options.particles_up is 3, which is no MeniscusUp", .particles_up = 3);
+  OPTION("options.format is 12, which is no MeniscusFormat", .format = 12);
   OPTION("options.backend is 2147483647, which is no MeniscusBackend", .backend = INT32_MAX);
   OPTION("options.device: options.backend is the CPU", .backend = MENISCUS_BACKEND_CPU, .device = "0");
   OPTION("options.backend: kernel methods run on the CPU", .backend = MENISCUS_BACKEND_VULKAN, .method = MENISCUS_METHOD_MUELLER);
@@ -212,7 +213,7 @@ static void files_are_refused(const char *folder) {
   meniscus_frame_free(frame);
   MeniscusOptions kernels = {.size = sizeof kernels, .method = MENISCUS_METHOD_ZHU_BRIDSON};
   OK(meniscus_sample(&water, &kernels, &frame));
-  WRITE(REQUEST, "a kernel method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
+  WRITE(REQUEST, "options.method needs the particles", meniscus_frame_pack(frame, "a.mnf", 0, NULL));
   meniscus_frame_free(frame);
   // NULL is no handle, and nothing to ask or to free.
   CHECK(!meniscus_mesh_vertex_count(NULL) && !meniscus_mesh_triangle_count(NULL) && !meniscus_mesh_has_normals(NULL));

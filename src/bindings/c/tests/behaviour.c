@@ -184,7 +184,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   }
   options.cell = 0.3;
   CHECK(meniscus_frame_surface(frame, &options, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
-  CHECK(strstr(meniscus_last_error(), "a size of cells needs the particles themselves"));
+  CHECK(strstr(meniscus_last_error(), "options.cell needs the particles themselves"));
   OK(meniscus_frame_pack(frame, path, 1, &bytes));
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
@@ -290,7 +290,7 @@ static void *work(void *threads) {
     // The message of this thread, whatever the other fails by meanwhile.
     MeniscusOptions wrong = {.size = sizeof wrong, .spacing = -1.0 - options.threads};
     char expected[16];
-    snprintf(expected, sizeof expected, "; -%u is not", 1 + options.threads);
+    snprintf(expected, sizeof expected, "not -%u", 1 + options.threads);
     CHECK(meniscus_reconstruct(&particles, &wrong, &mesh) == MENISCUS_STATUS_REQUEST && mesh == NULL);
     CHECK(strstr(meniscus_last_error(), expected));
   }

@@ -28,12 +28,7 @@ fn is_of_file(error: &Error) -> bool {
 
 /// The exception that an error is.
 pub fn exception(error: Error) -> PyErr {
-    let text = match &error {
-        Error::Unfit(unfit) => unfit.told(&|setting| setting.name().to_owned()),
-        // The message begins with the setting.
-        Error::Unit(unit) => unit.to_string().replacen(unit.name(), &unit.name().replace('-', "_"), 1),
-        _ => error.to_string(),
-    };
+    let text = error.told(&|setting| setting.name().to_owned());
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(error, Error::Cancelled | Error::Frame { fault: FrameError::Cancelled, .. }) => {

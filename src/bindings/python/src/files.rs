@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use meniscus::Particles;
-use meniscus::files::{frames, open_particles, usual_up, velocity_attribute};
+use meniscus::files::{frames, open_particles, velocity_attribute};
 use numpy::prelude::*;
 use numpy::{PyArray1, PyArray2};
 use pyo3::exceptions::PyTypeError;
@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::exception;
+use crate::options::{Keywords, Known};
 use crate::work::Work;
 
 /// The particles of a file: what ``read_particles`` returns.
@@ -59,6 +60,8 @@ impl ParticleData {
 /// ----------
 /// path : str or os.PathLike
 ///     The file; ``sim.h5part#12`` is a step of one that holds several.
+/// format : str, optional
+///     The format, where the extension does not name it, such as "csv".
 /// particle_type : str, optional
 ///     The type of particles, of a file that holds several; gas or fluid by default.
 ///
@@ -73,10 +76,16 @@ impl ParticleData {
 /// meniscus.InputError
 ///     For an unknown extension; a ValueError.
 #[pyfunction]
-#[pyo3(signature = (path, *, particle_type=None))]
-pub fn read_particles(py: Python<'_>, path: PathBuf, particle_type: Option<&str>) -> PyResult<ParticleData> {
+#[pyo3(signature = (path, *, **keywords), text_signature = "(path, *, format=None, particle_type=None)")]
+pub fn read_particles(
+    py: Python<'_>,
+    path: PathBuf,
+    keywords: Option<&Bound<'_, PyDict>>,
+) -> PyResult<ParticleData> {
+    let keywords = Keywords::of("read_particles", keywords, &[Known::Files])?;
+    let settings = keywords.request.settings();
     let read = || {
-        let file = open_particles(&path, particle_type)?;
+        let file = open_particles(&path, settings)?;
         let particles = &file.particles;
         let mut positions = vec![[0.0; 3]; particles.len()];
         particles.positions(0, &mut positions);
@@ -116,7 +125,7 @@ pub fn read_particles(py: Python<'_>, path: PathBuf, particle_type: Option<&str>
         attributes: attributes.unbind(),
         spacing: file.spacing,
         time: file.time,
-        up: usual_up(&path).to_string().to_lowercase(),
+        up: settings.usual_up(&path).to_string().to_lowercase(),
         format: file.format,
     })
 }

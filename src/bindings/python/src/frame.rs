@@ -107,6 +107,8 @@ impl Frame {
     ///     The file: .mnf, or one of particles.
     /// attributes : list of str, optional
     ///     The attributes of the particles that vertices carry; their velocity by default.
+    /// format : str, optional
+    ///     The format, where the extension does not name it, such as "csv".
     /// particle_type : str, optional
     ///     The type of particles, of a file that holds several.
     ///
@@ -114,7 +116,7 @@ impl Frame {
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
-        text_signature = "(path, *, attributes=None, particle_type=None, spacing=None, radius=None, cell=None, cell_size=None, \
+        text_signature = "(path, *, attributes=None, format=None, particle_type=None, spacing=None, radius=None, cell=None, cell_size=None, \
             origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \

@@ -13,15 +13,15 @@ use crate::values::Given;
 /// Keywords of a function.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Known {
-    /// Those that say how particles are sampled.
+    /// Keywords that say how particles are sampled.
     Sampling,
-    /// Those of a surface, for which the particles are not needed again.
+    /// Keywords of a surface, for which the particles are not needed again.
     Surface,
-    /// Those of what the machine gives.
+    /// Keywords of what the machine gives.
     Machine,
-    /// Those of files of particles.
+    /// Keywords of files of particles.
     Files,
-    /// Those of simulations.
+    /// Keywords of simulations.
     Simulation,
 }
 
@@ -45,7 +45,7 @@ impl Known {
 const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
 /// The keywords of files of particles.
-const FILES: [&str; 2] = ["attributes", "particle_type"];
+const FILES: [&str; 3] = ["attributes", "format", "particle_type"];
 
 /// A request by its keywords, but for the backend, which depends on how large the input is.
 pub struct Keywords {

@@ -52,6 +52,8 @@ pub const SIMULATION: [&str; 9] =
 ///     Draw a sheet of the frames beside their meshes, as .png.
 /// attributes : list of str, optional
 ///     The attributes that vertices carry; their velocity by default.
+/// format : str, optional
+///     The format of the files, where their extension does not name it, such as "csv".
 /// particle_type : str, optional
 ///     The type of particles, of files that hold several.
 ///
@@ -97,7 +99,7 @@ impl Simulation {
     #[pyo3(
         signature = (inputs=None, output=None, **keywords),
         text_signature = "(inputs=None, output=None, *, start=None, end=None, step=None, frames=None, resume=None, \
-            overwrite=None, watch=None, fps=None, preview=None, attributes=None, particle_type=None, spacing=None, radius=None, \
+            overwrite=None, watch=None, fps=None, preview=None, attributes=None, format=None, particle_type=None, spacing=None, radius=None, \
             cell=None, cell_size=None, origin=None, domain=None, periodic=None, periodic_mesh=None, indicator=None, mu0=None, method=None, \
             skip_invalid=None, smooth=None, sigma=None, iso=None, detail=None, normals=None, simplify=None, smallest_component=None, \
             smallest_drop=None, compress=None, up=None, particles_up=None, backend=None, device=None, threads=None, \
@@ -263,7 +265,9 @@ impl Simulation {
 fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
-        if !value.is_none() && (name == "particle_type" || SIMULATION.contains(&name.as_str())) {
+        if !value.is_none()
+            && (["format", "particle_type"].contains(&name.as_str()) || SIMULATION.contains(&name.as_str()))
+        {
             return Err(InputError::new_err(format!("{name}: it is for inputs and an output")));
         }
     }

@@ -31,6 +31,7 @@ _Array: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64] | _DLPack 
 _Path: TypeAlias = str | os.PathLike[str]
 _Point: TypeAlias = Sequence[float] | npt.NDArray[Any]
 _Box: TypeAlias = Sequence[float | None] | Sequence[Sequence[float | None]] | npt.NDArray[Any]
+_Format: TypeAlias = Literal["bgeo", "bi4", "csv", "hdf5", "npy", "npz", "ply", "pvtp", "vtk", "vtp", "xyz"]
 _Progress: TypeAlias = Callable[[str, float], object]
 
 def reconstruct(
@@ -69,7 +70,7 @@ def reconstruct(
     progress: _Progress | None = None,
 ) -> Mesh: ...
 def list_frames(inputs: _Path | Sequence[_Path]) -> list[tuple[int, pathlib.Path]]: ...
-def read_particles(path: _Path, *, particle_type: str | None = None) -> Particles: ...
+def read_particles(path: _Path, *, format: _Format | None = None, particle_type: str | None = None) -> Particles: ...
 
 @final
 class Mesh:
@@ -139,6 +140,7 @@ class Frame:
         path: _Path,
         *,
         attributes: Iterable[str] | None = None,
+        format: _Format | None = None,
         particle_type: str | None = None,
         spacing: float | None = None,
         radius: float | None = None,
@@ -208,6 +210,7 @@ class Simulation:
         fps: float | None = None,
         preview: bool | None = None,
         attributes: Iterable[str] | None = None,
+        format: _Format | None = None,
         particle_type: str | None = None,
         spacing: float | None = None,
         radius: float | None = None,

@@ -1,0 +1,63 @@
+//! Formats of particle files, and the extensions that name them.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+/// A format of particle files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum), value(rename_all = "lower"))]
+pub enum InputFormat {
+    /// Houdini's classic .bgeo.
+    Bgeo,
+    /// DualSPHysics' .bi4.
+    Bi4,
+    /// Tables of text, as in .csv and .txt.
+    Csv,
+    /// HDF5: VTKHDF, SWIFT, GADGET, openPMD, PySPH or H5Part.
+    Hdf5,
+    /// An array of NumPy.
+    Npy,
+    /// Arrays of NumPy in one file.
+    Npz,
+    /// Stanford's .ply.
+    Ply,
+    /// Parallel VTK, .pvtp and .pvtu.
+    Pvtp,
+    /// Legacy VTK.
+    Vtk,
+    /// VTK's XML, .vtp and .vtu.
+    Vtp,
+    /// Floats of 32 bits without a header, three for each particle.
+    Xyz,
+}
+
+impl InputFormat {
+    /// The format that a file's extension names, with `.gz` after it or not.
+    #[must_use]
+    pub fn of(path: &Path) -> Option<Self> {
+        Some(match extension(path)?.as_str() {
+            // `.bgeo.sc` is recognised to say what to do instead.
+            "bgeo" | "bhclassic" | "sc" => Self::Bgeo,
+            "bi4" => Self::Bi4,
+            "csv" | "txt" => Self::Csv,
+            "h5" | "h5part" | "hdf" | "hdf5" | "vtkhdf" => Self::Hdf5,
+            "npy" => Self::Npy,
+            "npz" => Self::Npz,
+            "ply" => Self::Ply,
+            "pvtp" | "pvtu" => Self::Pvtp,
+            "vtk" => Self::Vtk,
+            "vtp" | "vtu" => Self::Vtp,
+            "xyz" => Self::Xyz,
+            _ => return None,
+        })
+    }
+}
+
+/// In lower case, without `.gz`.
+pub(super) fn extension(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+    let (_, extension) = name.strip_suffix(".gz").unwrap_or(&name).rsplit_once('.')?;
+    Some(extension.to_owned())
+}
