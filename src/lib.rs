@@ -16,8 +16,9 @@
 //!
 //! A frame from memory or from a file is a [`Reconstruction`], which gives a [`Surface`] and a [`Report`]; [`Reconstruction::sample`] gives a
 //! [`Frame`], which is sampled once and drawn as often as one likes; one that outgrows a machine is made in [`Parts`]. The frames of a
-//! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. What
-//! fails is an [`Error`], whose [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
+//! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. [`Settings`] hold all that a request can say of a surface, and
+//! a [`Cloud`] adds attributes to positions in memory. What fails is an [`Error`], whose
+//! [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator
@@ -216,7 +217,7 @@ pub use frame::{Coincident, Shortfall};
 pub use grid::units::{Isovalue, MeanCount, MemoryBudget};
 pub use grid::{Domain, Grid, Periodic, PeriodicMesh};
 pub use io::UpAxis;
-pub use particles::{Particles, StridedPositions};
+pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
     Cells, Doubt, Emptiness, Frame, Mistake, Needs, Opened, PartMade, PartShare, PartTakes, Parts, Planned,
     Reconstruction, Report, Slab, SpacingSource, Surface, Warning,

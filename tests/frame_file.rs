@@ -279,7 +279,7 @@ fn damage_with_checksums_that_fit_is_refused_all_the_same() {
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "not of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
-        (footer + 24, 0_f64.to_le_bytes().into(), "cell size"),
+        (footer + 24, 0_f64.to_le_bytes().into(), "cell-size"),
         (footer + 32, 4_u32.to_le_bytes().into(), "walls"),
         (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),

@@ -83,6 +83,9 @@ pub enum Error {
     /// A simulation that cannot be begun or gone on with.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// A mesh that does not become one in memory.
+    #[error(transparent)]
+    WholeMesh(#[from] WholeMeshError),
     /// A mesh that is made in parts.
     #[error(transparent)]
     Parts(#[from] PartsError),
@@ -230,6 +233,8 @@ impl Error {
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::UnknownExtension { .. }, .. }) => Cause::Request,
+            Self::WholeMesh(WholeMeshError::Scratch(_)) => Cause::Output,
+            Self::WholeMesh(_) => Cause::Request,
             Self::Read(ReadError { fault: ReadFault::Scratch(_), .. }) => Cause::Output,
             Self::Frame {
                 fault:

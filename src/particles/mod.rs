@@ -1,5 +1,6 @@
 //! The interface to particles: read by range, from several threads, as often as the pipeline likes.
 
+mod cloud;
 pub mod lattice;
 
 use std::io;
@@ -10,6 +11,8 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+pub use cloud::{AttributeValue, Cloud};
 
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,43 +45,8 @@ pub enum Unread {
 /// Particles, held in memory or in a file.
 ///
 /// The order is the file's, and an index names a particle in error messages. Values are handed out as
-/// stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]` are particles without attributes;
-/// velocities in memory need a type of the caller's:
-///
-/// ```
-/// use meniscus::files::AttributeInfo;
-/// use meniscus::{Particles, Reconstruction};
-///
-/// struct Water {
-///     positions: Vec<[f64; 3]>,
-///     velocities: Vec<[f32; 3]>,
-///     attributes: Vec<AttributeInfo>,
-/// }
-///
-/// impl Particles for Water {
-///     fn len(&self) -> usize {
-///         self.positions.len()
-///     }
-///     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-///         self.positions.positions(first, out);
-///     }
-///     fn attributes(&self) -> &[AttributeInfo] {
-///         &self.attributes
-///     }
-///     fn attribute(&self, _: usize, first: usize, out: &mut [f32]) {
-///         out.copy_from_slice(&self.velocities.as_flattened()[3 * first..][..out.len()]);
-///     }
-/// }
-///
-/// let steps = || (-3..=3).map(f64::from);
-/// let positions: Vec<_> =
-///     steps().flat_map(|x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).collect();
-/// let velocities = vec![[0.0, -1.0, 0.0]; positions.len()];
-/// let attributes = vec![AttributeInfo { name: "velocity".into(), components: 3 }];
-/// let surface = Reconstruction::new().spacing(1.0).run(&Water { positions, velocities, attributes })?;
-/// assert_eq!(surface.to_mesh()?.attributes[0].name, "velocity");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
+/// stored: they may be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or `[f64; 3]` are particles without attributes; a
+/// [`Cloud`] adds some.
 pub trait Particles: Sync {
     /// Number of particles.
     fn len(&self) -> usize;

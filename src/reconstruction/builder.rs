@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use rayon::ThreadPool;
+
 use crate::backend::{Backend, Cpu};
 use crate::baselines::Method;
 use crate::field::calibration::Calibration;
@@ -40,6 +42,7 @@ pub struct Reconstruction {
     pub(crate) memory: Option<MemoryBudget>,
     pub(crate) scratch: Option<PathBuf>,
     pub(crate) threads: Option<usize>,
+    pub(crate) pool: Option<Arc<ThreadPool>>,
     pub(crate) backend: Arc<dyn Backend>,
     pub(crate) control: Control,
 }
@@ -59,6 +62,7 @@ impl Reconstruction {
             memory: None,
             scratch: None,
             threads: None,
+            pool: None,
             backend: Arc::new(Cpu),
             control: Control::default(),
         }
@@ -184,7 +188,25 @@ impl Reconstruction {
 
     /// Sets the number of threads: one for each core otherwise.
     pub fn threads(mut self, count: usize) -> Self {
-        self.threads = Some(count);
+        (self.threads, self.pool) = (Some(count), None);
+        self
+    }
+
+    /// Runs on threads of the caller's, beside whatever else they do, in place of threads of its own.
+    ///
+    /// ```
+    /// use std::sync::Arc;
+    ///
+    /// use meniscus::Reconstruction;
+    ///
+    /// let pool = Arc::new(rayon::ThreadPoolBuilder::new().num_threads(2).build()?);
+    /// let request = Reconstruction::new().spacing(1.0).pool(Arc::clone(&pool));
+    /// let surface = request.run(&[[0.0; 3], [1.0, 0.0, 0.0]])?;
+    /// assert_eq!(surface.report().threads, 2);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn pool(mut self, pool: Arc<ThreadPool>) -> Self {
+        (self.threads, self.pool) = (Some(pool.current_num_threads()), Some(pool));
         self
     }
 

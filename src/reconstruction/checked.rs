@@ -41,6 +41,7 @@ pub(crate) struct Checked {
     pub(crate) reduction: Reduction,
     pub(crate) calibration: Option<Calibration>,
     pub(crate) threads: usize,
+    pub(crate) pool: Option<Arc<ThreadPool>>,
     pub(crate) resources: Resources,
 }
 
@@ -82,8 +83,8 @@ impl Reconstruction {
             backend,
             control: self.control.clone(),
         };
-        let (settings, calibration) = (settings.clone(), self.calibration);
-        Ok(Checked { settings, sampling, surfacing, reduction, calibration, threads, resources })
+        let (settings, calibration, pool) = (settings.clone(), self.calibration, self.pool.clone());
+        Ok(Checked { settings, sampling, surfacing, reduction, calibration, threads, pool, resources })
     }
 }
 
@@ -225,7 +226,8 @@ impl Settings {
 impl Checked {
     /// Starts threads for the request.
     pub(crate) fn on_threads(self) -> Result<Ready, Error> {
-        let threads = Threads::start(self.threads).map_err(Error::Threads)?;
+        let started = || Threads::start(self.threads).map_err(Error::Threads);
+        let threads = self.pool.clone().map_or_else(started, Ok)?;
         Ok(Ready { checked: Arc::new(self), threads })
     }
 

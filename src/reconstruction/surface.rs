@@ -53,14 +53,15 @@ impl Surface {
     /// Copies the mesh into memory as a whole.
     ///
     /// # Errors
-    /// [`WholeMeshError`] where it is too large, cannot be read from a scratch file, or threads do not start.
-    pub fn to_mesh(&self) -> Result<Mesh, WholeMeshError> {
-        let threads = self.threads.started().map_err(WholeMeshError::Threads)?;
-        threads.install(|| match &self.drawn.mesh {
+    /// [`Error::WholeMesh`] where it is too large, or cannot be read from a scratch file, and [`Error::Threads`].
+    pub fn to_mesh(&self) -> Result<Mesh, Error> {
+        let threads = self.threads.started().map_err(Error::Threads)?;
+        let mesh = threads.install(|| match &self.drawn.mesh {
             Kept::Empty(mesh) => Ok(mesh.clone()),
             Kept::Whole(mesh) => mesh.to_mesh(),
             Kept::Reduced(mesh) => in_one_piece(mesh),
-        })
+        });
+        Ok(mesh?)
     }
 
     /// The report on how it was made.

@@ -40,9 +40,6 @@ pub enum WholeMeshError {
     /// Surfaces were spooled to a file that cannot be read.
     #[error("scratch file: {0}")]
     Scratch(#[from] io::Error),
-    /// Threads that the system does not start.
-    #[error("threads cannot be started: {0}")]
-    Threads(String),
 }
 
 /// The surfaces of all blocks as one shared, indexed mesh.

@@ -6,7 +6,6 @@ use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr::null;
 
-use meniscus::error::WholeMeshError;
 use meniscus::{Cause, Error};
 
 /// Outcome of a call: whose fault it is if it failed. The numbers are those that the program `meniscus` exits with.
@@ -59,16 +58,6 @@ impl From<Error> for Failure {
             _ => MeniscusStatus::Internal,
         };
         Self { status, message: error.told(&|setting| format!("options.{}", setting.name())) }
-    }
-}
-
-impl From<WholeMeshError> for Failure {
-    fn from(error: WholeMeshError) -> Self {
-        let status = match error {
-            WholeMeshError::Scratch(_) => MeniscusStatus::Output,
-            _ => MeniscusStatus::Request,
-        };
-        Self { status, message: error.to_string() }
     }
 }
 

@@ -34,17 +34,10 @@ pub fn exception(error: Error) -> PyErr {
         _ if matches!(error, Error::Cancelled | Error::Frame { fault: FrameError::Cancelled, .. }) => {
             other(text)
         }
+        _ if matches!(error, Error::WholeMesh(WholeMeshError::TooManyVertices(_))) => other(text),
         _ if is_of_file(&error) => FileError::new_err(text),
         Cause::Request | Cause::Input => InputError::new_err(text),
         _ => other(text),
-    }
-}
-
-/// The exception for a mesh that does not become arrays.
-pub fn of_arrays(error: &WholeMeshError) -> PyErr {
-    match error {
-        WholeMeshError::Scratch(_) => FileError::new_err(error.to_string()),
-        _ => other(error.to_string()),
     }
 }
 

@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
-use crate::errors::{of_arrays, warn};
+use crate::errors::{exception, warn};
 use crate::memory::{GiveBack, give_back};
 use crate::report::{Check, Report};
 use crate::work::{Work, with_progress};
@@ -56,7 +56,7 @@ impl Mesh {
     }
 
     fn whole(&self, py: Python<'_>) -> PyResult<meniscus::mesh::Mesh> {
-        py.detach(|| self.surface.to_mesh()).map_err(|error| of_arrays(&error))
+        py.detach(|| self.surface.to_mesh()).map_err(exception)
     }
 
     fn arrays(&self, py: Python<'_>) -> PyResult<&Arrays> {
