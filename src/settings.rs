@@ -130,7 +130,7 @@ settings! {
     #[arg(value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true, help_heading = "Surface", hide_short_help = true)]
     origin: Option<[f64; 3]>,
 
-    /// The format of the input, where its extension does not name it [default: by the extension].
+    /// The format of the input, whatever its extension says [default: by the extension].
     #[arg(value_enum, value_name = "NAME", help_heading = "Input", hide_short_help = true)]
     format: Option<InputFormat>,
 
@@ -283,9 +283,18 @@ impl Settings {
         self.spacing.or(self.radius.map(|radius| 2.0 * radius))
     }
 
-    /// Settings that say the same by a spacing in place of a radius.
-    pub(crate) fn by_spacing(&self) -> Self {
-        Self { spacing: self.spacing_or_radius(), radius: None, ..self.clone() }
+    /// Settings that make the same mesh, said in one way: a spacing for a radius, and nothing for a default.
+    pub(crate) fn plain(&self) -> Self {
+        let iso = self.isovalue().map(Iso::Value);
+        let none = || vec!["none".to_owned()];
+        Self {
+            spacing: self.spacing_or_radius(),
+            radius: None,
+            iso,
+            method: self.method.filter(|method| *method != MethodName::Dif),
+            attributes: self.attributes.clone().map(|names| if names.is_empty() { none() } else { names }),
+            ..self.clone()
+        }
     }
 
     /// The isovalue, unless it is to be measured.
@@ -320,16 +329,11 @@ impl Settings {
     pub fn kept(&self) -> Kept {
         // Held as the nearest step of the field.
         let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
-        let none = ["none".to_owned()];
         let kept = Self {
             iso: iso.map(|iso| Iso::Value(iso.value())),
             indicator: self.indicator.filter(|kind| *kind != IndicatorKind::default()),
-            method: self.method.filter(|method| *method != MethodName::Dif),
             periodic_mesh: self.periodic_mesh.filter(|ends| *ends != PeriodicMesh::default()),
-            attributes: self
-                .attribute_names()
-                .map(|names| if names.is_empty() { &none } else { names }.to_vec()),
-            ..self.by_spacing()
+            ..self.plain()
         };
         match serde_json::to_value(kept) {
             Ok(Value::Object(map)) => map,

@@ -977,12 +977,26 @@ fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason(
         assert!(is_told(&reconstruct), "{option}");
         assert_eq!(is_told(&pack), setting.is_of_samples(), "{option}");
     }
+    run_pack_with_the_default_method(folder.path());
     for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]] {
         let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
         let said = String::from_utf8_lossy(&run.stderr).into_owned();
         assert_eq!(run.status.code(), Some(2), "{said}");
         assert!(said.contains(&format!("{} is for surfaces", given[0])), "{said}");
     }
+}
+
+/// Packs a particle and draws it, saying what is the default anyway.
+fn run_pack_with_the_default_method(folder: &Path) {
+    let given = ["--spacing", "1", "--method", "dif"];
+    let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "said.mnf"], &given[..]].concat());
+    assert!(pack.status.success(), "{}", String::from_utf8_lossy(&pack.stderr));
+    let draw = meniscus(folder, &["reconstruct", "said.mnf", "-o", "said.ply", "--method", "dif"]);
+    assert!(draw.status.success(), "{}", String::from_utf8_lossy(&draw.stderr));
+    let named = meniscus(folder, &["reconstruct", "said.mnf", "-o", "named.ply", "--format", "csv"]);
+    assert_eq!(named.status.code(), Some(2));
+    let info = meniscus(folder, &["info", "said.mnf", "--format", "csv"]);
+    assert!(String::from_utf8_lossy(&info.stdout).contains("packed frame"));
 }
 
 #[test]

@@ -123,7 +123,11 @@ fn a_report_tells_what_was_chosen_measured_and_left_out() {
 #[test]
 fn numbers_out_of_range_are_refused_before_any_work() {
     let asked = Reconstruction::new;
+    let both = Settings { spacing: Some(1.0), radius: Some(0.5), ..Settings::default() };
+    let cells = Settings { cell: Some(0.5), cell_size: Some(0.5), ..Settings::default() };
     for (what, request) in [
+        ("exclude each other", Reconstruction::by(both)),
+        ("exclude each other", Reconstruction::by(cells)),
         ("spacing", asked().spacing(0.0)),
         ("cell-size", asked().cell_size(f64::NAN)),
         ("cell must", asked().cell(-1.0)),

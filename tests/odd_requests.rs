@@ -223,8 +223,12 @@ fn odd_numbers_are_refused_with_the_sentence_that_helps() {
     let with = |more: &[&'static str]| -> Vec<&'static str> {
         [&["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--spacing", "1"], more].concat()
     };
-    refused(folder.path(), &with(&["--origin", "nan,0,0"]), "--origin must be finite numbers, not NaN");
-    refused(folder.path(), &with(&["--origin", "0,-inf,0"]), "--origin must be finite numbers, not -inf");
+    refused(folder.path(), &with(&["--origin", "nan,0,0"]), "--origin must be three finite numbers, not NaN");
+    refused(
+        folder.path(),
+        &with(&["--origin", "0,-inf,0"]),
+        "--origin must be three finite numbers, not -inf",
+    );
     for fps in ["5e-324", "1e300", "0", "nan"] {
         refused(folder.path(), &with(&["--fps", fps]), "--fps must be from 0.000000001 to 1000000000");
     }

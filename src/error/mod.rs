@@ -83,7 +83,7 @@ pub enum Error {
     /// A simulation that cannot be begun or gone on with.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// A mesh that does not become one in memory.
+    /// A mesh that cannot be held in memory as a whole.
     #[error(transparent)]
     WholeMesh(#[from] WholeMeshError),
     /// A mesh that is made in parts.

@@ -12,6 +12,8 @@ use crate::settings::Setting;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
+    /// A setting that says the same.
+    Setting(Setting),
     /// The indicator that makes the field.
     Indicator(IndicatorKind),
     /// The kernel method that makes the field.
@@ -48,6 +50,10 @@ impl Unfit {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));
         match (&self.with, self.setting.name()) {
+            (Conflict::Setting(other), _) => format!("{setting} and {} exclude each other", name(*other)),
+            (Conflict::Packed(path), "format") => {
+                format!("{}: {setting} is for particles, and this is a packed frame", path.display())
+            }
             (Conflict::Indicator(kind), "mu0") => {
                 format!("{setting} has no meaning for {} {}", named("indicator"), kind.name())
             }

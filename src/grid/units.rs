@@ -26,10 +26,10 @@ pub enum UnitError {
     #[error("simplify must be more than 0 and at most {max} cells, not {0}", max = Tolerance::MAX)]
     Tolerance(f64),
     /// The volume of the smallest component that is kept.
-    #[error("smallest-component must be a positive volume, not {0}")]
+    #[error("smallest-component must be positive and finite, not {0}")]
     Volume(f64),
     /// A coordinate that must be finite.
-    #[error("{name} must be finite numbers, not {value}")]
+    #[error("{name} must be three finite numbers, not {value}")]
     NotFinite {
         /// The name by which it is asked for.
         name: &'static str,

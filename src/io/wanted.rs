@@ -15,7 +15,7 @@ pub(super) const TAG: &str = "tag";
 pub struct Wanted<'a> {
     /// Name of their type, as the input spells it; without one gas, a fluid, or the only type that there is.
     pub particle_type: Option<&'a str>,
-    /// Format of the input, where its extension does not name it.
+    /// Format of the input, where it is not the one that its extension names.
     pub format: Option<InputFormat>,
     /// Attributes that have to be there. A format that reads all at once has others too.
     pub attributes: WantedAttributes<'a>,

@@ -81,7 +81,7 @@ impl Slab {
 }
 
 impl Slab {
-    /// Whether particles lie in the slab's plane, as those that it was found for.
+    /// Whether particles lie in the slab's plane, like those it was found for.
     #[must_use]
     pub fn holds(&self, particles: &(impl Particles + ?Sized)) -> bool {
         let Self { axis, faces: [lo, hi] } = *self;

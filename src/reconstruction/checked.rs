@@ -101,6 +101,14 @@ fn refuse(
 }
 
 fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
+    let exclusive = [
+        ("radius", settings.radius.is_some() && settings.spacing.is_some(), "spacing"),
+        ("cell_size", settings.cell_size.is_some() && settings.cell.is_some(), "cell"),
+    ];
+    if let Some((setting, _, other)) = exclusive.into_iter().find(|(_, both, _)| *both) {
+        let (setting, with) = (Setting::named(setting), Conflict::Setting(Setting::named(other)));
+        return Err(Unfit { setting, with }.into());
+    }
     let length = |name, length: Option<f64>| length.map(|length| positive_length(name, length)).transpose();
     length("radius", settings.radius)?;
     let cell = match (length("cell-size", settings.cell_size)?, length("cell", settings.cell)?) {
@@ -177,6 +185,11 @@ impl Settings {
         refuse(self, meaningless, || Conflict::Indicator(kind))
     }
 
+    /// Packed frames are made by the default method, so that nothing is wrong with saying it.
+    fn without_default_method(&self) -> Self {
+        Self { method: self.plain().method, ..self.clone() }
+    }
+
     /// Whether attributes are asked for by their names.
     fn names_attributes(&self) -> bool {
         self.attribute_names().is_some_and(|names| !names.is_empty())
@@ -187,15 +200,19 @@ impl Settings {
         let needed = |setting: Setting| {
             setting.needs_particles() || setting.name() == "attributes" && self.names_attributes()
         };
-        let given = self.given_otherwise(&Self::default(), needed);
+        let given = self.without_default_method().given_otherwise(&Self::default(), needed);
         given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packed(path.to_owned()) }.into()))
     }
 
     /// Refuses what a frame that was sampled as `sampled` says cannot give.
     pub(crate) fn refuse_of_sampled(&self, sampled: &Self) -> Result<(), Error> {
         let needed = |setting: Setting| setting.needs_particles() || setting.name() == "attributes";
-        let given = self.by_spacing().given_otherwise(&sampled.by_spacing(), needed);
-        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Sampled }.into()))
+        let given = self.plain().given_otherwise(&sampled.plain(), needed);
+        given.map_or(Ok(()), |setting| {
+            let is_radius = setting.name() == "spacing" && self.spacing.is_none();
+            let setting = if is_radius { Setting::named("radius") } else { setting };
+            Err(Unfit { setting, with: Conflict::Sampled }.into())
+        })
     }
 
     /// Refuses what is not of samples, which are all that a packed frame holds.
@@ -203,7 +220,7 @@ impl Settings {
         let of_surface = |setting: Setting| {
             !setting.is_of_samples() && (setting.name() != "attributes" || self.names_attributes())
         };
-        let given = self.given_otherwise(&Self::default(), of_surface);
+        let given = self.without_default_method().given_otherwise(&Self::default(), of_surface);
         given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packing }.into()))
     }
 

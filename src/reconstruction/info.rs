@@ -143,10 +143,10 @@ pub fn info(path: impl AsRef<Path>) -> Result<Info, Error> {
 /// [`Error::Read`], also where there is no such type.
 pub fn info_by(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Error> {
     let path = path.as_ref();
-    if settings.format.is_some() {
-        particles(path, settings).map(Info::Particles)
-    } else if is_packed(path) {
+    if is_packed(path) {
         frame(path).map(Info::Frame)
+    } else if settings.format.is_some() {
+        particles(path, settings).map(Info::Particles)
     } else if holds_mesh(path)? {
         mesh(path).map(Info::Mesh)
     } else if is_known(file_and_step(path).0) {

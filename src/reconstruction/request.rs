@@ -247,7 +247,7 @@ impl SamplingRequest {
     ) -> Result<Cells, Error> {
         let size = match self.cell_size() {
             CellSize::Length(size) => size,
-            CellSize::Spacings(ratio) => positive_length("cell", ratio * spacing)?,
+            CellSize::Spacings(ratio) => positive_length("cell-size", ratio * spacing)?,
         };
         // A slab holds no cell's centre for sure where cells are wider than it.
         let is_fine = size < 0.99 * spacing;

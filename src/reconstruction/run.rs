@@ -20,7 +20,7 @@ impl Reconstruction {
         if is_packed(input) { self.settings.refuse_of_packed(input) } else { checked.refuse_of_indicator() }
     }
 
-    /// Refuses settings of a surface, which a frame that is only to be packed has not.
+    /// Refuses settings of a surface, which a frame that is only packed does not have.
     ///
     /// # Errors
     /// [`Error::Unfit`].

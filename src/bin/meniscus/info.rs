@@ -19,7 +19,7 @@ pub struct Options {
     /// The type of particles, of files that hold several [default: gas, or fluid].
     #[arg(long, value_name = "NAME")]
     particle_type: Option<String>,
-    /// The format of particle files, where their extension does not name it [default: by the extension].
+    /// The format of particle files, whatever their extension says [default: by the extension].
     #[arg(long, value_enum, value_name = "NAME")]
     format: Option<InputFormat>,
     /// Print JSON, for programs: a list with an entry for each file.

@@ -85,8 +85,10 @@ impl Share {
     pub fn taken(self) -> Taken {
         let Self { one_in, held } = self;
         let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
-        held.drop_duplicates();
-        let Held { positions, has_duplicates, bounds, .. } = held;
+        let all = held.positions.len();
+        let positions = distinct(std::mem::take(&mut held.positions));
+        let has_duplicates = held.has_duplicates || positions.len() < all;
+        let bounds = held.bounds;
         let (taken, all) = (positions.len() as f64, bounds.finite as f64);
         let expected = taken * one_in as f64;
         // Or a place that holds many was not taken: the share is smaller than chance makes it.
@@ -97,9 +99,11 @@ impl Share {
 }
 
 impl Held {
+    /// Sorts on this thread alone: others may wait for the lock, and a thread that helps them would wait for itself.
     fn drop_duplicates(&mut self) {
         let all = self.positions.len();
-        self.positions = distinct(std::mem::take(&mut self.positions));
+        self.positions.sort_unstable_by_key(|position| position.map(f64::to_bits));
+        self.positions.dedup_by_key(|position| position.map(f64::to_bits));
         self.has_duplicates |= self.positions.len() < all;
     }
 }
@@ -308,9 +312,9 @@ impl InCubes {
 
     /// Keeps one particle of each place, and as few of the numbers below `end` as there is room
     /// for; returns their new end. It is halved by how many there are in all, so that the same are
-    /// left whatever came first.
+    /// left whatever came first. Sorts on this thread alone: see [`Held::drop_duplicates`].
     fn fitted(&self, kept: &mut Vec<Kept>, mut end: u32) -> u32 {
-        kept.par_sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
+        kept.sort_unstable_by_key(|kept| (kept.number, kept.position.map(f64::to_bits)));
         Kept::merge(kept);
         while kept.len() > self.room {
             end /= 2;

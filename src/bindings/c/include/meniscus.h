@@ -500,7 +500,7 @@ typedef struct MeniscusOptions {
   int32_t normals;
   // Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
   int32_t compress;
-  // The format of an input whose extension does not name it, one of MeniscusFormat.
+  // The format of an input, whatever its extension says, one of MeniscusFormat.
   int32_t format;
 } MeniscusOptions;
 

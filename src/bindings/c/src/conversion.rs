@@ -7,7 +7,7 @@ use parking_lot::ReentrantMutex;
 
 use crate::options::{Asked, MeniscusOptions};
 use crate::sized::{Growing, check, fill, read};
-use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
+use crate::status::{Failure, MeniscusStatus, Outcome, by_options, c_text, call};
 use crate::text::{numbers, path, pointers};
 
 /// News of a conversion.
@@ -152,8 +152,8 @@ impl Teller<'_> {
     fn hear(&self, event: Event<'_>) {
         let first = self.first.lock();
         let wrong = match event {
-            Event::Failed(failed) => Some(failed.error.to_string()),
-            Event::SimulationFailed(error) => Some(error.to_string()),
+            Event::Failed(failed) => Some(by_options(&failed.error)),
+            Event::SimulationFailed(error) => Some(by_options(error)),
             _ => None,
         };
         if let Some(wrong) = wrong {

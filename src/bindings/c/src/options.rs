@@ -201,7 +201,7 @@ pub struct MeniscusOptions {
     pub normals: i32,
     /// Not 0: write .glb files quantized and compressed (EXT_meshopt_compression).
     pub compress: i32,
-    /// The format of an input whose extension does not name it, one of MeniscusFormat.
+    /// The format of an input, whatever its extension says, one of MeniscusFormat.
     pub format: i32,
 }
 

@@ -47,6 +47,11 @@ impl Failure {
     }
 }
 
+/// The message of an error, with settings called as fields of MeniscusOptions.
+pub fn by_options(error: &Error) -> String {
+    error.told(&|setting| format!("options.{}", setting.name()))
+}
+
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let status = match error.cause() {
@@ -57,7 +62,7 @@ impl From<Error> for Failure {
             Cause::Cancelled => MeniscusStatus::Cancelled,
             _ => MeniscusStatus::Internal,
         };
-        Self { status, message: error.told(&|setting| format!("options.{}", setting.name())) }
+        Self { status, message: by_options(&error) }
     }
 }
 

@@ -61,7 +61,7 @@ impl ParticleData {
 /// path : str or os.PathLike
 ///     The file; ``sim.h5part#12`` is a step of one that holds several.
 /// format : str, optional
-///     The format, where the extension does not name it, such as "csv".
+///     The format, whatever the extension says, such as "csv".
 /// particle_type : str, optional
 ///     The type of particles, of a file that holds several; gas or fluid by default.
 ///

@@ -48,7 +48,7 @@ impl Frame {
         let request = Keywords::of(
             function,
             Some(&all),
-            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files],
+            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
         )?
         .request;
         Ok(match &self.named {
@@ -108,7 +108,7 @@ impl Frame {
     /// attributes : list of str, optional
     ///     The attributes of the particles that vertices carry; their velocity by default.
     /// format : str, optional
-    ///     The format, where the extension does not name it, such as "csv".
+    ///     The format, whatever the extension says, such as "csv".
     /// particle_type : str, optional
     ///     The type of particles, of a file that holds several.
     ///
@@ -129,8 +129,11 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let request =
-            Keywords::of("load", keywords, &[Known::Sampling, Known::Surface, Known::Machine, Known::Files])?;
+        let request = Keywords::of(
+            "load",
+            keywords,
+            &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Attributes],
+        )?;
         let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.holds(request, progress.is_some());

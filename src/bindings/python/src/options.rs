@@ -21,6 +21,8 @@ pub enum Known {
     Machine,
     /// Keywords of files of particles.
     Files,
+    /// The names of attributes to carry.
+    Attributes,
     /// Keywords of simulations.
     Simulation,
 }
@@ -32,6 +34,9 @@ impl Known {
         }
         if FILES.contains(&name) {
             return Some(Self::Files);
+        }
+        if name == "attributes" {
+            return Some(Self::Attributes);
         }
         if SIMULATION.contains(&name) {
             return Some(Self::Simulation);
@@ -45,7 +50,7 @@ impl Known {
 const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
 /// The keywords of files of particles.
-const FILES: [&str; 3] = ["attributes", "format", "particle_type"];
+const FILES: [&str; 2] = ["format", "particle_type"];
 
 /// A request by its keywords, but for the backend, which depends on how large the input is.
 pub struct Keywords {

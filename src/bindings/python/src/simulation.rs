@@ -53,7 +53,7 @@ pub const SIMULATION: [&str; 9] =
 /// attributes : list of str, optional
 ///     The attributes that vertices carry; their velocity by default.
 /// format : str, optional
-///     The format of the files, where their extension does not name it, such as "csv".
+///     The format of the files, whatever their extension says, such as "csv".
 /// particle_type : str, optional
 ///     The type of particles, of files that hold several.
 ///
@@ -115,7 +115,14 @@ impl Simulation {
             Some(value) if !value.is_none() => Some(Given { name: "attributes", value: &value }.names()?),
             _ => None,
         };
-        let known = &[Known::Sampling, Known::Surface, Known::Machine, Known::Files, Known::Simulation];
+        let known = &[
+            Known::Sampling,
+            Known::Surface,
+            Known::Machine,
+            Known::Files,
+            Known::Attributes,
+            Known::Simulation,
+        ];
         let asked = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
             if inputs.is_some() || output.is_some() {
