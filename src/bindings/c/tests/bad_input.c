@@ -177,7 +177,7 @@ static void files_are_refused(const char *folder) {
   WRITE(OUTPUT, "none/mesh.ply", meniscus_mesh_write(made, "there/is/none/mesh.ply", 0, NULL));
   WRITE(REQUEST, "exists already", meniscus_check_output(path, NULL, 0));
   OK(meniscus_check_output(path, NULL, 1));
-  WRITE(REQUEST, ".obj cannot hold vertex attributes",
+  WRITE(REQUEST, ".obj cannot hold options.attributes",
         meniscus_check_output("new.obj", &(MeniscusOptions){.size = sizeof(MeniscusOptions), .attributes = heat, .attribute_count = 1}, 0));
   OK(meniscus_check_output("new.obj", NULL, 0));
   CHECK(access("new.obj", F_OK) != 0);
