@@ -244,9 +244,9 @@ static void conversions_are_refused(const char *folder) {
   CONVERT(REQUEST, "one file for all frames", .output = "one.ply");
   CONVERT(REQUEST, "there are no frames from 4 to 0", .start = 4, .end = &zero);
   CONVERT(REQUEST, "conversion.frames: there are none from 5 to 3", .frames = backwards);
-  CONVERT(REQUEST, "frames a second must be", .fps = -1);
-  CONVERT(REQUEST, "frames a second must be", .fps = NAN);
-  CONVERT(REQUEST, "a wait takes seconds", .watch = NAN);
+  CONVERT(REQUEST, "fps must be", .fps = -1);
+  CONVERT(REQUEST, "fps must be", .fps = NAN);
+  CONVERT(REQUEST, "watch must be a number of seconds", .watch = NAN);
   CONVERT(REQUEST, "conversion: its size is 2;", .size = 2);
   MeniscusSummary summary = {.size = 5};
   MeniscusConversion right = {.size = sizeof right, .inputs = inputs, .input_count = 1, .output = output};
