@@ -69,7 +69,7 @@ static void test(const std::string &folder) {
   CHECK(caught == 42);
   options.on_progress = nullptr;
   options.spacing = -1;
-  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "; -1 is not") == MENISCUS_STATUS_REQUEST);
+  CHECK(failure([&] { meniscus::reconstruct(particles, options); }, "options.spacing must be positive and finite, not -1") == MENISCUS_STATUS_REQUEST);
   CHECK(failure([&] { meniscus::reconstruct("none.bgeo"); }, "none.bgeo") == MENISCUS_STATUS_INPUT);
   meniscus::Cancel cancel;
   options.spacing = 0.1, options.cancel = cancel.c();
