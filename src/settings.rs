@@ -346,7 +346,7 @@ impl Settings {
 mod tests {
     use super::*;
 
-    /// Settings of which each says something.
+    /// Settings with a value in every field.
     fn all() -> Settings {
         Settings {
             spacing: Some(0.5),

@@ -222,22 +222,28 @@ pub struct Bounds {
     pub finite: usize,
 }
 
+impl Bounds {
+    /// Bounds of no particles.
+    pub const NONE: Self = Self { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
+
+    /// Bounds of two lots of particles together.
+    #[must_use]
+    pub fn joined(self, other: Self) -> Self {
+        Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi), finite: self.finite + other.finite }
+    }
+}
+
 /// The box around all finite positions; `None` where there is no such.
 #[must_use]
 pub fn bounds(particles: &(impl Particles + ?Sized)) -> Option<Bounds> {
-    let none = || Bounds { lo: DVec3::MAX, hi: DVec3::MIN, finite: 0 };
     let of_chunk = |positions: Vec<[f64; 3]>| {
-        positions.into_iter().map(DVec3::from).fold(none(), |b, p| Bounds {
+        positions.into_iter().map(DVec3::from).fold(Bounds::NONE, |b, p| Bounds {
             lo: b.lo.min(p),
             hi: b.hi.max(p),
             finite: b.finite + 1,
         })
     };
-    let bounds = finite_chunks(particles).map(of_chunk).reduce(none, |a, b| Bounds {
-        lo: a.lo.min(b.lo),
-        hi: a.hi.max(b.hi),
-        finite: a.finite + b.finite,
-    });
+    let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
     (bounds.finite > 0).then_some(bounds)
 }
 

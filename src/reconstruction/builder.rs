@@ -77,7 +77,7 @@ impl Reconstruction {
     /// assert_eq!(Reconstruction::by(settings.clone()).settings(), &settings);
     /// ```
     pub fn by(settings: Settings) -> Self {
-        Self { settings, ..Self::new() }
+        Self::new().with_settings(settings)
     }
 
     /// Puts settings in place of all that were asked for.

@@ -88,16 +88,27 @@ impl Reconstruction {
     }
 }
 
-/// Refuses the first setting that is given of some that have no meaning.
+/// Refuses the first setting that is given otherwise than in `known` and has no meaning.
 fn refuse(
     settings: &Settings,
-    meaningless: &[&'static str],
+    known: &Settings,
+    meaningless: impl FnMut(Setting) -> bool,
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
-    debug_assert!(meaningless.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
-    let nothing = Settings::default();
-    let given = settings.given_otherwise(&nothing, |setting| meaningless.contains(&setting.name()));
-    given.map_or(Ok(()), |setting| Err(Unfit { setting, with: with() }.into()))
+    match settings.given_otherwise(known, meaningless) {
+        Some(setting) => Err(Unfit { setting, with: with() }.into()),
+        None => Ok(()),
+    }
+}
+
+/// Refuses the first setting that is given of those with some names.
+fn refuse_named(
+    settings: &Settings,
+    names: &[&'static str],
+    with: impl FnOnce() -> Conflict,
+) -> Result<(), Error> {
+    debug_assert!(names.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
+    refuse(settings, &Settings::default(), |setting| names.contains(&setting.name()), with)
 }
 
 fn sampling(settings: &Settings, surfacing: Surfacing) -> Result<SamplingRequest, Error> {
@@ -133,13 +144,13 @@ fn field(settings: &Settings) -> Result<FieldRequest, Error> {
     let kind = settings.indicator.unwrap_or_default();
     let Some(method) = settings.kernels() else {
         if !kind.counts() {
-            refuse(settings, &["mu0"], || Conflict::Indicator(kind))?;
+            refuse_named(settings, &["mu0"], || Conflict::Indicator(kind))?;
         }
         return Ok(IndicatorRequest { kind, mean: settings.mu0.map(MeanCount::new).transpose()? }.into());
     };
-    refuse(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], || Conflict::Method(method))?;
+    refuse_named(settings, &["indicator", "mu0", "smooth", "sigma", "detail"], || Conflict::Method(method))?;
     if method == Method::ZhuBridson && settings.isovalue().is_some() {
-        refuse(settings, &["iso"], || Conflict::Method(method))?;
+        refuse_named(settings, &["iso"], || Conflict::Method(method))?;
     }
     // A kernel method's isovalue is as the others': held as a step of a field of 16 bits.
     let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
@@ -182,7 +193,7 @@ impl Settings {
             IndicatorKind::Cloud => &["sigma", "detail"],
             IndicatorKind::Counting | IndicatorKind::Symmetry => &["smooth"],
         };
-        refuse(self, meaningless, || Conflict::Indicator(kind))
+        refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }
 
     /// Packed frames are made by the default method, so that nothing is wrong with saying it.
@@ -200,8 +211,8 @@ impl Settings {
         let needed = |setting: Setting| {
             setting.needs_particles() || setting.name() == "attributes" && self.names_attributes()
         };
-        let given = self.without_default_method().given_otherwise(&Self::default(), needed);
-        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packed(path.to_owned()) }.into()))
+        let with = || Conflict::Packed(path.to_owned());
+        refuse(&self.without_default_method(), &Self::default(), needed, with)
     }
 
     /// Refuses what a frame that was sampled as `sampled` says cannot give.
@@ -220,8 +231,7 @@ impl Settings {
         let of_surface = |setting: Setting| {
             !setting.is_of_samples() && (setting.name() != "attributes" || self.names_attributes())
         };
-        let given = self.without_default_method().given_otherwise(&Self::default(), of_surface);
-        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: Conflict::Packing }.into()))
+        refuse(&self.without_default_method(), &Self::default(), of_surface, || Conflict::Packing)
     }
 
     /// Refuses what is asked for and a format cannot hold.
@@ -235,8 +245,7 @@ impl Settings {
             _ => false,
         };
         let with = || Conflict::Format { path: path.to_owned(), format };
-        let given = self.given_otherwise(&Self::default(), meaningless);
-        given.map_or(Ok(()), |setting| Err(Unfit { setting, with: with() }.into()))
+        refuse(self, &Self::default(), meaningless, with)
     }
 }
 

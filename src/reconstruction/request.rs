@@ -162,9 +162,9 @@ impl SamplingRequest {
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// Chooses the cells for particles, and lets `read` do something else with them on the way, where they are so many that
-    /// reading them takes a while: it is told the size of cells as far as it is known, shows all particles to what it is
-    /// given, and returns `None` if it could not. The last of what it returned comes back.
+    /// Chooses the cells for particles, and uses the caller's `read` where there are so many of them that a reading of its own would
+    /// take long. `read` gets the cell size, as far as it is known, and a function that it calls with the positions of all particles.
+    /// It returns `None` if it failed. The last value that it returned is returned with the cells.
     fn cells_while<T>(
         &self,
         particles: &(impl Particles + ?Sized),

@@ -39,7 +39,7 @@ const FLAT: f64 = 0.2;
 const DISC: f64 = 0.6;
 /// The scatter of random places is 1; particles of FLIP that were seeded eight to a cell have 0.8.
 const RANDOM: f64 = 0.9;
-/// By how much the scatter of few particles is off by chance, at the most.
+/// The largest error of the scatter that is measured on few particles.
 const CHANCE: f64 = 0.2;
 /// Deep particles that are enough to measure scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;

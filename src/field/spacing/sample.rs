@@ -50,7 +50,7 @@ impl Share {
     }
 
     fn one_in(one_in: u64) -> Self {
-        let bounds = Bounds { lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY, finite: 0 };
+        let bounds = Bounds::NONE;
         let held = Held { positions: Vec::new(), room: 4 * SHARE, has_duplicates: false, bounds };
         Self { one_in, held: Mutex::new(held) }
     }
@@ -58,7 +58,7 @@ impl Share {
     /// Takes its share of some particles. Those that are not finite are passed over.
     pub fn look(&self, positions: &[[f64; 3]]) {
         let mut numbers = [0; LOOKED];
-        let mut bounds = Bounds { lo: DVec3::INFINITY, hi: DVec3::NEG_INFINITY, finite: 0 };
+        let mut bounds = Bounds::NONE;
         let mut taken = Vec::new();
         for positions in positions.chunks(LOOKED) {
             let numbers = &mut numbers[..positions.len()];
@@ -70,9 +70,7 @@ impl Share {
         taken.dedup_by_key(|position| position.map(f64::to_bits));
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
         held.has_duplicates |= taken.len() < all;
-        held.bounds.lo = held.bounds.lo.min(bounds.lo);
-        held.bounds.hi = held.bounds.hi.max(bounds.hi);
-        held.bounds.finite += bounds.finite;
+        held.bounds = held.bounds.joined(bounds);
         held.positions.extend(taken);
         if held.positions.len() > held.room {
             held.drop_duplicates();
