@@ -16,8 +16,9 @@ use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::compare::compare;
 use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::surface::mesh::source::MeshSource;
-use meniscus::internals::surface::simplify::{Reduction, simplify};
+use meniscus::internals::surface::simplify::{Reduction, Room, simplify};
 use meniscus::internals::surface::stitch::Stitched;
+use meniscus::internals::system::control::Control;
 use meniscus::internals::system::timings::Timings;
 
 fn surface(particles: &[[f64; 3]], sampling: &Sampling) -> Stitched {
@@ -51,7 +52,8 @@ fn collected(source: &dyn MeshSource) -> Mesh {
 fn simplified(particles: &[[f64; 3]], sampling: &Sampling, reduction: &Reduction) -> (Mesh, u64) {
     let particle = sampling.spacing.unwrap_or(1.0).powi(3);
     let surface = surface(particles, sampling);
-    let result = simplify(surface, reduction, particle, u64::MAX, &std::env::temp_dir()).unwrap();
+    let room = Room { bytes: u64::MAX, folder: &std::env::temp_dir() };
+    let result = simplify(surface, reduction, particle, room, &Control::default()).unwrap();
     (collected(&result), result.too_small().total())
 }
 
@@ -124,7 +126,8 @@ fn threads_and_scratch_files_change_no_vertex_and_no_triangle() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let scratch = std::env::temp_dir();
         pool.install(|| {
-            collected(&simplify(surface(&particles, &sampling()), &reduction, 1.0, bytes, &scratch).unwrap())
+            let (surface, room) = (surface(&particles, &sampling()), Room { bytes, folder: &scratch });
+            collected(&simplify(surface, &reduction, 1.0, room, &Control::default()).unwrap())
         })
     };
     let first = run(1, u64::MAX);

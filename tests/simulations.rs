@@ -219,6 +219,35 @@ fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
 }
 
 #[test]
+fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
+    let folder = TempDir::new().unwrap();
+    let input = folder.path().join("water.xyz");
+    fs::write(&input, raw(&fill(30.0, 1.0, 0.3, 5, |_| true))).unwrap();
+    for last in [Stage::Counting, Stage::Sampling, Stage::Meshing, Stage::Simplifying, Stage::Writing] {
+        for format in ["ply", "glb", "obj"] {
+            let cancel = Cancel::new();
+            let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+            let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+            let request = Reconstruction::new().spacing(1.0).simplify(0.5).cancel(cancel);
+            let request = request.progress(move |progress| {
+                hear.lock().unwrap().push(progress);
+                if progress.stage == last && progress.done > 0.0 {
+                    stop.cancel();
+                }
+            });
+            let mesh = folder.path().join("mesh").with_extension(format);
+            let made = request.run_file(&input).and_then(|surface| surface.write(&mesh));
+            let error = made.unwrap_err();
+            assert_eq!(error.cause(), Cause::Cancelled, "{error}");
+            let told = told.lock().unwrap();
+            let end = told.last().unwrap();
+            assert!(end.stage == last && end.done > 0.0 && end.done < 0.5, "{last} of .{format}: {told:?}");
+            assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "{last} of .{format} left a file");
+        }
+    }
+}
+
+#[test]
 fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
     let folder = simulated(1);
     let input = folder.path().join("sim/drop_1.xyz");

@@ -28,6 +28,7 @@ use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
 use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::control::{Control, Stage};
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{
     Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
@@ -162,8 +163,10 @@ fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Wor
                 side,
                 walls: Some(CellBox::cube(IVec3::ZERO, 9)),
             };
-            let pages = frame.indicate(&bins, all.clone(), &rule).unwrap();
-            let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule).unwrap();
+            let (control, parts) = (Control::default(), all.len());
+            let meter = control.meter(Stage::Sampling, parts);
+            let pages = frame.indicate(&bins, all.clone(), &rule, &meter).unwrap();
+            let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule, &meter).unwrap();
             let [pages, expected] = [&pages, &expected].map(|pages| {
                 let all =
                     pages.iter().map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));

@@ -53,15 +53,21 @@ pub trait Stages: Debug + Send + Sync {
     ///
     /// # Errors
     /// Those of [`indicate`](Self::indicate).
-    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
-        Ok(DifField::in_memory(rule.shape(), self.indicate(bins, 0..bins.keys().len(), rule)?))
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
+        Ok(DifField::in_memory(rule.shape(), self.indicate(bins, 0..bins.keys().len(), rule, meter)?))
     }
 
-    /// The pages of a range of bins.
+    /// The pages of a range of bins, which `meter` counts.
     ///
     /// # Errors
-    /// Where particles are in a scratch file that cannot be read.
-    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages>;
+    /// Where particles are in a scratch file that cannot be read, and where `meter` does not go on.
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<Pages>;
 
     /// The surfaces through some regions of blocks, each `None` where there is none: `take` takes them in order, so many at once as
     /// are made together, while others are on their way. `meter` counts the regions; once it does not go on, what is taken is worth
@@ -86,6 +92,9 @@ pub trait Stages: Debug + Send + Sync {
 
 /// Takes the surfaces of regions that follow one another.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
+
+/// Bins whose pages the processor makes together, at the most.
+const BINS_TOGETHER: usize = 1024;
 
 /// Regions whose surfaces are handed on together, at the most.
 pub const REGIONS_TOGETHER: usize = 1024;

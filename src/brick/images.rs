@@ -10,7 +10,9 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 
 use crate::grid::{Domain, Grid, Periodic, Unplaced};
-use crate::particles::{AttributeInfo, Particles, Unread};
+use crate::particles::{AttributeInfo, Metered, Particles, Unread};
+
+use crate::system::control::Stage;
 
 use super::place::Placer;
 use super::{BinError, Census, InvalidParticles};
@@ -21,7 +23,7 @@ const GROUP: usize = 1 << 10;
 /// Particles as they are to be binned: with their images, if their box is periodic.
 #[derive(Debug)]
 pub struct WithImages<'a, P: ?Sized> {
-    particles: &'a P,
+    particles: Metered<'a, P>,
     images: Option<Images<'a>>,
 }
 
@@ -50,7 +52,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
     /// # Errors
     /// [`BinError`], naming the first particle that cannot be placed or is not in the box, unless such are skipped.
     pub fn of(
-        particles: &'a P,
+        particles: Metered<'a, P>,
         grid: &Grid,
         domain: Option<&Domain>,
         periodic: Option<&'a Periodic>,
@@ -63,7 +65,7 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         let (counts, groups) = (Counts::default(), particles.len().div_ceil(GROUP));
         (0..groups)
             .into_par_iter()
-            .map(|group| images.count(particles, group, &counts))
+            .map(|group| images.count(&particles, group, &counts))
             .collect_into_vec(&mut before);
         let Counts { astray, first_invalid } = counts;
         let first_invalid = first_invalid.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -76,6 +78,11 @@ impl<'a, P: Particles + ?Sized> WithImages<'a, P> {
         }
         before.push(all);
         Ok(Self { particles, images: Some(Images { before, astray: astray.into_inner(), ..images }) })
+    }
+
+    /// Counts, from now on, the particles that are read in a stage, up to a share of it.
+    pub fn begin(&mut self, stage: Stage, to: f64) {
+        self.particles.begin(stage, to);
     }
 
     /// The counts of the particles themselves, by those of a census that was taken with their images.
@@ -216,7 +223,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
             real.iter_mut().for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
         }
         let (first, count) = (first.max(own) - own, rest.len());
-        images.groups(self.particles, first, count, |_, _, positions| {
+        images.groups(&self.particles, first, count, |_, _, positions| {
             let (to, later) = std::mem::take(&mut rest).split_at_mut(positions.len());
             to.copy_from_slice(positions);
             rest = later;
@@ -251,7 +258,7 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
             self.particles.attribute(index, first, real);
         }
         let (first, count) = (first.max(own) - own, rest.len() / width.max(1));
-        images.groups(self.particles, first, count, |range, of, _| {
+        images.groups(&self.particles, first, count, |range, of, _| {
             let mut values = vec![0.0; width * range.len()];
             self.particles.attribute(index, range.start, &mut values);
             let (to, later) = std::mem::take(&mut rest).split_at_mut(width * of.len());
@@ -266,6 +273,8 @@ impl<P: Particles + ?Sized> Particles for WithImages<'_, P> {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
+
+    use crate::system::control::Control;
 
     use super::*;
 
@@ -302,7 +311,9 @@ mod tests {
         (positions[7], positions[8], positions[9]) = ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
         let info = AttributeInfo { name: "number".into(), components: 2 };
         let particles = Numbered(positions, vec![info]);
-        let of = |invalid| WithImages::of(&particles, &grid, None, Some(&periodic), invalid);
+        let control = Control::default();
+        let metered = || Metered::new(&particles, &control, Stage::Counting);
+        let of = |invalid| WithImages::of(metered(), &grid, None, Some(&periodic), invalid);
         let first = of(InvalidParticles::Refuse).unwrap_err();
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
         let all = of(InvalidParticles::Skip).unwrap();
@@ -362,7 +373,9 @@ mod tests {
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
         let restless = Restless(0.into());
         let invalid = InvalidParticles::Refuse;
-        let all = WithImages::of(&restless, &grid, None, Some(&periodic), invalid).unwrap();
+        let control = Control::default();
+        let metered = Metered::new(&restless, &control, Stage::Counting);
+        let all = WithImages::of(metered, &grid, None, Some(&periodic), invalid).unwrap();
         for first in [0, 2990, 3000, 3100, all.len() - 5] {
             let mut positions = vec![[7.0; 3]; all.len() - first];
             all.positions(first, &mut positions);

@@ -29,6 +29,8 @@ pub use parts::PartsError;
 pub use setting::{Conflict, Unfit};
 pub use simulation::{FPS, SimulationError};
 
+use crate::system::cancel::Cancelled;
+
 /// Anything that can go wrong between a particle file and a mesh file.
 ///
 /// Printed, it says all: the file, the place, and what the system said. `source()` leads to the kinds of errors that it is made of, such as
@@ -186,6 +188,12 @@ pub enum Cause {
     Device,
     /// The caller asked for an early end.
     Cancelled,
+}
+
+impl From<Cancelled> for Error {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
 }
 
 impl Error {

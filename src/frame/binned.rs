@@ -8,6 +8,7 @@ use crate::field::calibration::{Binned, Fullness};
 use crate::field::indicator::PageRule;
 use crate::frame::estimate::Plan;
 use crate::particles::Particles;
+use crate::system::control::Meter;
 
 use super::lost::Occupied;
 use super::sink::FieldSink;
@@ -40,6 +41,8 @@ pub(super) struct HostBins<'a> {
     pub(super) resources: &'a Resources,
     /// Whether the bins are needed after the pages are made, for their attributes.
     pub(super) keep: bool,
+    /// A count of the bins that have pages.
+    pub(super) meter: Meter<'a>,
 }
 
 impl Binned for HostBins<'_> {
@@ -47,16 +50,16 @@ impl Binned for HostBins<'_> {
     type Error = FrameError;
 
     fn make_pages(self, rule: &PageRule) -> Result<(Fullness, Self::Made), FrameError> {
-        let Self { binned, stages, mut sink, mut occupied, resources, keep } = self;
+        let Self { binned, stages, mut sink, mut occupied, resources, keep, meter } = self;
         let take = |bins: &Bins| {
             occupied.add(bins)?;
-            sink.take(stages, bins, rule)?;
+            sink.take(stages, bins, rule, &meter)?;
             Ok(sink.bytes_in_memory())
         };
         let kept = match binned {
             BinnedParticles::InMemory(bins) => {
                 let bins = Arc::new(bins);
-                let taken = occupied.add(&bins).and_then(|()| sink.take_whole(stages, &bins, rule));
+                let taken = occupied.add(&bins).and_then(|()| sink.take_whole(stages, &bins, rule, &meter));
                 taken.map(|()| keep.then_some(bins))
             }
             spilled if keep => {

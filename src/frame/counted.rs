@@ -6,8 +6,9 @@ use crate::brick::{BinError, BinPlan, Census, CountingRoom, InvalidParticles, Wi
 use crate::frame::estimate::{Estimate, OverBudget};
 use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{CellBox, Grid, MortonKey};
-use crate::particles::Particles;
+use crate::particles::{Metered, Particles};
 use crate::surface::mesh::spool::Spool;
+use crate::system::control::Stage;
 
 use super::{FieldRequest, FrameError, Occupied, Sampling, Surfacing};
 
@@ -52,18 +53,20 @@ impl<'a, P: Particles + ?Sized> Counted<'a, P> {
         count: impl FnOnce(&WithImages<'a, P>, CountingRoom) -> Result<BinPlan, BinError>,
     ) -> Result<(WithImages<'a, P>, BinPlan), FrameError> {
         let Sampling { grid, domain, periodic, resources, .. } = sampling;
-        let particles = WithImages::of(given, grid, domain.as_ref(), periodic.as_ref(), invalid);
+        let metered = Metered::new(given, &resources.control, Stage::Counting);
+        let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
+        resources.go_on()?;
         given.check()?;
         let particles = particles?;
-        resources.go_on()?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
+        // Of cancelled work no particle has a place.
+        resources.go_on()?;
         given.check()?;
         let plan = match plan {
             Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
             plan => plan?,
         };
-        resources.go_on()?;
         Ok((particles, plan))
     }
 

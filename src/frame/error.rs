@@ -15,6 +15,7 @@ use crate::frame::estimate::OverBudget;
 use crate::grid::units::{Isovalue, significant};
 use crate::particles::Unread;
 use crate::surface::simplify::TooSmall;
+use crate::system::cancel::Cancelled;
 use crate::vulkan::VulkanError;
 
 /// A frame that cannot be reconstructed.
@@ -114,6 +115,12 @@ pub enum FrameError {
         /// The error of the scratch file.
         fault: io::Error,
     },
+}
+
+impl From<Cancelled> for FrameError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
 }
 
 impl From<DeviceBinError> for FrameError {

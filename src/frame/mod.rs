@@ -45,9 +45,9 @@ use crate::grid::stretch::Stretch;
 use crate::grid::units::MemoryBudget;
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::surface::mesh::source::MeshSource;
-use crate::surface::simplify::{Reduction, Simplified, simplify};
+use crate::surface::simplify::{Reduction, Room, Simplified, simplify};
 use crate::surface::stitch::Stitched;
-use crate::system::control::Stage;
+use crate::system::control::{Control, Stage};
 use crate::system::timings::Timings;
 
 use binned::HostBins;
@@ -75,6 +75,9 @@ enum Field {
     Kernels(SampledKernels),
 }
 
+/// The share of sampling that is the sorting of the particles.
+const SORTING: f64 = 0.3;
+
 impl Frame {
     /// Samples the field of `particles`, which are read once or twice.
     ///
@@ -101,9 +104,10 @@ impl Frame {
         timings: &mut Timings,
     ) -> Result<Self, FrameError> {
         let (estimate, census) = (counted.estimate(), counted.census());
-        let Counted { particles, sampling, plan: bin_plan, .. } = counted;
+        let Counted { mut particles, sampling, plan: bin_plan, .. } = counted;
         let Sampling { grid, domain, periodic, field, side, carried, spacing, resources, .. } = sampling;
         let resources = Resources { budget, ..resources.clone() };
+        let control = &sampling.resources.control;
         let in_scratch = resources.scratch_error();
         let plan = estimate.plan(budget);
         let facts =
@@ -111,42 +115,49 @@ impl Frame {
         if let FieldRequest::Kernels(_) = field {
             kernel_spacing(*spacing, grid)?;
         }
-        resources.go_on()?;
-        resources.control.begins(Stage::Sampling);
         resources.check_room(estimate.least_scratch(plan))?;
 
-        let binned = binned::sorted(bin_plan, &particles, carried, plan, &resources)?;
-        particles.check()?;
         let keep = !carried.is_empty();
-        let mut occupied = Occupied::among(facts.own_cells());
-        let (field, occupied, bins) = match *field {
-            FieldRequest::Indicator(asked) => {
-                timings.done("bin");
-                let stages = resources.backend.start(budget);
-                let shape = asked.kind.shape(*side);
-                let sink = FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
-                let binned =
-                    HostBins { binned, stages: &*stages, sink, occupied, resources: &resources, keep };
-                let (indicator, (sink, occupied, bins)) = indicate(binned, &facts, asked, *side)?;
-                let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
-                timings.done("indicate");
-                (Field::Dif { sampled, stages }, occupied, bins)
-            }
-            FieldRequest::Kernels(method) => {
-                let bins = binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
-                let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
-                timings.done("bin");
-                let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
-                timings.done("kernels");
-                (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
-            }
+        let sample = || {
+            let meter = control.meter(Stage::Sampling, bin_plan.keys().len()).between(SORTING, 1.0);
+            particles.begin(Stage::Sampling, SORTING);
+            let binned = binned::sorted(bin_plan, &particles, carried, plan, &resources)?;
+            resources.go_on()?;
+            particles.check()?;
+            let mut occupied = Occupied::among(facts.own_cells());
+            Ok::<_, FrameError>(match *field {
+                FieldRequest::Indicator(asked) => {
+                    timings.done("bin");
+                    let stages = resources.backend.start(budget);
+                    let shape = asked.kind.shape(*side);
+                    let sink =
+                        FieldSink::new(plan, &estimate, shape, &resources.scratch).map_err(&in_scratch)?;
+                    let (stages_of, resources) = (&*stages, &resources);
+                    let binned =
+                        HostBins { binned, stages: stages_of, sink, occupied, resources, keep, meter };
+                    let (indicator, (sink, occupied, bins)) = indicate(binned, &facts, asked, *side)?;
+                    let sampled = sink.finish(facts, indicator, shape).map_err(&in_scratch)?;
+                    timings.done("indicate");
+                    (Field::Dif { sampled, stages }, occupied, bins)
+                }
+                FieldRequest::Kernels(method) => {
+                    let bins =
+                        binned.visit_and_keep(&resources.scratch, |bins| occupied.add(bins).map(|()| 0));
+                    let bins = bins.and_then(Bins::sorted).map_err(&in_scratch)?;
+                    timings.done("bin");
+                    let sampled = SampledKernels::sample(&bins, facts, method, plan, &resources)?;
+                    timings.done("kernels");
+                    (Field::Kernels(sampled), occupied, keep.then(|| Arc::new(bins)))
+                }
+            })
         };
+        let (field, occupied, bins) = control.during(Stage::Sampling, sample)?;
+        let infos = carried_infos(particles.attributes(), carried);
         drop(in_scratch);
-        resources.control.ends(Stage::Sampling);
         Ok(Self {
             field,
             occupied,
-            carried: bins.map(|bins| (bins, carried_infos(particles.attributes(), carried))),
+            carried: bins.map(|bins| (bins, infos)),
             surface_share: estimate.surface_share(budget),
             resources,
         })
@@ -373,24 +384,26 @@ impl Frame {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
-    /// The surface with what a reduction leaves of it.
+    /// The surface with what a reduction leaves of it, for the caller that `control` is of.
     ///
     /// # Errors
-    /// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+    /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
     pub fn simplify(
         &self,
         surface: Stitched,
         reduction: &Reduction,
+        control: &Control,
         timings: &mut Timings,
     ) -> Result<Simplified, FrameError> {
-        simplified(surface, reduction, self.facts(), self.surface_share, &self.resources, timings)
+        let resources = Resources { control: control.clone(), ..self.resources.clone() };
+        simplified(surface, reduction, self.facts(), self.surface_share, &resources, timings)
     }
 }
 
 /// A surface with what a reduction leaves of it, of whose triangles so many bytes may be in memory.
 ///
 /// # Errors
-/// [`FrameError::NothingLeft`], and [`FrameError::Scratch`] where scratch files fail.
+/// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].
 pub fn simplified(
     surface: Stitched,
     reduction: &Reduction,
@@ -400,8 +413,11 @@ pub fn simplified(
     timings: &mut Timings,
 ) -> Result<Simplified, FrameError> {
     let particle_cells = facts.spacing_cells_or_one().powi(3);
-    let simplified = simplify(surface, reduction, particle_cells, share, &resources.scratch)
-        .map_err(resources.scratch_error())?;
+    let room = Room { bytes: share, folder: &resources.scratch };
+    let simplified = resources.control.during(Stage::Simplifying, || {
+        simplify(surface, reduction, particle_cells, room, &resources.control)
+            .map_err(resources.scratch_error())
+    })?;
     timings.done("simplify");
     if simplified.triangle_count() == 0 {
         return Err(FrameError::NothingLeft(simplified.too_small()));

@@ -51,7 +51,7 @@ impl Resources {
 
     /// Ends the work where the caller has asked for it.
     pub(crate) fn go_on(&self) -> Result<(), FrameError> {
-        if self.control.cancel.is_cancelled() { Err(FrameError::Cancelled) } else { Ok(()) }
+        Ok(self.control.cancel.go_on()?)
     }
 
     pub(super) fn scratch_error(&self) -> impl Fn(io::Error) -> FrameError + '_ {

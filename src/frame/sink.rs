@@ -10,6 +10,7 @@ use crate::brick::{Bins, DifField, FrameFacts, PageShape, Pages};
 use crate::field::indicator::{Indicator, PageRule, SampledDif};
 use crate::frame::estimate::{Estimate, Plan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
+use crate::system::control::Meter;
 
 /// Samples of the bins whose pages are made at once before they go into a file, at the most.
 const BATCH_SAMPLES: usize = 1 << 22;
@@ -52,25 +53,32 @@ impl FieldSink {
         stages: &dyn Stages,
         bins: &Arc<Bins>,
         rule: &PageRule,
+        meter: &Meter<'_>,
     ) -> io::Result<()> {
         match self {
-            Self::File { .. } => self.take(stages, bins, rule),
+            Self::File { .. } => self.take(stages, bins, rule, meter),
             Self::Memory { .. } | Self::Whole(_) => {
-                *self = Self::Whole(stages.field(bins, rule)?);
+                *self = Self::Whole(stages.field(bins, rule, meter)?);
                 Ok(())
             }
         }
     }
 
     /// Takes the pages of `bins`, of a frame's after those before.
-    pub(super) fn take(&mut self, stages: &dyn Stages, bins: &Bins, rule: &PageRule) -> io::Result<()> {
+    pub(super) fn take(
+        &mut self,
+        stages: &dyn Stages,
+        bins: &Bins,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<()> {
         let end = bins.keys().len();
         let batch = match self {
             Self::Memory { .. } | Self::Whole(_) => end.max(1),
             Self::File { .. } => BATCH_SAMPLES / rule.shape().bin_samples(),
         };
         for first in (0..end).step_by(batch) {
-            let pages = stages.indicate(bins, first..(first + batch).min(end), rule)?;
+            let pages = stages.indicate(bins, first..(first + batch).min(end), rule, meter)?;
             match self {
                 Self::Memory { pages: kept, bytes } => {
                     *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();

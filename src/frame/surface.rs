@@ -157,8 +157,7 @@ impl<'a> CalibratedFrame<'a> {
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.drawn.regions[..];
         let meter = self.control.meter(Stage::Meshing, regions.len());
-        let go_on = || meter.goes_on().then_some(()).ok_or(FrameError::Cancelled);
-        go_on()?;
+        meter.go_on()?;
         while !regions.is_empty() {
             let left = share.saturating_sub(spool.bytes_in_memory());
             let fitting = usize::try_from(left / block).unwrap_or(usize::MAX);
@@ -167,7 +166,7 @@ impl<'a> CalibratedFrame<'a> {
                 blocks.into_iter().try_for_each(|block| spool.push(block))
             })
             .map_err(&in_scratch)?;
-            go_on()?;
+            meter.go_on()?;
             if spool.bytes_in_memory() > share {
                 spool.move_to_file(&self.resources.scratch).map_err(&in_scratch)?;
             }

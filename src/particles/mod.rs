@@ -2,6 +2,7 @@
 
 mod cloud;
 pub mod lattice;
+mod metered;
 
 use std::io;
 use std::ops::Range;
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use cloud::{AttributeValue, Cloud};
+pub use metered::Metered;
 
 /// A value that every particle carries.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

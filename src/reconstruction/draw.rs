@@ -62,19 +62,20 @@ impl Checked {
         known: Option<&Calibration>,
         timings: &mut Timings,
     ) -> Result<(Stitched, Report), FrameError> {
-        self.resources.control.begins(Stage::Meshing);
-        let calibrated = engine.calibrate(&self.surfacing, known, timings)?.heard_by(&self.resources.control);
-        let measured = calibrated.measured();
-        let surface = calibrated.surface(timings)?;
-        let mut report = Report::of(engine, &self.surfacing);
-        report.measured = measured;
-        let by = known.copied().or(measured.map(|measured| measured.calibration));
-        report.calibration = by.filter(|_| report.indicator.is_some());
-        report.on_device = engine.on_device();
-        report.lost = engine.lost(&surface)?;
-        self.judge(&mut report, &surface, engine.shortfall(&surface)?);
-        self.resources.control.ends(Stage::Meshing);
-        Ok((surface, report))
+        let control = &self.resources.control;
+        control.during(Stage::Meshing, || {
+            let calibrated = engine.calibrate(&self.surfacing, known, timings)?.heard_by(control);
+            let measured = calibrated.measured();
+            let surface = calibrated.surface(timings)?;
+            let mut report = Report::of(engine, &self.surfacing);
+            report.measured = measured;
+            let by = known.copied().or(measured.map(|measured| measured.calibration));
+            report.calibration = by.filter(|_| report.indicator.is_some());
+            report.on_device = engine.on_device();
+            report.lost = engine.lost(&surface)?;
+            self.judge(&mut report, &surface, engine.shortfall(&surface)?);
+            Ok((surface, report))
+        })
     }
 
     /// Adds to a report what there is to doubt of a surface, of which it says already how many particles are in none.
@@ -100,10 +101,7 @@ impl Checked {
         if self.reduction.is_none() {
             return Ok(Kept::Whole(surface));
         }
-        self.resources.go_on()?;
-        self.resources.control.begins(Stage::Simplifying);
-        let simplified = engine.simplify(surface, &self.reduction, timings)?;
-        self.resources.control.ends(Stage::Simplifying);
+        let simplified = engine.simplify(surface, &self.reduction, &self.resources.control, timings)?;
         report.too_small = Some(simplified.too_small());
         Ok(Kept::Reduced(simplified))
     }

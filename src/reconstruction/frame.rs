@@ -4,8 +4,9 @@ use std::mem::take;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use crate::brick::BinPlan;
 use crate::error::{Conflict, Error, Setting, Unfit};
-use crate::frame::{Counted, Frame as Engine};
+use crate::frame::{Counted, Frame as Engine, FrameError, Sampling};
 use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
 use crate::particles::Particles;
@@ -42,14 +43,12 @@ impl Ready {
     pub(super) fn sample(self, particles: &(impl Particles + ?Sized)) -> Result<Frame, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
-        checked.go_on()?;
         checked.refuse_of_indicator()?;
         let sampled = self.threads.install(|| {
             let chosen = checked.choose_and_plan(particles, Source::default())?;
             timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
         })?;
-        checked.go_on()?;
         Ok(Frame { path: None, up: UpAxis::Y, ready: self, sampled, timings })
     }
 }
@@ -63,15 +62,25 @@ impl Checked {
         timings: &mut Timings,
     ) -> Result<Sampled, Error> {
         let ChosenSampling { sampling, cells, moved, plan } = chosen;
-        self.resources.control.begins(Stage::Counting);
+        let engine = self.engine(particles, &sampling, plan, timings)?;
+        Ok(Sampled { engine, cells: Some(cells), moved })
+    }
+
+    /// Counts particles, unless a `plan` of them was made on the way, and samples their field.
+    pub(crate) fn engine(
+        &self,
+        particles: &(impl Particles + ?Sized),
+        sampling: &Sampling,
+        plan: Option<BinPlan>,
+        timings: &mut Timings,
+    ) -> Result<Engine, FrameError> {
         let counted_now = plan.is_none();
-        let counted = Counted::for_surface(particles, &sampling, &self.surfacing, plan)?;
-        self.resources.control.ends(Stage::Counting);
+        let count = || Counted::for_surface(particles, sampling, &self.surfacing, plan);
+        let counted = self.resources.control.during(Stage::Counting, count)?;
         if counted_now {
             timings.done("count");
         }
-        let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
-        Ok(Sampled { engine, cells: Some(cells), moved })
+        Engine::sample_counted(counted, sampling.resources.budget, timings)
     }
 }
 
@@ -132,10 +141,7 @@ impl Frame {
             (self.sampled.cells.clone(), self.sampled.moved, timings);
         report.warnings = with_doubts(report.cells.as_ref(), take(&mut report.warnings));
         report.threads = threads.current_num_threads();
-        checked.go_on()?;
-        let (threads, settings) = (threads.into(), checked.settings.clone());
-        let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
-        Ok(Surface { drawn, threads, settings, control, memory, particles_up: self.up })
+        Ok(Surface::new(drawn, checked, threads, self.up))
     }
 
     /// Writes the frame's samples to a file, to be drawn later.
@@ -148,11 +154,10 @@ impl Frame {
             let with = Conflict::Packed(output.path().to_owned());
             return Err(Unfit { setting: Setting::named("method"), with }.into());
         };
-        checked.resources.control.begins(Stage::Writing);
         let mut timings = self.timings.clone();
         timings.skip();
-        let bytes = threads.install(|| output.write(|out| write_frame(out, sampled).map(drop)))?;
-        checked.resources.control.ends(Stage::Writing);
+        let control = &checked.resources.control;
+        let bytes = threads.install(|| output.write(control, |out| write_frame(out, sampled).map(drop)))?;
         timings.done("write");
         let dif = &sampled.dif;
         let census = sampled.facts.census;

@@ -11,7 +11,7 @@ use crate::io::ParticleFile;
 use crate::io::input::open_wanted;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::MeshFormat;
-use crate::particles::Particles;
+use crate::particles::{Metered, Particles};
 use crate::surface::simplify::BYTES_A_THREAD;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
@@ -27,6 +27,12 @@ pub struct Opened {
     ready: Ready,
     input: Input,
     timings: Timings,
+}
+
+/// An input of which no more is known than its file tells.
+enum Read {
+    Particles(Box<ParticleFile>),
+    Packed(Box<SampledDif>),
 }
 
 #[derive(Debug)]
@@ -63,28 +69,33 @@ impl Ready {
     pub(super) fn open(self, path: &Path) -> Result<Opened, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
-        checked.go_on()?;
-        checked.resources.control.begins(Stage::Reading);
-        let input = self.threads.install(|| {
+        let control = &checked.resources.control;
+        let open = || {
             if is_packed(path) {
                 checked.settings.refuse_of_packed(path)?;
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?
                     .with_scratch(&checked.resources.scratch);
-                timings.done("open");
                 checked.settings.refuse_of_others(sampled.indicator.kind())?;
-                return Ok(Input::Packed(Box::new(sampled)));
+                return Ok::<_, Error>(Read::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
             let file = open_wanted(path, checked.settings.wanted(), checked.unpacking())?;
+            Ok(Read::Particles(Box::new(file)))
+        };
+        let input = self.threads.install(|| {
+            let read = control.during(Stage::Reading, open)?;
             timings.done("open");
-            let source = Source { path: Some(path), spacing: file.spacing };
-            let chosen = checked.choose_and_plan(&file.particles, source);
-            let chosen = chosen.map_err(|error| error.of_file(path))?;
-            timings.done(chosen.stage());
-            Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
+            match read {
+                Read::Packed(sampled) => Ok(Input::Packed(sampled)),
+                Read::Particles(file) => {
+                    let source = Source { path: Some(path), spacing: file.spacing };
+                    let chosen = checked.choose_and_plan(&file.particles, source);
+                    let chosen = Box::new(chosen.map_err(|error| error.of_file(path))?);
+                    timings.done(chosen.stage());
+                    Ok::<_, Error>(Input::Particles { file, chosen })
+                }
+            }
         })?;
-        checked.resources.control.ends(Stage::Reading);
-        checked.go_on()?;
         Ok(Opened { path: path.to_owned(), ready: self, input, timings })
     }
 }
@@ -92,7 +103,7 @@ impl Ready {
 impl Checked {
     /// Ends the work where the caller has asked for it.
     pub(crate) fn go_on(&self) -> Result<(), Error> {
-        if self.resources.control.cancel.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+        Ok(self.resources.control.cancel.go_on()?)
     }
 
     /// Chooses how to sample particles that are counted by others.
@@ -102,7 +113,11 @@ impl Checked {
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        self.sampling.sampling(particles, source, carried, self.resources.clone())
+        let control = &self.resources.control;
+        let particles = Metered::new(particles, control, Stage::Counting);
+        control.during(Stage::Counting, || {
+            self.sampling.sampling(&particles, source, carried, self.resources.clone())
+        })
     }
 
     /// Chooses how to sample particles, for [`sampled`](Self::sampled).
@@ -112,7 +127,11 @@ impl Checked {
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        self.sampling.sampling_and_plan(particles, source, carried, self.resources.clone())
+        let control = &self.resources.control;
+        let particles = Metered::new(particles, control, Stage::Counting);
+        control.during(Stage::Counting, || {
+            self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
+        })
     }
 }
 
@@ -221,7 +240,6 @@ impl Opened {
             Input::Particles { file, chosen } => checked.sampled(&file.particles, *chosen, &mut timings),
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;
-        checked.go_on()?;
         Ok(Frame { path: Some(path), up, ready, sampled, timings })
     }
 }

@@ -9,8 +9,10 @@ use crate::io::identity::is_same_file;
 use crate::io::output::{MeshFormat, MeshOutput};
 use crate::io::whole::{FilledFile, Replace, WholeFile};
 use crate::io::{CoordinateWidth, WriteError, WriteFault};
+use crate::surface::mesh::metered::Metered;
 use crate::surface::mesh::source::MeshSource;
 use crate::system::cancel::{Cancel, Unfinished};
+use crate::system::control::{Control, Stage};
 use crate::system::timings::Timings;
 
 use super::SinglePrecision;
@@ -113,13 +115,21 @@ impl Output {
         self,
         mesh: &dyn MeshSource,
         width: CoordinateWidth,
-    ) -> Result<(FilledFile, Unfinished), WriteError> {
-        Ok((self.file.fill(mesh, width)?, self.unfinished))
+        control: &Control,
+    ) -> Result<(FilledFile, Unfinished), Error> {
+        let mesh = Metered::new(mesh, control, Stage::Writing);
+        let file = control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
+        Ok((file, self.unfinished))
     }
 
     /// Writes a mesh, and gives the file its name.
-    pub(crate) fn write(self, mesh: &dyn MeshSource, width: CoordinateWidth) -> Result<u64, Error> {
-        let (file, unfinished) = self.fill(mesh, width)?;
+    pub(crate) fn write(
+        self,
+        mesh: &dyn MeshSource,
+        width: CoordinateWidth,
+        control: &Control,
+    ) -> Result<u64, Error> {
+        let (file, unfinished) = self.fill(mesh, width, control)?;
         keep(file, unfinished)
     }
 }
@@ -141,9 +151,11 @@ impl PackedOutput {
 
     pub(super) fn write(
         self,
+        control: &Control,
         content: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send,
     ) -> Result<u64, Error> {
-        keep(self.file.fill(content)?, self.unfinished)
+        let file = control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(content)?))?;
+        keep(file, self.unfinished)
     }
 }
 

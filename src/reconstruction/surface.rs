@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::error::Error;
 use crate::grid::units::MemoryBudget;
@@ -15,9 +16,10 @@ use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::surface::picture::{Effort, Image, Picture};
 use crate::surface::stitch::WholeMeshError;
 use crate::system::cancel::Cancel;
-use crate::system::control::{Control, Stage};
+use crate::system::control::Control;
 
 use super::SinglePrecision;
+use super::checked::Checked;
 use super::draw::{Drawn, Kept};
 use super::output::{Output, coordinate_width};
 use super::report::Report;
@@ -31,19 +33,31 @@ const PREVIEW: [usize; 2] = [640, 360];
 
 /// A closed, oriented 2-manifold around the fluid.
 pub struct Surface {
-    pub(crate) drawn: Drawn,
+    drawn: Drawn,
     /// The threads that it was made by, and is written by: ended meanwhile, for a surface may be kept for long.
-    pub(crate) threads: Threads,
-    pub(crate) settings: Settings,
+    threads: Threads,
+    settings: Settings,
     /// Whoever had it drawn.
-    pub(crate) control: Control,
+    control: Control,
     /// Memory that may be used for it.
     #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
-    pub(crate) memory: MemoryBudget,
-    pub(crate) particles_up: UpAxis,
+    memory: MemoryBudget,
+    particles_up: UpAxis,
 }
 
 impl Surface {
+    /// A surface that was drawn on some threads by a request, of particles with such an axis up.
+    pub(crate) fn new(
+        drawn: Drawn,
+        checked: &Checked,
+        threads: &Arc<rayon::ThreadPool>,
+        particles_up: UpAxis,
+    ) -> Self {
+        let (settings, control) = (checked.settings.clone(), checked.resources.control.clone());
+        let memory = checked.resources.budget;
+        Self { drawn, threads: threads.into(), settings, control, memory, particles_up }
+    }
+
     /// The mesh, piece by piece, as it is kept.
     #[must_use]
     pub fn mesh(&self) -> &dyn MeshSource {
@@ -113,7 +127,8 @@ impl Surface {
     /// To replace a file call [`overwrite`](Self::overwrite).
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
+    /// [`Error::Write`], [`Error::Unfit`] for what the format cannot hold, and [`Error::Cancelled`] by the handle of the request that
+    /// had the surface drawn.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<u64, Error> {
         self.write_to(Output::prepare(&self.settings, path.as_ref(), Replace::Refuse, &Cancel::new())?)
     }
@@ -129,18 +144,15 @@ impl Surface {
     /// Writes the mesh to a file that was made ready before the work, and returns its size in bytes.
     ///
     /// # Errors
-    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that made the file ready.
+    /// [`Error::Write`], and [`Error::Cancelled`] by the handle of the request that had the surface drawn, or that made the file ready.
     pub fn write_to(&self, output: Output) -> Result<u64, Error> {
         let format = output.format();
         let orientation = self.settings.orientation(self.particles_up, format);
         let width = coordinate_width(self.drawn.precision, format, output.path())?;
         let output = output.with_layout(self.settings.layout(orientation));
         let turned = orientation.turned(self.mesh());
-        self.control.begins(Stage::Writing);
         let threads = self.threads.started().map_err(Error::Threads)?;
-        let bytes = threads.install(|| output.write(&turned, width))?;
-        self.control.ends(Stage::Writing);
-        Ok(bytes)
+        threads.install(|| output.write(&turned, width, &self.control))
     }
 }
 

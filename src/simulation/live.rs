@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::brick::{Census, FrameFacts};
 use crate::error::{Error, Untold};
 use crate::field::calibration::Calibration;
-use crate::frame::{Counted, FieldRequest, Frame, FrameError};
+use crate::frame::{FieldRequest, FrameError};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
@@ -13,7 +13,6 @@ use crate::reconstruction::{
     self, Checked, Doubt, Drawn, Emptiness, Kept, Ready, Reconstruction, Report, SinglePrecision, Slab,
     Surface, Warning,
 };
-use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
 use super::frozen::{Measured, Origin, Trust, known_field, measure};
@@ -100,21 +99,13 @@ impl LiveSimulation {
     /// Those of [`Reconstruction::run`] but for that; the next frame may do better.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
-        let drawn = threads.install(|| {
-            self.ready.checked.go_on()?;
-            let drawn = match self.drawn(particles) {
-                Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
-                    self.empty(particles, self.facts(census)?)
-                }
-                drawn => drawn,
-            }?;
-            self.ready.checked.go_on()?;
-            Ok::<_, Error>(drawn)
+        let drawn = threads.install(|| match self.drawn(particles) {
+            Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
+                self.empty(particles, self.facts(census)?)
+            }
+            drawn => drawn,
         })?;
-        let Checked { settings, resources, .. } = &*self.ready.checked;
-        let (settings, control) = (settings.clone(), resources.control.clone());
-        let memory = resources.budget;
-        Ok(Surface { drawn, threads: (&threads).into(), settings, control, memory, particles_up: UpAxis::Y })
+        Ok(Surface::new(drawn, &self.ready.checked, &threads, UpAxis::Y))
     }
 
     fn drawn(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Drawn, Error> {
@@ -137,11 +128,7 @@ impl LiveSimulation {
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
-        checked.resources.control.begins(Stage::Counting);
-        let counted = Counted::for_surface(particles, &sampling, &checked.surfacing, None)?;
-        checked.resources.control.ends(Stage::Counting);
-        timings.done("count");
-        let engine = Frame::sample_counted(counted, checked.resources.budget, &mut timings)?;
+        let engine = checked.engine(particles, &sampling, None, &mut timings)?;
         let mut drawn = match checked.draw(&engine, calibration.as_ref(), &mut timings) {
             Err(Error::Frame { path, fault }) => {
                 let Some(why) = Emptiness::of(&fault) else { return Err(Error::Frame { path, fault }) };

@@ -155,7 +155,7 @@ impl Conversion<'_> {
         warnings.extend(merged(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
-        let (file, unfinished) = permit.run(|| output.fill(&bounded, width))?;
+        let (file, unfinished) = permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if Stamp::of(path).ok() != Some(input) {
             return Err(ReadError::new(path, ReadFault::Changed).into());
         }

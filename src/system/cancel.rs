@@ -1,8 +1,11 @@
 //! Ending work early, at any time and from any thread, without leaving half-written files.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
+
+use thiserror::Error;
 
 /// A handle to end work early; its clones are one.
 ///
@@ -17,6 +20,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct Cancel(Arc<Shared>);
+
+/// The error of work that ends because its caller asked for that.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("cancelled")]
+pub struct Cancelled;
+
+impl From<Cancelled> for io::Error {
+    fn from(cancelled: Cancelled) -> Self {
+        Self::other(cancelled)
+    }
+}
 
 #[derive(Debug, Default)]
 struct Shared {
@@ -34,8 +48,7 @@ impl Cancel {
         Self::default()
     }
 
-    /// Asks all work with this handle to end soon, by an error whose cause is that. It is looked
-    /// for between frames, and between the blocks of each.
+    /// Asks all work with this handle to end soon, by an error whose cause is that. Every stage of a frame looks for it as it goes.
     pub fn cancel(&self) {
         self.0.asked.store(true, Ordering::Relaxed);
     }
@@ -44,6 +57,14 @@ impl Cancel {
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.0.asked.load(Ordering::Relaxed)
+    }
+
+    /// Refuses to go on once it was asked to end.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub(crate) fn go_on(&self) -> Result<(), Cancelled> {
+        if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
     /// Removes all half-written outputs, for a process that exits now: whoever would create another waits for ever.

@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-use super::cancel::Cancel;
+use super::cancel::{Cancel, Cancelled};
 
 /// A step on the way from particles to a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -71,20 +71,28 @@ pub struct Control {
 }
 
 impl Control {
-    /// Tells that a stage has begun.
-    pub(crate) fn begins(&self, stage: Stage) {
+    /// Runs a stage: tells the caller when it begins and when it has succeeded. Once the caller has asked for an early end, the stage
+    /// has been cancelled, whatever else became of it.
+    pub(crate) fn during<T, E: From<Cancelled>>(
+        &self,
+        stage: Stage,
+        work: impl FnOnce() -> Result<T, E>,
+    ) -> Result<T, E> {
+        self.cancel.go_on()?;
         self.tell(stage, 0.0);
+        let result = work();
+        self.cancel.go_on()?;
+        if result.is_ok() {
+            self.tell(stage, 1.0);
+        }
+        result
     }
 
-    /// Tells that a stage is over.
-    pub(crate) fn ends(&self, stage: Stage) {
-        self.tell(stage, 1.0);
-    }
-
-    /// Takes the parts of a stage that are done from now on, of so many.
+    /// A meter for a stage of so many parts.
     #[must_use]
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
-        Meter { control: self, stage, parts, done: AtomicUsize::new(0), told: Mutex::new(0) }
+        let done = AtomicUsize::new(0);
+        Meter { control: self, stage, span: [0.0, 1.0], parts, done, told: Mutex::new(0) }
     }
 
     /// Tells how much of a stage is done.
@@ -98,11 +106,13 @@ impl Control {
 /// Steps that a stage is told of at the most.
 const STEPS: usize = 128;
 
-/// A count of the parts of a stage that are done, by whatever thread, of which the caller is told step by step.
+/// Counts the parts of a stage that are done, by whatever thread, tells the caller step by step, and says whether to go on.
 #[derive(Debug)]
 pub struct Meter<'a> {
     control: &'a Control,
     stage: Stage,
+    /// The share of the stage that the parts are.
+    span: [f64; 2],
     parts: usize,
     done: AtomicUsize,
     /// Parts that the caller knows of. Whoever finds it locked leaves the telling to the others.
@@ -110,6 +120,20 @@ pub struct Meter<'a> {
 }
 
 impl Meter<'_> {
+    /// Counts parts that make up the stage from one share of it to another.
+    #[must_use]
+    pub fn between(self, from: f64, to: f64) -> Self {
+        Self { span: [from, to], ..self }
+    }
+
+    /// Refuses to go on once the caller has asked for an early end.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn go_on(&self) -> Result<(), Cancelled> {
+        self.control.cancel.go_on()
+    }
+
     /// Whether the caller has not asked for an early end.
     #[must_use]
     pub fn goes_on(&self) -> bool {
@@ -124,7 +148,8 @@ impl Meter<'_> {
         // What follows the last part is of the stage, too.
         if done < self.parts && done >= *told + self.parts.div_ceil(STEPS) && self.goes_on() {
             *told = done;
-            self.control.tell(self.stage, done as f64 / self.parts as f64);
+            let [from, to] = self.span;
+            self.control.tell(self.stage, from + (to - from) * done as f64 / self.parts as f64);
         }
     }
 }

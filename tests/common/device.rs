@@ -56,14 +56,20 @@ impl WatchedStages {
 }
 
 impl Stages for WatchedStages {
-    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
-        let pages = self.stages.indicate(bins, range.clone(), rule)?;
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<Pages> {
+        let pages = self.stages.indicate(bins, range.clone(), rule, meter)?;
         self.assert_done(Work { pages: range.len(), regions: 0 });
         Ok(pages)
     }
 
-    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
-        let field = self.stages.field(bins, rule)?;
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
+        let field = self.stages.field(bins, rule, meter)?;
         self.assert_done(Work { pages: bins.keys().len(), regions: 0 });
         Ok(field)
     }

@@ -17,7 +17,7 @@ use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
-use super::{Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
+use super::{BINS_TOGETHER, Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
 
 /// The processor: all threads of the pool that a call is made in.
@@ -54,8 +54,14 @@ struct Frame {
 }
 
 impl Stages for Frame {
-    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
-        Cpu.indicate(bins, range, rule)
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<Pages> {
+        Cpu.indicate(bins, range, rule, meter)
     }
 
     fn contour(
@@ -84,8 +90,21 @@ impl Stages for Frame {
 }
 
 impl Stages for Cpu {
-    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
-        indicate(bins, range, rule)
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<Pages> {
+        let mut pages = Pages::with_capacity(range.len());
+        for first in range.clone().step_by(BINS_TOGETHER) {
+            meter.go_on()?;
+            let together = first..range.end.min(first + BINS_TOGETHER);
+            meter.add(together.len());
+            pages.extend(indicate(bins, together, rule)?);
+        }
+        Ok(pages)
     }
 
     fn contour(

@@ -11,6 +11,7 @@ use crate::brick::{Bins, PageInfo, PageShape, Pages};
 use crate::field::indicator::PageRule;
 use crate::field::indicator::vulkan::{BinEntry, indicate};
 use crate::grid::MortonKey;
+use crate::system::control::Meter;
 use crate::vulkan::{Place, View, VulkanError};
 
 use super::frame::{DeviceFrame, State};
@@ -68,14 +69,16 @@ impl DeviceFrame {
         bins: &Bins,
         range: Range<usize>,
         rule: &PageRule,
+        meter: &Meter<'_>,
         done: &mut Pages,
     ) -> Result<(), Fault> {
         let shape = rule.shape();
         self.make_resident(state, bins.keys(), shape);
         let making = Making { rule, resident: self.resident(0), read: Read::Pages };
         self.make_bins(state, bins, range, &making, |lane, batch| {
+            meter.add(batch.bins.len());
             done.extend(read_pages(lane, batch, bins.keys(), shape)?);
-            Ok(())
+            meter.go_on().map_err(|cancelled| Fault::Host(cancelled.into()))
         })
     }
 
@@ -86,6 +89,7 @@ impl DeviceFrame {
         state: &mut State,
         bins: &Bins,
         rule: &PageRule,
+        meter: &Meter<'_>,
     ) -> Result<Option<Vec<PageInfo>>, Fault> {
         let (keys, shape) = (bins.keys(), rule.shape());
         let room = state.batch_bytes.min(self.device.limits().storage_range);
@@ -100,8 +104,9 @@ impl DeviceFrame {
         let making = Making { rule, resident: Some(resident), read: Read::FullCells };
         let mut infos = Vec::with_capacity(keys.len());
         self.make_bins(state, bins, 0..keys.len(), &making, |lane, batch| {
+            meter.add(batch.bins.len());
             infos.extend(read_infos(lane, &batch, keys)?);
-            Ok(())
+            meter.go_on().map_err(|cancelled| Fault::Host(cancelled.into()))
         })?;
         state.done.pages += infos.len();
         Ok(Some(infos))

@@ -6,13 +6,12 @@ use std::sync::Arc;
 use bytemuck::Pod;
 use glam::IVec3;
 
-use crate::backend::{Cpu, Stages};
 use crate::brick::vulkan::{DeviceBlocks, FullCells, gather, halve};
 use crate::brick::{
     Bins, DifField, Elsewhere, Factor, HALVED, PageInfo, PageSamples, PageShape, PageSource, halved_from,
 };
 use crate::field::distance::vulkan::{full_bricks, full_bricks_of};
-use crate::field::indicator::PageRule;
+use crate::field::indicator::{PageRule, indicate};
 use crate::grid::{CellBox, MortonKey};
 use crate::vulkan::{Place, View, VulkanError};
 
@@ -44,7 +43,7 @@ struct Again {
 
 impl PageSource for Again {
     fn samples(&self, page: usize) -> Vec<u16> {
-        let pages = Cpu.indicate(&self.bins, page..page + 1, &self.rule);
+        let pages = indicate(&self.bins, page..page + 1, &self.rule);
         let pages = pages.expect("particles in memory can be read");
         pages[0].1.dense(self.rule.shape()).into_owned()
     }

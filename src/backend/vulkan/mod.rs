@@ -204,22 +204,28 @@ impl Backend for Vulkan {
 impl Stages for Arc<DeviceFrame> {
     /// Stays on the device where it fits, unless the host reads it there as well, or its pages take less than the particles, which are
     /// kept to make them again.
-    fn field(&self, bins: &Arc<Bins>, rule: &PageRule) -> io::Result<DifField> {
+    fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
         if count as u64 * page_bytes(shape) >= (particles * size_of::<u64>()) as u64 {
             let mut state = self.state();
-            match self.indicate_there(&mut state, bins, rule) {
+            match self.indicate_there(&mut state, bins, rule, meter) {
                 Ok(Some(infos)) => return Ok(elsewhere::of_bins(self, infos, bins, rule)),
                 Ok(None) => {}
                 Err(Fault::Host(error)) => return Err(error),
                 Err(Fault::Device(error)) => self.recover(&mut state, &error),
             }
         }
-        Ok(DifField::in_memory(shape, self.indicate(bins, 0..count, rule)?))
+        Ok(DifField::in_memory(shape, self.indicate(bins, 0..count, rule, meter)?))
     }
 
-    fn indicate(&self, bins: &Bins, range: Range<usize>, rule: &PageRule) -> io::Result<Pages> {
+    fn indicate(
+        &self,
+        bins: &Bins,
+        range: Range<usize>,
+        rule: &PageRule,
+        meter: &Meter<'_>,
+    ) -> io::Result<Pages> {
         let mut state = self.state();
         let mut pages = Pages::with_capacity(range.len());
         let shape = rule.shape();
@@ -232,10 +238,10 @@ impl Stages for Arc<DeviceFrame> {
                 // A bin too large for any batch. Without its page the others are of no use on the device.
                 self.forget_residents();
                 state.resident_bytes = 0;
-                pages.extend(Cpu.indicate(bins, begin..begin + 1, rule)?);
+                pages.extend(Cpu.indicate(bins, begin..begin + 1, rule, meter)?);
                 continue;
             }
-            let outcome = self.indicate_batches(&mut state, bins, begin..end, rule, &mut pages);
+            let outcome = self.indicate_batches(&mut state, bins, begin..end, rule, meter, &mut pages);
             state.done.pages += range.start + pages.len() - begin;
             match outcome {
                 Ok(()) => {}
@@ -246,7 +252,7 @@ impl Stages for Arc<DeviceFrame> {
         if pages.len() < range.len() {
             // Without the pages of these bins the others are of no use.
             self.forget_residents();
-            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, rule)?);
+            pages.extend(Cpu.indicate(bins, range.start + pages.len()..range.end, rule, meter)?);
         }
         Ok(pages)
     }

@@ -61,10 +61,11 @@ impl Parts {
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }
-        control.begins(Stage::Writing);
         let Meshed { spool, made, read, warnings } = meshed;
         let made = Made { spool: spool.as_ref(), ..made };
-        let bytes = ready.threads.install(|| file.write(|out| made.write(mark, out)))?;
+        let write = || file.fill(|out| made.write(mark, out)).map_err(Error::from);
+        let filled = ready.threads.install(|| control.during(Stage::Writing, write))?;
+        let bytes = filled.keep()?;
         drop(unfinished);
         timings.done("write");
         let (blocks, triangles) = spool.as_ref().map_or((0, 0), |spool| (spool.len(), spool.triangles()));
@@ -74,8 +75,6 @@ impl Parts {
     fn meshed(&self, ready: &Ready, plan: &Plan, mark: Mark, timings: &mut Timings) -> Result<Meshed, Error> {
         let Ready { checked, threads } = ready;
         let control = &checked.resources.control;
-        checked.go_on()?;
-        control.begins(Stage::Reading);
         threads.install(|| {
             let asked = checked.sampling.field.indicator().ok_or(FrameError::OtherIndicator)?;
             let wanted = |carried: Vec<usize>| {
@@ -95,7 +94,8 @@ impl Parts {
             };
             let pieces = WantedPieces::Numbered(&reading.pieces);
             let wanted_of_input = Wanted { pieces, ..checked.settings.wanted() };
-            let mut file = open_wanted(&self.input, wanted_of_input, checked.unpacking())?;
+            let open = || Ok::<_, Error>(open_wanted(&self.input, wanted_of_input, checked.unpacking())?);
+            let mut file = control.during(Stage::Reading, open)?;
             timings.done("open");
             let attributes = file.particles.attributes();
             let carried = checked.settings.carried(attributes, None)?;
@@ -104,8 +104,8 @@ impl Parts {
             }
             file.particles.keep(reading.ranges.iter().cloned());
             let (sampling, bins) = wanted(carried)?;
-            control.begins(Stage::Counting);
-            let counted = Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, bins)?;
+            let count = || Counted::of_wanted(&file.particles, &sampling, &checked.surfacing, bins);
+            let counted = control.during(Stage::Counting, count)?;
             timings.done("count");
             let share = plan.parts[mark.part as usize];
             if counted.census().binned as u64 != share.counted {
@@ -116,10 +116,12 @@ impl Parts {
             }
             let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
             drop(file);
-            control.begins(Stage::Meshing);
             let known = plan.calibration.as_ref();
-            let calibrated = engine.calibrate(&checked.surfacing, known, timings)?.within(mark.stretch);
-            let spool = calibrated.blocks(timings)?;
+            let mesh = || {
+                let calibrated = engine.calibrate(&checked.surfacing, known, timings)?;
+                calibrated.within(mark.stretch).blocks(timings)
+            };
+            let spool = control.during(Stage::Meshing, mesh)?;
             let occupied = engine.occupied().within(mark.stretch).collect();
             let made = Made { spool: None, occupied, lacking: engine.lacking_within(mark.stretch)? };
             let warnings = engine.warnings().into_iter().map(Warning::MadeGood).collect();

@@ -101,10 +101,9 @@ impl Parts {
         let (Ready { checked, threads }, input) = (ready, &self.input);
         let stamp = || Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()));
         let before = stamp()?;
-        checked.go_on()?;
-        checked.resources.control.begins(Stage::Reading);
         let measured = threads.install(|| {
-            let file = open_wanted(input, checked.settings.wanted(), checked.unpacking())?;
+            let open = || Ok::<_, Error>(open_wanted(input, checked.settings.wanted(), checked.unpacking())?);
+            let file = checked.resources.control.during(Stage::Reading, open)?;
             timings.done("open");
             let source = Source { path: Some(input), spacing: file.spacing };
             let chosen = checked.choose(&file.particles, source)?;
@@ -130,12 +129,12 @@ impl Parts {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
-        control.begins(Stage::Counting);
         // Nothing here asks for attributes.
         let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
         let watched = chunks::watched(particles, &cut, &sampling.grid);
-        let counted = Counted::for_surface(&watched, &bare, surfacing, None)?;
+        let count = || Counted::for_surface(&watched, &bare, surfacing, None);
+        let counted = control.during(Stage::Counting, count)?;
         let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
         let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
         timings.done("count");

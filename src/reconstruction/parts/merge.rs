@@ -42,10 +42,10 @@ impl Parts {
         let Begun { checked, folder, asked } = begun;
         let Ready { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
-        checked.go_on()?;
-        checked.resources.control.begins(Stage::Reading);
+        let control = &checked.resources.control;
         let drawn = threads.install(|| {
-            let joined = joined(&plan, fingerprint, &checked, &folder)?;
+            let join = || joined(&plan, fingerprint, &checked, &folder);
+            let joined = control.during(Stage::Reading, join)?;
             timings.done("verify");
             let sampling = plan.sampling(&checked, Vec::new())?;
             let facts = plan.facts(&sampling);
@@ -57,10 +57,8 @@ impl Parts {
         });
         let mut drawn = drawn?;
         drawn.report.timings = timings;
-        let settings = checked.settings.clone();
-        let (control, memory) = (checked.resources.control.clone(), checked.resources.budget);
-        let (threads, particles_up) = ((&threads).into(), settings.usual_up(&self.input));
-        Ok(Surface { drawn, threads, settings, particles_up, control, memory })
+        let up = checked.settings.usual_up(&self.input);
+        Ok(Surface::new(drawn, &checked, &threads, up))
     }
 }
 
@@ -139,10 +137,7 @@ fn drawn(
     if checked.reduction.is_none() {
         return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
     }
-    checked.go_on()?;
-    resources.control.begins(Stage::Simplifying);
     let simplified = simplified(surface, &checked.reduction, &report.facts, share, resources, timings)?;
-    resources.control.ends(Stage::Simplifying);
     report.too_small = Some(simplified.too_small());
     Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
 }

@@ -5,6 +5,7 @@ pub mod bounds;
 pub mod check;
 pub mod compare;
 pub mod measure;
+pub mod metered;
 pub mod ordered;
 pub mod source;
 pub mod spool;

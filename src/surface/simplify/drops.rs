@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use crate::grid::BLOCK;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::stitch::Stitched;
+use crate::system::control::Control;
 
 use super::vertex_set::VertexSet;
 
@@ -49,8 +50,13 @@ impl TooSmall {
 /// `drop`: their vertices, and how many there are.
 ///
 /// # Errors
-/// Where scratch files cannot be read.
-pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(VertexSet, TooSmall)> {
+/// Where scratch files cannot be read, and where the caller has asked for an early end.
+pub fn smaller_than(
+    surface: &Stitched,
+    volume: f64,
+    drop: f64,
+    control: &Control,
+) -> io::Result<(VertexSet, TooSmall)> {
     let pieces = surface.pieces();
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
@@ -58,6 +64,7 @@ pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(V
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,
+        control,
         |piece| Parts::of(surface, piece),
         |piece, parts| {
             let base = components.parents.len() as u32;
@@ -94,6 +101,7 @@ pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(V
     let mut vertices = VertexSet::none_of(surface.vertex_count());
     in_batches(
         pieces,
+        control,
         |piece| Parts::of(surface, piece),
         |piece, parts| {
             for (vertex, part) in (surface.first_vertex(piece)..).zip(&parts.part_of) {
@@ -109,11 +117,13 @@ pub fn smaller_than(surface: &Stitched, volume: f64, drop: f64) -> io::Result<(V
 /// Makes something of all pieces on all threads, and takes it in order.
 fn in_batches<T: Send>(
     pieces: usize,
+    control: &Control,
     make: impl Fn(usize) -> io::Result<T> + Sync,
     mut take: impl FnMut(usize, T),
 ) -> io::Result<()> {
     let batch = 4 * rayon::current_num_threads();
     for first in (0..pieces).step_by(batch) {
+        control.cancel.go_on()?;
         let range = first..(first + batch).min(pieces);
         let made: Vec<T> = range.clone().into_par_iter().map(&make).collect::<io::Result<_>>()?;
         range.zip(made).for_each(|(piece, made)| take(piece, made));

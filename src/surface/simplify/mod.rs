@@ -30,6 +30,7 @@ use crate::grid::units::Tolerance;
 use crate::grid::{BLOCK, CellBox, MortonKey};
 use crate::surface::mesh::source::{MeshSource, Outline, Vertices};
 use crate::surface::stitch::Stitched;
+use crate::system::control::{Control, Meter, Stage};
 use crate::system::scratch::Lists;
 
 pub use drops::TooSmall;
@@ -92,31 +93,41 @@ impl Reduction {
     }
 }
 
-/// Reduces `surface`, a particle of which fills so many cells, with so many bytes of triangles in memory; those beyond go to a
-/// scratch file in `folder`.
+/// Room for the triangles of a reduced surface.
+#[derive(Debug, Clone, Copy)]
+pub struct Room<'a> {
+    /// Bytes in memory.
+    pub bytes: u64,
+    /// The folder of scratch files for what exceeds them.
+    pub folder: &'a Path,
+}
+
+/// Reduces `surface`, a particle of which fills so many cells, in so much room. `control` is told of every chunk.
 ///
 /// # Errors
-/// Where scratch files cannot be read or written.
+/// Where scratch files cannot be read or written, and where the caller has asked for an early end.
 pub fn simplify(
     surface: Stitched,
     reduction: &Reduction,
     particle_cells: f64,
-    bytes: u64,
-    folder: &Path,
+    room: Room<'_>,
+    control: &Control,
 ) -> io::Result<Simplified> {
+    let Room { bytes, folder } = room;
     let Reduction { smallest_component, smallest_drop, .. } = *reduction;
     let (left_out, too_small) = if smallest_component.is_some() || smallest_drop.is_some() {
         let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
         let volume = smallest_component.unwrap_or(0.0);
-        let (vertices, too_small) = smaller_than(&surface, volume, particles * particle_cells)?;
+        let (vertices, too_small) = smaller_than(&surface, volume, particles * particle_cells, control)?;
         (Some(vertices), too_small)
     } else {
         (None, TooSmall::default())
     };
-    let passes = Passes { surface: &surface, left_out, tolerance: reduction.tolerance };
     let blocks: Vec<IVec3> = surface.blocks().collect();
     let aligned = grouped(&blocks, aligned_chunk);
     let shifted = grouped(&blocks, shifted_chunk);
+    let meter = control.meter(Stage::Simplifying, aligned.len() + shifted.len());
+    let passes = Passes { surface: &surface, left_out, tolerance: reduction.tolerance, meter };
     let batch = 2 * rayon::current_num_threads();
 
     let mut between = Lists::in_memory();
@@ -206,6 +217,8 @@ struct Passes<'a> {
     left_out: Option<VertexSet>,
     /// Where there is none, all triangles stay.
     tolerance: Option<Tolerance>,
+    /// A count of the chunks that are done.
+    meter: Meter<'a>,
 }
 
 impl Passes<'_> {
@@ -227,6 +240,7 @@ impl Passes<'_> {
 
     /// Simplifies what lies wholly in the given pieces, and says where in the second pass everything goes.
     fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), Triangles)>> {
+        self.meter.go_on()?;
         let chunk = Chunk::load(self.surface, pieces)?;
         let mut sorted = Sorted::default();
         let mut inside = Vec::new();
@@ -248,6 +262,7 @@ impl Passes<'_> {
             let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
             sorted.push(self.home(cells), chunk.global(triangle));
         }
+        self.meter.add(1);
         Ok(sorted.lists)
     }
 
@@ -278,6 +293,8 @@ impl Passes<'_> {
         between: &Lists<[u64; 3]>,
         lists: impl Iterator<Item = (Fate, usize)>,
     ) -> io::Result<Triangles> {
+        self.meter.go_on()?;
+        self.meter.add(1);
         let mut result = Triangles::new();
         let mut left = Vec::new();
         let chunk = Chunk::load(self.surface, pieces)?;

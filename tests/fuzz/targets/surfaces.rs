@@ -10,7 +10,7 @@ use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Tolerance}
 use meniscus::internals::grid::{BIN, CellBox, Grid, PeriodicMesh};
 use meniscus::internals::surface::mesh::BlockMesh;
 use meniscus::internals::surface::mesh::spool::Spool;
-use meniscus::internals::surface::simplify::{Reduction, simplify};
+use meniscus::internals::surface::simplify::{Reduction, Room, simplify};
 use meniscus::internals::surface::stitch::Stitched;
 use meniscus::internals::system::control::{Control, Stage};
 use meniscus::mesh::{Mesh, MeshSource, check, compare, measure};
@@ -51,7 +51,8 @@ fn run(data: &[u8]) {
         smallest_component: (drops & 1 == 1).then_some(4.0),
         smallest_drop: (drops & 2 == 2).then_some(3),
     };
-    let simplified = simplify(surface(), &reduction, 1.0, u64::MAX, &std::env::temp_dir()).unwrap();
+    let room = Room { bytes: u64::MAX, folder: &std::env::temp_dir() };
+    let simplified = simplify(surface(), &reduction, 1.0, room, &Control::default()).unwrap();
     let mesh = collected(&simplified);
     assert_watertight(&mesh, "simplified");
     assert!(mesh.triangles.len() <= whole.triangles.len());

@@ -1,0 +1,65 @@
+//! Particles whose readings are counted, and end early once their caller asks for that.
+
+use std::ops::Range;
+
+use crate::system::control::{Control, Meter, Stage};
+
+use super::{AttributeInfo, Particles, Unread};
+
+/// Particles as they are, until the work is cancelled: from then on they have no positions, so that every reading soon comes to its end.
+#[derive(Debug)]
+pub struct Metered<'a, P: ?Sized> {
+    particles: &'a P,
+    control: &'a Control,
+    meter: Meter<'a>,
+}
+
+impl<'a, P: Particles + ?Sized> Metered<'a, P> {
+    /// Counts the particles that are read once in a stage.
+    #[must_use]
+    pub fn new(particles: &'a P, control: &'a Control, stage: Stage) -> Self {
+        Self { particles, control, meter: control.meter(stage, particles.len()) }
+    }
+
+    /// Counts them anew, as the share of a stage that ends there.
+    pub fn begin(&mut self, stage: Stage, to: f64) {
+        self.meter = self.control.meter(stage, self.particles.len()).between(0.0, to);
+    }
+}
+
+impl<P: Particles + ?Sized> Particles for Metered<'_, P> {
+    fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        if !self.meter.goes_on() {
+            return out.fill([f64::NAN; 3]);
+        }
+        self.particles.positions(first, out);
+        self.meter.add(out.len());
+    }
+
+    fn check(&self) -> Result<(), Unread> {
+        self.particles.check()
+    }
+
+    fn resident_bytes(&self) -> u64 {
+        self.particles.resident_bytes()
+    }
+
+    fn release(&self, range: Range<usize>) {
+        self.particles.release(range);
+    }
+
+    fn attributes(&self) -> &[AttributeInfo] {
+        self.particles.attributes()
+    }
+
+    fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
+        if !self.meter.goes_on() {
+            return out.fill(f32::NAN);
+        }
+        self.particles.attribute(index, first, out);
+    }
+}
