@@ -1,12 +1,7 @@
 //! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures, whole or not at all.
 #![allow(clippy::unwrap_used)]
 
-mod common {
-    #[path = "../../tools/bench/scene.rs"]
-    #[allow(dead_code)]
-    pub mod scene;
-    pub mod shapes;
-}
+mod common;
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;

@@ -1,9 +1,5 @@
 //! Files that tests read, write and look for: the samples, particles and surfaces as bytes, and what a folder holds.
 
-// Every test takes what it needs.
-#![allow(dead_code)]
-#![allow(clippy::unwrap_used)]
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};

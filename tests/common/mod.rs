@@ -1,15 +1,18 @@
 //! What the tests share: random scenes, particles, files, the program, settings, and the oracle.
-#![allow(dead_code, reason = "each test file uses its part")]
+#![allow(dead_code, reason = "each test program uses its part")]
 
+pub mod alone;
 pub mod attributed;
 pub mod dense;
 pub mod device;
 pub mod distances;
 pub mod files;
+pub mod particle_files;
 pub mod periodic;
 pub mod program;
 #[path = "../../tools/bench/scene.rs"]
 pub mod scene;
+pub mod shapes;
 pub mod watertight;
 
 use glam::{DVec3, IVec3};

@@ -1,8 +1,5 @@
 //! What an opened file of particles holds, all of it in memory.
 
-// Every test takes what it needs.
-#![allow(dead_code)]
-
 use meniscus::internals::io::ParticleFile;
 use meniscus::internals::particles::Particles;
 

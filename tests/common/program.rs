@@ -1,9 +1,5 @@
 //! The program, run in a folder: its command, what it says where its exit code is known, and by a shell.
 
-// Every test takes what it needs.
-#![allow(dead_code)]
-#![allow(clippy::unwrap_used)]
-
 use std::path::Path;
 use std::process::{Command, Output};
 

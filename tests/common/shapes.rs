@@ -1,6 +1,6 @@
 //! Meshes whose every property is known beforehand.
 
-// Every test takes what it needs.
+// `tools/evaluate` uses a part of it, too.
 #![allow(dead_code)]
 
 use std::f64::consts::TAU;

@@ -14,7 +14,7 @@ mod state;
 mod surfaces;
 mod wrapped;
 
-#[path = "../../readers/build.rs"]
+#[path = "../../io/build.rs"]
 pub mod build;
 
 /// Something that takes any bytes.

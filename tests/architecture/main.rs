@@ -1,0 +1,156 @@
+//! Imports run one way: every room uses only those before it, and no files import from each other in a circle.
+//!
+//! `cargo test --test architecture -- --nocapture` prints every import. What is one, `architecture/imports.rs` says.
+#![allow(clippy::unwrap_used)]
+
+mod imports;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use imports::Import;
+use petgraph::algo::tarjan_scc;
+use petgraph::graphmap::DiGraphMap;
+
+/// The rooms, each after those that it may use.
+const ROOMS: [&str; 17] = [
+    "grid",
+    "system",
+    "particles",
+    "vulkan",
+    "brick",
+    "field",
+    "surface",
+    "backend",
+    "baselines",
+    "io",
+    "settings",
+    "frame",
+    "error",
+    "reconstruction",
+    "simulation",
+    "lib",
+    "bin",
+];
+
+/// From which file to which, and by what names.
+type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
+
+fn ties(imports: &BTreeSet<Import>) -> Ties<'_> {
+    let mut ties = Ties::new();
+    imports.iter().for_each(|i| ties.entry([&*i.from, &*i.to]).or_default().push(&i.path));
+    ties
+}
+
+fn source() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src")
+}
+
+/// The number of the room that a file is in.
+fn room_of(file: &str) -> Option<usize> {
+    ROOMS.iter().position(|room| {
+        file.strip_prefix(room).is_some_and(|rest| rest.starts_with('/') || rest.starts_with(".rs"))
+    })
+}
+
+#[test]
+fn no_room_imports_from_one_that_comes_after_it() {
+    let imports = imports::imports(&source());
+    let room = |file: &str| room_of(file).unwrap_or_else(|| panic!("{file} is in no room"));
+    let against = imports.iter().flat_map(|Import { from, to, by, path }| {
+        let later = [to, by].into_iter().filter(|used| room(used) > room(from));
+        later.map(move |used| format!("{from} uses {used}, by the name of {path}"))
+    });
+    let against: BTreeSet<String> = against.collect();
+    assert!(against.is_empty(), "against the order of rooms: {against:#?}");
+    assert!(imports.len() > 1000, "only {} imports were seen", imports.len());
+    for ([from, to], paths) in ties(&imports) {
+        println!("{from} -> {to}: {}", paths.join(", "));
+    }
+}
+
+#[test]
+fn no_files_import_from_each_other_in_a_circle() {
+    let imports = imports::imports(&source());
+    let ties = ties(&imports);
+    let graph: DiGraphMap<&str, ()> = ties.keys().map(|[from, to]| (*from, *to)).collect();
+    let mut circles = String::new();
+    for circle in tarjan_scc(&graph).into_iter().filter(|files| files.len() > 1) {
+        circles += &format!("a circle: {circle:?}\n");
+        for ([from, to], paths) in
+            ties.iter().filter(|(files, _)| files.iter().all(|file| circle.contains(file)))
+        {
+            circles += &format!("    {from} -> {to}: {}\n", paths.join(", "));
+        }
+    }
+    assert!(circles.is_empty(), "{circles}");
+}
+
+#[test]
+fn no_message_of_the_library_names_an_option_of_the_program() {
+    let named = imports::texts(&source()).into_iter().filter(|(file, text)| {
+        let option = text
+            .match_indices("--")
+            .any(|(at, _)| text[at + 2..].starts_with(|c: char| c.is_ascii_lowercase()));
+        !file.starts_with("bin/") && option
+    });
+    assert_eq!(named.collect::<Vec<_>>(), []);
+}
+
+#[test]
+fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
+    let program = imports::files(&source().join("bin"));
+    let bindings = imports::files(&source().join("bindings"));
+    assert!(program.len() > 15, "only {} files were seen", program.len());
+    assert!(bindings.len() > 5, "only {} files were seen", bindings.len());
+    for file in program.into_iter().chain(bindings) {
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(!text.contains("internals"), "{}: uses what may change", file.display());
+    }
+}
+
+/// Words with which a line goes on from another, and does not stand alone.
+const GOING_ON: [&str; 18] = [
+    "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So", "Whose",
+    "Who", "Which", "There", "Another", "Such",
+];
+
+/// Beginnings with which a public item says too little where its line stands alone.
+const TOO_LITTLE: [&str; 6] = ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
+
+/// Whether the item is public that the documentation before `lines` is of.
+fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
+    let mut lines = lines.into_iter().map(str::trim_start);
+    lines
+        .find(|line| !line.starts_with("///") && !line.starts_with("#["))
+        .is_some_and(|line| line.starts_with("pub "))
+}
+
+#[test]
+fn first_lines_of_docs_stand_alone() {
+    let (mut seen, mut going_on) = (0, Vec::new());
+    for file in imports::files(&source()) {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let mut before = None;
+        for (number, line) in text.lines().enumerate() {
+            let line = line.trim_start();
+            let kind = ["///", "//!"].into_iter().find(|kind| line.starts_with(kind));
+            if let Some(kind) = kind.filter(|_| kind != before) {
+                let first = line.trim_start_matches(kind).trim_start();
+                let begins = |word: &&str| {
+                    first
+                        .strip_prefix(*word)
+                        .is_some_and(|rest| rest.starts_with(|c: char| !c.is_alphanumeric()))
+                };
+                seen += 1;
+                let says_little = TOO_LITTLE.iter().any(|words| first.starts_with(words));
+                if GOING_ON.iter().any(begins) || says_little && is_public(text.lines().skip(number)) {
+                    going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
+                }
+            }
+            before = kind;
+        }
+    }
+    assert!(seen > 2000, "only {seen} were seen");
+    assert!(going_on.is_empty(), "{going_on:#?}");
+}

@@ -1,0 +1,32 @@
+//! What `tools/gpu/run` prints of a GPU besides the tests: the devices, and milliseconds a stage.
+
+#[path = "../../tools/bench/backends.rs"]
+#[allow(dead_code, clippy::duplicate_mod, reason = "its command line is another's")]
+mod backends;
+
+use std::env;
+use std::fmt::Debug;
+use std::str::FromStr;
+
+use meniscus::internals::vulkan::Instance;
+
+#[test]
+#[ignore = "prints the devices"]
+fn devices() {
+    println!("{:#?}", Instance::connect(false).unwrap().devices().unwrap());
+}
+
+#[test]
+#[ignore = "prints milliseconds a stage, which takes minutes"]
+fn stages() {
+    let device = env::var("MENISCUS_TEST_DEVICE").ok();
+    let (cells, millions) = (list("MENISCUS_CELLS", "256,512"), list("MENISCUS_MILLIONS", "1,10"));
+    let same = backends::measure(backends::Options { device, cells, millions, bench: true }).unwrap();
+    assert!(same, "bytes differ");
+}
+
+/// The numbers of a variable, or others.
+fn list<T: FromStr<Err: Debug>>(variable: &str, otherwise: &str) -> Vec<T> {
+    let text = env::var(variable).unwrap_or_else(|_| otherwise.to_owned());
+    text.split(',').map(|number| number.parse().unwrap()).collect()
+}

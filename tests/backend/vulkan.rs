@@ -1,0 +1,698 @@
+//! The Vulkan backend: each stage against its twin, whole frames, little memory, failures. All validated.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::IVec3;
+use meniscus::internals::backend::shaders::SHADERS;
+use meniscus::internals::backend::{Backend, Cpu, Surfaces, Vulkan, Work};
+use meniscus::internals::brick::vulkan::{DeviceBlock, DeviceBlocks};
+use meniscus::internals::brick::{BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles};
+use meniscus::internals::field::blur::{self, Weights};
+use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
+use meniscus::internals::field::recipe::{PaperFilters, Recipe};
+use meniscus::internals::frame::{Detail, Frame, Normals, Resources, Sampling, Surfacing};
+use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
+use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::system::control::{Control, Stage};
+use meniscus::internals::system::timings::Timings;
+use meniscus::internals::vulkan::{
+    Device, DeviceChoice, DeviceOptions, Faults, Instance, Place, Queue, Queues, ValidationLog, VulkanError,
+};
+
+use crate::common::device::{self, Watched, contoured};
+use crate::common::scene::Random;
+use crate::common::{
+    INDICATORS, Reconstructed, by, dif, full_cells, reconstruct, sampled, sampling, splashes, surfacing, tank,
+};
+use crate::compile;
+
+const DETAILS: [Detail; 2] = [Detail::Smoothed, Detail::Recovered];
+
+/// Runs a test on a device of its own, if there is one, and looks at what validation found when all of it is gone.
+fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
+    validated_with(&DeviceOptions::default(), test)
+}
+
+fn validated_with<T>(options: &DeviceOptions, test: impl FnOnce(&Device) -> T) -> Option<T> {
+    let (device, log) = device::open(options).map_err(device::skip).ok()?;
+    let outcome = test(&device);
+    assert_eq!(device.allocated(), 0, "buffers are left");
+    drop(device);
+    assert_clean(&log);
+    Some(outcome)
+}
+
+fn assert_clean(log: &ValidationLog) {
+    assert_eq!(log.messages(), [""; 0]);
+}
+
+fn random_block(cells: CellBox, seed: u64) -> Block {
+    let mut random = Random::new(seed);
+    let mut block = Block::zero(cells);
+    block.samples_mut().iter_mut().for_each(|sample| *sample = random.bits() as u16);
+    block
+}
+
+#[test]
+fn a_blurred_block_is_that_of_the_cpu_for_every_reach_with_and_without_walls() {
+    validated(|device| {
+        let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+        for (seed, sigma) in (0..).zip([0.5, 0.9, 1.2, 1.6, 2.0, 3.3, 10.0]) {
+            let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
+            let reach = weights.reach();
+            let inner = CellBox { lo: IVec3::new(-5, 3, -20), hi: IVec3::new(6, 12, -13) };
+            let mut dif = random_block(inner.grown(reach, reach), seed);
+            for walls in [None, Some(CellBox { lo: inner.lo + 2, hi: inner.hi + 1 })] {
+                if let Some(walls) = walls {
+                    dif.repeat_edges(walls);
+                }
+                let expected = blur::blur(dif.clone(), &weights, None);
+                let (block, samples) = blurred_on(device, &pipeline, &dif, &weights, walls);
+                let inside = walls.map_or(inner, |walls| inner.intersection(&walls));
+                for ([y, z], row) in expected.rows(inside) {
+                    for (x, &sample) in (inside.lo.x..).zip(row) {
+                        let at = IVec3::new(x, y, z) - IVec3::from(block.lo);
+                        let [width, height, _] = block.size.map(|n| n as i32);
+                        let found = samples[(at.x + width * (at.y + height * at.z)) as usize];
+                        assert_eq!(found, sample, "sigma {sigma}, walls {walls:?}, cell {x} {y} {z}");
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// A block as the device keeps it, and its samples after a blur.
+fn blurred_on(
+    device: &Device,
+    pipeline: &Arc<meniscus::internals::vulkan::ComputePipeline>,
+    dif: &Block,
+    weights: &Weights,
+    walls: Option<CellBox>,
+) -> (DeviceBlock, Vec<u16>) {
+    let block = DeviceBlock::new(dif.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO });
+    let mut padded = Block::<u16>::zero(block.cells());
+    for ([y, z], row) in dif.rows(dif.cells()) {
+        let to = padded.index(IVec3::new(dif.cells().lo.x, y, z));
+        padded.samples_mut()[to..to + row.len()].copy_from_slice(row);
+    }
+    let field = device.uploaded(padded.samples()).unwrap();
+    let uploaded = device.uploaded(weights.half()).unwrap();
+    let through = device.buffer(Place::Device, field.bytes()).unwrap().whole();
+    let to = device.buffer(Place::Download, field.bytes()).unwrap().whole();
+    let blocks = DeviceBlocks::new(device.uploaded(&[block]).unwrap(), &[block]);
+    let mut batch = device.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    let views = [&field, &through, &to];
+    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views).unwrap();
+    batch.submit(&[]).unwrap();
+    batch.wait().unwrap();
+    // SAFETY: the only batch that writes it is done.
+    (block, unsafe { to.read(0, padded.samples().len()) })
+}
+
+#[test]
+fn validation_tells_of_a_barrier_that_is_missing_between_shaders() {
+    if !Instance::connect(true).is_ok_and(|instance| instance.sees_shaders()) {
+        return;
+    }
+    let Ok((device, log)) = device::open(&DeviceOptions::default()).map_err(device::skip) else { return };
+    let pipeline = Arc::new(device.pipeline(&blur::vulkan::BLUR).unwrap());
+    let weights = Weights::gaussian(Sigma::new(1.0).unwrap());
+    // Of the three that blur along an axis each, the second no longer waits for the first.
+    device.faults().barrier.store(2, Ordering::Relaxed);
+    blurred_on(&device, &pipeline, &random_block(CellBox::cube(IVec3::ZERO, 16), 1), &weights, None);
+    let messages = log.messages();
+    assert!(messages.iter().any(|message| message.to_lowercase().contains("hazard")), "{messages:?}");
+}
+
+/// Particles of one, two, and very many to a cell, at its corners and anywhere in it.
+fn crowds() -> Vec<[f64; 3]> {
+    let mut random = Random::new(5);
+    let mut particles = splashes(5);
+    particles.extend(std::iter::repeat_n([3.999_999, 3.0, 3.5], 600_000));
+    particles.extend((0..300_000).map(|_| [9.0 + random.unit(), 3.0 + random.unit(), 5.999_99]));
+    particles.extend((0..70_000).map(|_| std::array::from_fn(|_| -17.0 + random.unit())));
+    particles
+}
+
+/// The pages of [`crowds`] by every rule, on a device and on the CPU. Returns what the device made of them, each time, and
+/// what there is to make.
+fn same_pages_on(device: &impl Backend, budget: MemoryBudget) -> (Vec<Work>, Work) {
+    let particles = crowds();
+    let grid = Grid::new(glam::DVec3::ZERO, 1.0).unwrap();
+    let plan =
+        BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS).unwrap();
+    let bins = plan.fill(&particles[..], &[]).unwrap();
+    let all = 0..bins.keys().len();
+    let mut made = Vec::new();
+    for indicator in INDICATORS {
+        for side in [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen] {
+            let frame = device.start(budget);
+            let mean = particles.len() as f64 / full_cells(&bins) as f64;
+            let rule = PageRule {
+                content: by(indicator, mean).content(),
+                side,
+                walls: Some(CellBox::cube(IVec3::ZERO, 9)),
+            };
+            let (control, parts) = (Control::default(), all.len());
+            let meter = control.meter(Stage::Sampling, parts);
+            let pages = frame.indicate(&bins, all.clone(), &rule, &meter).unwrap();
+            let expected = Cpu.start(budget).indicate(&bins, all.clone(), &rule, &meter).unwrap();
+            let [pages, expected] = [&pages, &expected].map(|pages| {
+                let all =
+                    pages.iter().map(|(info, samples)| (info, samples.dense(rule.shape()), samples.bytes()));
+                all.collect::<Vec<_>>()
+            });
+            assert!(pages == expected, "{rule:?} under {budget:?}");
+            assert_eq!(frame.warnings(), [""; 0]);
+            made.push(frame.on_device());
+        }
+    }
+    (made, Work { pages: all.len(), regions: 0 })
+}
+
+#[test]
+fn pages_are_those_of_the_cpu_for_crowded_cells_too() {
+    validated(|device| {
+        same_pages_on(&Watched(Vulkan::new(device.clone()).unwrap()), MemoryBudget(1 << 30));
+    });
+}
+
+#[test]
+fn the_page_of_a_bin_too_large_for_any_batch_is_made_by_the_cpu_and_all_others_by_the_device() {
+    validated(|device| {
+        // At most 8 MiB for a batch; the crowd in one bin takes 14.
+        let vulkan = Vulkan::new(device.clone()).unwrap();
+        let (made, all) = same_pages_on(&vulkan, MemoryBudget(64 << 20));
+        assert_eq!(made, [Work { pages: all.pages - 1, ..all }; 9]);
+    });
+}
+
+/// All ways to compute a surface, on the CPU and on a device.
+fn assert_same_surfaces(vulkan: &Arc<Watched>, particles: &[[f64; 3]], budget: MemoryBudget, what: &str) {
+    for indicator in INDICATORS {
+        for walls in [false, true] {
+            let mut sampling = Sampling { field: indicator.into(), ..sampling() };
+            sampling.domain = walls.then(|| tank(&sampling.grid));
+            for (detail, sigma, smooth, spacing) in [(DETAILS[0], 1.0, 1.6, 1.0), (DETAILS[1], 1.5, 2.5, 3.0)]
+            {
+                sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
+                let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
+                let surfacing =
+                    Surfacing { smooth, detail, sigma, normals: Normals::Gradient, ..surfacing() };
+                let (_, expected) = reconstruct(particles, &sampling, &surfacing);
+                let mut resources = Resources::new(budget, std::env::temp_dir());
+                resources.backend = Arc::clone(vulkan) as Arc<dyn Backend>;
+                let sampling = Sampling { resources, ..sampling.clone() };
+                let (_, surface) = reconstruct(particles, &sampling, &surfacing);
+                assert!(surface.mesh == expected.mesh, "{what}: {indicator:?}, {detail:?}, walls {walls}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_frame_on_the_device_is_that_of_the_cpu_in_one_batch_and_in_many() {
+    let particles = splashes(23);
+    validated(|device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(8 << 30), "in one batch");
+        // A quarter of it is the device's, half of that for batches.
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "in many");
+    });
+}
+
+/// Two fields, page by page, and what is known of their cells.
+fn assert_same_fields(one: &DifField, other: &DifField, what: &str) {
+    assert_eq!(one.infos(), other.infos(), "{what}");
+    for (page, info) in one.infos().iter().enumerate() {
+        assert!(one.stored(page) == other.stored(page), "{what}: {info:?}");
+        let around = CellBox::cube(info.key.coord(), BIN).grown(2, 2);
+        assert!(one.gather(around) == other.gather(around), "{what}: {info:?}");
+    }
+}
+
+#[test]
+fn a_field_that_stays_on_the_device_is_that_of_the_cpu_as_are_its_wide_cells_and_its_inside() {
+    // Particles at rest, deep enough for an inside, spray around them, and some more of them with cells to every octant.
+    let mut random = Random::new(11);
+    let mut particles: Vec<[f64; 3]> = Vec::new();
+    for at in CellBox::cube(IVec3::splat(-1), 24).cubes(1).chain(CellBox::cube(IVec3::ZERO, 6).cubes(1)) {
+        particles.push(at.to_array().map(|at| f64::from(at) + 0.5 * random.unit()));
+    }
+    particles.extend((0..400).map(|_| std::array::from_fn(|_| 90.0 * random.unit() - 50.0)));
+    let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&own, |device| {
+        for (indicator, side) in INDICATORS.iter().flat_map(|&indicator| {
+            [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen].map(|side| (indicator, side))
+        }) {
+            let cells = [(0.3, true), (0.3, false), (0.6, false), (1.1, true)];
+            // The paper's are of cells that hold a particle or more.
+            let cells = if indicator == IndicatorKind::Cloud { &cells[..] } else { &cells[3..] };
+            for &(cell_size, walls) in cells {
+                let grid = Grid::new(glam::DVec3::splat(0.1), cell_size).unwrap();
+                let mut known = Sampling { grid, field: indicator.into(), side, ..sampling() };
+                known.spacing = Some(1.0);
+                known.domain =
+                    walls.then(|| Domain::new(&grid, [-30.0, -9.7, -20.0].into(), [21.0; 3].into()).unwrap());
+                let what = format!("{indicator:?}, {side:?}, cells of {cell_size}, walls {walls}");
+                let surfacing = surfacing();
+                let (expected, _) = reconstruct(&particles[..], &known, &surfacing);
+                known.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                let frame = Frame::sample(&particles[..], &known, &mut Timings::default()).unwrap();
+                let [made, expected] = [&frame, &expected].map(dif);
+                assert!(made.dif.elsewhere().is_some(), "{what}: it does not stay");
+                let calibration = surfacing.calibrate(expected).unwrap().calibration;
+                if made.is_clouds() {
+                    for level in 1..=made.wide_cells().level {
+                        assert!(
+                            made.wide(level).elsewhere().is_some(),
+                            "{what}: level {level} does not stay"
+                        );
+                        assert_same_fields(
+                            made.wide(level),
+                            expected.wide(level),
+                            &format!("{what}: {level}"),
+                        );
+                    }
+                }
+                let [recipe, known] = [made, expected].map(|dif| surfacing.recipe(dif, &calibration));
+                assert!(recipe == known, "{what}: another inside");
+                assert_eq!(surfacing.calibrate(made).unwrap().calibration, calibration, "{what}");
+                assert_same_fields(&made.dif, &expected.dif, &what);
+                assert_eq!(frame.warnings(), [""; 0], "{what}");
+            }
+        }
+    });
+}
+
+#[test]
+fn a_field_that_stays_on_the_device_is_made_again_where_it_cannot_be_read() {
+    let particles = splashes(31);
+    let mut sampling = sampling();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    let (expected, _) = reconstruct(&particles[..], &sampling, &surfacing());
+    let own = DeviceOptions { shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&own, |device| {
+        let mut sampling = sampling.clone();
+        sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
+        let frame = Frame::sample(&particles[..], &sampling, &mut Timings::default()).unwrap();
+        assert!(dif(&frame).dif.elsewhere().is_some());
+        device.faults().submission.store(1, Ordering::Relaxed);
+        assert_same_fields(&dif(&frame).dif, &dif(&expected).dif, "after a loss");
+        let [made, expected] = [&frame, &expected].map(dif);
+        assert_same_fields(made.wide(1), expected.wide(1), "after a loss");
+        let warnings = frame.warnings();
+        assert!(
+            !warnings.is_empty() && warnings.iter().all(|warning| warning.ends_with("on the CPU")),
+            "{warnings:?}"
+        );
+    });
+}
+
+#[test]
+fn of_a_field_that_stays_on_the_device_only_what_calibrates_and_the_surface_come_back() {
+    let particles = splashes(29);
+    let mut sampling = sampling();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(2.0));
+    let received = |own: bool| {
+        let options = DeviceOptions { shares_host_memory: Some(!own), ..DeviceOptions::default() };
+        validated_with(&options, |device| {
+            let mut sampling = sampling.clone();
+            sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+            let timings = &mut Timings::default();
+            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
+            let known = surfacing().calibrate(dif(&frame)).unwrap().calibration;
+            drop(frame);
+            let before = device.counters();
+            let frame = Frame::sample(&particles[..], &sampling, timings).unwrap();
+            let surface =
+                frame.calibrate(&surfacing(), Some(&known), timings).unwrap().surface(timings).unwrap();
+            let after = device.counters();
+            (after.received - before.received, after.sent - before.sent, surface.to_mesh().unwrap())
+        })
+    };
+    let (Some((all, all_sent, there)), Some((some, sent, here))) = (received(false), received(true)) else {
+        return;
+    };
+    assert!(there == here);
+    let pages = (sampling.field.indicator().unwrap().kind.shape(sampling.side).bin_samples() * 2) as u64;
+    assert!(some + 8 * pages < all, "{some} bytes of {all}");
+    assert!(sent < all_sent, "{sent} bytes of {all_sent}");
+}
+
+#[test]
+fn shaders_that_check_every_index_give_the_same_bytes() {
+    let particles = splashes(23);
+    let binaries = compile::checked().unwrap();
+    let differ = SHADERS.iter().filter(|shader| binaries[shader.name] != shader.code).count();
+    assert!(differ > SHADERS.len() / 2, "{differ} shaders check anything");
+    let options = DeviceOptions { binaries, shares_host_memory: Some(false), ..DeviceOptions::default() };
+    validated_with(&options, |device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), "with checks");
+    });
+}
+
+#[test]
+fn batches_of_which_nothing_is_drawn_leave_the_others_as_they_are() {
+    // Deep enough that a block has no surface, which is a batch of its own where hardly anything fits the budget.
+    let lattice = CellBox::cube(IVec3::splat(-1), 9).union(&CellBox::cube(IVec3::ZERO, 10)).cubes(1);
+    let ball = lattice.filter(|at| at.as_dvec3().length() <= 9.0);
+    let particles: Vec<[f64; 3]> = ball.map(|at| (at.as_dvec3() + 11.1).to_array()).collect();
+    let mut sampling = sampling();
+    sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(1.0));
+    let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing());
+    for shares_host_memory in [Some(true), Some(false)] {
+        validated_with(&DeviceOptions { shares_host_memory, ..DeviceOptions::default() }, |device| {
+            for budget in [12, 16, 24, 32, 48, 64, 128] {
+                let mut sampling = sampling.clone();
+                sampling.resources = Resources::new(MemoryBudget(budget << 20), std::env::temp_dir());
+                sampling.resources.backend = Arc::new(Vulkan::new(device.clone()).unwrap());
+                let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing());
+                assert!(surface.mesh == expected.mesh, "{budget} MiB, {shares_host_memory:?}");
+            }
+        });
+    }
+}
+
+#[test]
+fn a_drop_at_a_wall_has_the_same_normals_on_the_device() {
+    let particles = [[9.08165, -8.98358, 17.7202], [8.34095, 5.02534, 10.917]];
+    let mut sampling = sampling();
+    sampling.grid = Grid::new(glam::DVec3::ZERO, 0.5).unwrap();
+    (sampling.field, sampling.spacing) = (IndicatorKind::Cloud.into(), Some(0.5));
+    let corners = [[-5.49096, -19.6614, -9.54228], [16.9536, 23.555, 18.2697]].map(glam::DVec3::from);
+    sampling.domain = Some(Domain::new(&sampling.grid, corners[0], corners[1]).unwrap());
+    let surfacing = Surfacing { normals: Normals::Gradient, ..surfacing() };
+    let (_, expected) = reconstruct(&particles[..], &sampling, &surfacing);
+    validated(|device| {
+        let mut sampling = sampling.clone();
+        sampling.resources.backend = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let (_, surface) = reconstruct(&particles[..], &sampling, &surfacing);
+        assert!(surface.mesh == expected.mesh);
+    });
+}
+
+#[test]
+fn a_second_frame_makes_no_buffers_of_its_own() {
+    let particles = splashes(23);
+    validated(|device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        let mut sampling = sampling();
+        sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+        let made = [0, 1, 2].map(|_| {
+            let before = device.counters().allocations;
+            reconstruct(&particles[..], &sampling, &surfacing());
+            device.counters().allocations - before
+        });
+        assert!(made[0] > 10, "{made:?}");
+        assert_eq!(made[1..], [0, 0]);
+    });
+}
+
+#[test]
+fn a_frame_is_the_same_whatever_queues_there_are_and_whosever_the_memory_is() {
+    let particles = splashes(23);
+    for queues in [Queues::One, Queues::OneAsTwo] {
+        for shares_host_memory in [Some(false), Some(true)] {
+            let options = DeviceOptions { queues, shares_host_memory, ..DeviceOptions::default() };
+            validated_with(&options, |device| {
+                assert_eq!(device.shares_host_memory(), shares_host_memory == Some(true));
+                let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+                let what = format!("{queues:?}, {shares_host_memory:?}");
+                assert_same_surfaces(&vulkan, &particles, MemoryBudget(32 << 20), &what);
+            });
+        }
+    }
+}
+
+#[test]
+fn a_lost_device_stays_lost_and_is_not_short_of_memory() {
+    let Some((device, _)) = device::open(&DeviceOptions::default()).map_err(device::skip).ok() else {
+        return;
+    };
+    let mut batch = device.batch(Queue::Compute).unwrap();
+    batch.begin().unwrap();
+    device.faults().submission.store(1, Ordering::Relaxed);
+    assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
+    for _ in 0..2 {
+        assert_eq!(device.buffer(Place::Device, 4).unwrap_err(), VulkanError::Lost);
+        assert_eq!(batch.submit(&[]), Err(VulkanError::Lost));
+    }
+}
+
+#[test]
+fn a_device_is_told_by_its_number_its_uuid_or_a_number_in_its_name() {
+    let instance = match Instance::connect(false) {
+        Ok(instance) => instance,
+        Err(why) => return device::skip(why),
+    };
+    let devices = instance.devices().unwrap();
+    let Some(device) = devices.first() else { return device::skip("there is no device") };
+    let chosen = |by: &str| instance.choose(&DeviceChoice::Named(by.to_owned())).map(|found| found.index);
+    assert_eq!(chosen("0"), Ok(0));
+    assert_eq!(chosen(&device.uuid_digits()), Ok(0));
+    assert_eq!(chosen(&device.uuid_digits().to_uppercase()), Ok(0));
+    let numbers = device.name.split(|c: char| !c.is_ascii_digit());
+    let numbers: Vec<&str> =
+        numbers.filter(|text| text.parse().is_ok_and(|number: usize| number >= devices.len())).collect();
+    for number in numbers {
+        assert_eq!(chosen(number), Ok(0), "{number} of {}", device.name);
+    }
+    assert!(matches!(chosen("987654321"), Err(VulkanError::NotFound { .. })));
+}
+
+#[test]
+fn the_shared_frames_have_the_same_surfaces_on_the_device() {
+    let data = crate::common::files::data("");
+    validated(|device| {
+        let vulkan = Arc::new(Watched(Vulkan::new(device.clone()).unwrap()));
+        for (file, spacing) in [
+            ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
+            ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
+        ] {
+            let scratch = std::env::temp_dir();
+            let unpacking = Unpacking { in_memory: u64::MAX, scratch: &scratch };
+            let particles = open_particles(&data.join(file), unpacking).unwrap().particles;
+            for (indicator, detail) in
+                INDICATORS.iter().flat_map(|&indicator| DETAILS.map(|detail| (indicator, detail)))
+            {
+                for cell in [spacing, spacing / 2.0] {
+                    let grid = Grid::new(glam::DVec3::ZERO, cell).unwrap();
+                    let mut sampling = Sampling { field: indicator.into(), grid, ..sampling() };
+                    sampling.spacing = (indicator == IndicatorKind::Cloud).then_some(spacing);
+                    let surfacing = Surfacing { detail, normals: Normals::Gradient, ..surfacing() };
+                    let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
+                    sampling.resources.backend = Arc::clone(&vulkan) as Arc<dyn Backend>;
+                    let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
+                    let what = format!("{file}, {indicator:?}, {detail:?}, cells of {cell}");
+                    assert!(surface.mesh == expected.mesh, "{what}");
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn more_vertices_than_a_batch_has_room_for_are_emitted_again() {
+    // White noise has a vertex on nearly every other edge, far more than a fluid.
+    let cells = CellBox { lo: IVec3::splat(-32), hi: IVec3::splat(64) };
+    let mut random = Random::new(3);
+    let pages = cells.cubes(16).map(|bin| {
+        let dense: Vec<u16> = (0..4096).map(|_| random.bits() as u16 | 1).collect();
+        meniscus::internals::brick::PageInfo::from_dense(bin, &dense, BrickSide::Sixteen.into()).unwrap()
+    });
+    let mut pages: Vec<_> = pages.collect();
+    pages.sort_unstable_by_key(|(info, _)| info.key);
+    let dif = DifField::in_memory(BrickSide::Sixteen.into(), pages);
+    let filters = PaperFilters::new(IndicatorKind::Symmetry, Sigma::new(0.2).unwrap(), Detail::Smoothed);
+    let recipe = Recipe::of_paper(filters, Isovalue::new(0.5).unwrap());
+    let surfaces = Surfaces {
+        sampled: &sampled(dif),
+        recipe: &recipe,
+        normals: Normals::None,
+        periodic_mesh: PeriodicMesh::Cut,
+    };
+    let regions = surfaces.regions();
+    let budget = MemoryBudget(8 << 30);
+    let expected = contoured(&*Cpu.start(budget), &surfaces, &regions);
+    let vertices: usize = expected.iter().flatten().map(|mesh| mesh.ends.len()).sum();
+    assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
+    validated(|device| {
+        let vulkan = Watched(Vulkan::new(device.clone()).unwrap());
+        // With a large share they are emitted at once, with a small one in halves.
+        for budget in [budget, MemoryBudget(96 << 20)] {
+            let frame = vulkan.start(budget);
+            assert!(contoured(&*frame, &surfaces, &regions) == expected);
+        }
+    });
+}
+
+/// A frame that was drawn on a device, as far as the device went.
+struct Outcome {
+    mesh: Mesh,
+    warnings: Vec<String>,
+    on_device: Work,
+}
+
+/// What is drawn where calls fail.
+#[derive(Debug, Clone, Copy)]
+enum Scene {
+    /// An indicator of the paper, on a device whose memory is the host's.
+    Shared,
+    /// Clouds, on a device that has memory of its own.
+    Own,
+}
+
+const SCENES: [Scene; 2] = [Scene::Shared, Scene::Own];
+
+impl Scene {
+    fn sampling(self) -> Sampling {
+        match self {
+            Self::Shared => sampling(),
+            Self::Own => Sampling { field: IndicatorKind::Cloud.into(), spacing: Some(2.0), ..sampling() },
+        }
+    }
+
+    fn options(self) -> DeviceOptions {
+        let shares_host_memory = Some(matches!(self, Self::Shared));
+        DeviceOptions { shares_host_memory, ..DeviceOptions::default() }
+    }
+
+    /// The right mesh.
+    fn mesh(self) -> Mesh {
+        reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
+    }
+
+    fn frame_on(self, backend: impl Backend + 'static) -> Outcome {
+        let mut sampling = self.sampling();
+        sampling.resources.budget = MemoryBudget(64 << 20);
+        sampling.resources.backend = Arc::new(backend);
+        let (frame, Reconstructed { mesh, .. }) = reconstruct(&splashes(29)[..], &sampling, &surfacing());
+        Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
+    }
+
+    /// All of its work, if there is a device to do it.
+    fn whole_work(self) -> Option<Work> {
+        let run = |device: &Device| self.frame_on(Watched(Vulkan::new(device.clone()).unwrap())).on_device;
+        validated_with(&self.options(), run)
+    }
+
+    /// Lets the first, the second, ... call of a kind fail until none is left to fail: each time the mesh is right and
+    /// nothing leaks. Returns what came of each.
+    fn fail_each(self, fault: fn(&Faults) -> &AtomicU64) -> Vec<Outcome> {
+        let expected = self.mesh();
+        let mut failed = Vec::new();
+        loop {
+            let number = failed.len() as u64 + 1;
+            let run = |device: &Device| {
+                fault(device.faults()).store(number, Ordering::Relaxed);
+                let outcome = self.frame_on(Vulkan::new(device.clone()).unwrap());
+                (outcome, fault(device.faults()).load(Ordering::Relaxed) == 0)
+            };
+            let Some((outcome, struck)) = validated_with(&self.options(), run) else { return failed };
+            assert!(outcome.mesh == expected, "{self:?}: call {number} failed");
+            if !struck {
+                assert_eq!(outcome.warnings, [""; 0], "{self:?}: no call is left to fail");
+                return failed;
+            }
+            failed.push(outcome);
+        }
+    }
+}
+
+#[test]
+fn an_allocation_that_fails_at_any_call_leaves_the_right_mesh_a_warning_and_no_leak() {
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.allocation);
+        assert!(failed.len() > 10, "{scene:?}: {} calls", failed.len());
+        let mut silent = 0;
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+            assert!(warnings.len() <= 1, "{scene:?}, call {call}: {warnings:?}");
+            silent += usize::from(warnings.is_empty());
+            assert_eq!(on_device, whole, "{scene:?}, call {call}: the device goes on with less memory");
+        }
+        // A field's room without any to spare will do: of the cells, and of those twice as wide.
+        assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a word");
+    }
+}
+
+#[test]
+fn a_device_lost_at_any_submission_leaves_the_right_mesh_a_warning_and_no_leak() {
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.submission);
+        assert!(failed.len() > 5, "{scene:?}: {} calls", failed.len());
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(failed) {
+            assert!(
+                warnings.len() == 1 && warnings[0].ends_with("going on on the CPU"),
+                "{scene:?}, call {call}: {warnings:?}"
+            );
+            assert_ne!(on_device, whole, "{scene:?}, call {call}: a lost device did all of the work");
+        }
+    }
+}
+
+#[test]
+fn work_that_is_said_to_be_done_and_is_not_leaves_the_right_mesh_and_no_leak() {
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let failed = scene.fail_each(|faults| &faults.completion);
+        for (call, Outcome { warnings, on_device, .. }) in (1..).zip(&failed) {
+            assert_eq!(warnings.is_empty(), *on_device == whole, "{scene:?}, call {call}: {warnings:?}");
+        }
+        // What is sent is followed by what is computed, and that by what is read: the last of them tells.
+        let told = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
+        assert!(told > failed.len() / 3, "{scene:?}: {told} of {}", failed.len());
+    }
+}
+
+#[test]
+fn a_device_with_hardly_any_memory_hands_over_to_the_cpu() {
+    for scene in SCENES {
+        let Some(whole) = scene.whole_work() else { return };
+        let expected = scene.mesh();
+        for memory in [4096, 100_000, 1 << 20, 3 << 20] {
+            let options = DeviceOptions { memory: Some(memory), ..scene.options() };
+            let (device, log) = device::open(&options).unwrap();
+            let Outcome { mesh, on_device, warnings } = scene.frame_on(Vulkan::new(device).unwrap());
+            let what = format!("{scene:?}, {memory} bytes: {warnings:?}");
+            assert!(mesh == expected, "{what}");
+            let handed_over = warnings.iter().any(|warning| warning.ends_with("going on on the CPU"));
+            assert_eq!(handed_over, on_device != whole, "{what}");
+            assert!(handed_over || memory > 2 << 20, "{what}");
+            assert_clean(&log);
+        }
+    }
+}
+
+#[test]
+fn pipelines_are_kept_from_run_to_run_and_a_damaged_cache_is_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let options =
+        DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..DeviceOptions::default() };
+    let run = || {
+        let (device, log) = device::open(&options).map_err(device::skip).ok()?;
+        let Outcome { mesh, .. } = Scene::Shared.frame_on(Watched(Vulkan::new(device).unwrap()));
+        assert_clean(&log);
+        Some(mesh)
+    };
+    let Some(first) = run() else { return };
+    let files: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
+    let [file] = &files[..] else { panic!("one cache: {files:?}") };
+    assert!(run() == Some(first.clone()));
+    let mut bytes = std::fs::read(file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(file, &bytes).unwrap();
+    assert!(run() == Some(first));
+    assert_ne!(std::fs::read(file).unwrap(), bytes, "a damaged cache is written anew");
+}

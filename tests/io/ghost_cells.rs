@@ -1,0 +1,228 @@
+//! Ghosts of VTKHDF and legacy .vtk whose cells are flagged, and not their points: files of VTK's own writers and of h5py.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
+
+use crate::common::files;
+use crate::common::particle_files::{attribute, positions};
+use crate::memory;
+
+/// Points of a step of the files of steps, and which of them are left.
+const STEPS: [(u64, usize, &[usize]); 4] = [
+    // Copies are 4, refined 3, hidden 1; that 2 is beside copies is no matter.
+    (0, 6, &[0, 2, 5]),
+    // 6 to 8 are in a partition with a line; 10 has a vertex of its own besides a copy, 12 has none.
+    (1, 7, &[6, 7, 8, 10, 12]),
+    // The cells of step 0, with flags of other rows.
+    (2, 6, &[1, 2, 3, 4]),
+    // And as a partition of its own.
+    (3, 6, &[0, 2, 5]),
+];
+
+/// The file of steps of a type of data set, and its bytes.
+fn file_of_steps(kind: &str) -> (String, Vec<u8>) {
+    let name = format!("flags_{kind}.vtkhdf");
+    let bytes = fs::read(files::data("simulations").join(&name)).unwrap();
+    (name, bytes)
+}
+
+fn read(bytes: &[u8], step: impl Into<Option<u64>>) -> Result<ParticleFile, ReadFault> {
+    let (path, unpacking) = (Path::new("a.vtkhdf"), Unpacking::in_memory());
+    let read = h5::open_particles(path, bytes.to_vec().into(), step.into(), Wanted::default(), unpacking);
+    read.map_err(|error| error.fault)
+}
+
+/// Numbers of the points that are left, which are where the file has them.
+fn ids(file: &ParticleFile) -> Vec<usize> {
+    let ids: Vec<usize> = attribute(file, "id").iter().map(|&id| id as usize).collect();
+    let points = open_particles(&files::data("simulations/points.csv"), Unpacking::in_memory()).unwrap();
+    let points = positions(&points);
+    for (found, &id) in positions(file).iter().zip(&ids) {
+        assert!((0..3).all(|axis| (found[axis] - points[id][axis]).abs() < 1e-9), "point {id}");
+    }
+    ids
+}
+
+/// Where `from` is in the file, which must be somewhere.
+fn places(bytes: &[u8], from: &[u8]) -> Vec<usize> {
+    let places: Vec<usize> =
+        (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
+    assert!(!places.is_empty(), "{from:?} is nowhere");
+    places
+}
+
+/// The file with all of `from` replaced.
+fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    assert_eq!(from.len(), to.len());
+    let mut bytes = bytes.to_vec();
+    places(&bytes, from).into_iter().for_each(|at| bytes[at..at + to.len()].copy_from_slice(to));
+    bytes
+}
+
+fn longs(values: &[i64]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+#[test]
+fn points_of_flagged_vertices_are_left_out_of_what_vtk_writes() {
+    let names =
+        ["cells_poly_42.vtk", "cells_poly_51.vtk", "cells_grid_42.vtk", "cells_grid_51.vtk", "cells.vtkhdf"];
+    for name in names {
+        let read = |unpacking| -> Result<ParticleFile, ReadError> {
+            open_particles(&files::data("simulations").join(name), unpacking)
+        };
+        let file = read(Unpacking::in_memory()).unwrap();
+        let left: Vec<usize> = (0..24).filter(|point| ![1, 5].contains(point)).collect();
+        assert_eq!((ids(&file), file.ghosts), (left, 2), "{name}");
+        let scratch = tempfile::tempdir().unwrap();
+        let scratched = read(Unpacking { in_memory: 0, scratch: scratch.path() }).unwrap();
+        assert_eq!(ids(&scratched), ids(&file), "{name} through scratch");
+    }
+}
+
+#[test]
+fn every_step_and_partition_has_its_own_cells_and_flags() {
+    for kind in ["poly", "grid"] {
+        let (name, bytes) = file_of_steps(kind);
+        for (step, all, left) in &STEPS[..if kind == "poly" { 4 } else { 3 }] {
+            let file = read(&bytes, *step).unwrap();
+            assert_eq!((&*ids(&file), file.ghosts), (*left, all - left.len()), "{name}#{step}");
+        }
+    }
+}
+
+#[test]
+fn without_arrays_of_cells_no_point_is_left_out_and_steps_say_where_theirs_are() {
+    for kind in ["poly", "grid"] {
+        let (_, bytes) = file_of_steps(kind);
+        let without = |name: &str| {
+            let name = format!("\0{name}\0");
+            replaced(&bytes, name.as_bytes(), name.replacen(&name[1..2], "~", 1).as_bytes())
+        };
+        let mut lost = vec!["Offsets", "Connectivity", "NumberOfConnectivityIds", "CellData"];
+        // Of polygons a count is needed.
+        lost.push(if kind == "poly" { "Vertices" } else { "NumberOfCells" });
+        for name in lost {
+            let file = read(&without(name), 0).unwrap();
+            assert_eq!((ids(&file), file.ghosts), ((0..6).collect(), 0), "{kind} without {name}");
+        }
+        for name in ["CellOffsets", "ConnectivityIdOffsets"] {
+            let fault = read(&without(name), 0).unwrap_err();
+            assert!(
+                matches!(fault, ReadFault::Malformed { .. }) && fault.to_string().contains(name),
+                "{fault}"
+            );
+        }
+        // The flags are those of the cells then.
+        for name in ["CellDataOffsets", "vtkGhostType"] {
+            let file = read(&without(name), 2).unwrap();
+            let left: &[usize] = if name == "vtkGhostType" { &[0, 1, 2, 3, 4, 5] } else { &[0, 2, 5] };
+            assert_eq!(ids(&file), left, "{kind} without {name}");
+        }
+    }
+    // Without their types, offsets say that cells have one point each.
+    let (_, bytes) = file_of_steps("grid");
+    let file = read(&replaced(&bytes, b"\0Types\0", b"\0~ypes\0"), 0).unwrap();
+    assert_eq!(ids(&file), [0, 2, 5]);
+    // A type that is not a vertex's, although it has one point.
+    let types = [[1; 9].as_slice(), &[3], &[1; 5]].concat();
+    for (at, left) in [(0, &[0, 1, 2, 3, 4, 5][..]), (6, &[0, 2, 5])] {
+        let mut other = types.clone();
+        other[at] = 2;
+        assert_eq!(ids(&read(&replaced(&bytes, &types, &other), 0).unwrap()), left, "cell {at}");
+    }
+}
+
+#[test]
+fn counts_and_numbers_that_lie_are_faults_of_their_partition() {
+    let (_, bytes) = file_of_steps("grid");
+    let counts = |cells: i64| longs(&[6, 0, 4, cells, 6]);
+    let ids_of = |ids: i64| longs(&[6, 0, 5, ids, 6]);
+    // Of the fourth partition, behind those of the third.
+    let corners = |last: i64| longs(&[0, 1, 2, 0, 1, 0, 1, 1, 2, last]);
+    let data = |of_step: i64| longs(&[0, of_step, 15]);
+    let first = |cell: i64| longs(&[0, cell, 0]);
+    for (from, to, says) in [
+        (corners(2), corners(4), "partition 3: cell 4 of 5 names point 4 of 4"),
+        (corners(2), corners(-1), "partition 3: cell 4 of 5 names point -1 of 4"),
+        (ids_of(5), ids_of(4), "partition 3: 5 cells name 4 points"),
+        (ids_of(5), ids_of(6), "partition 3: Connectivity has 5 numbers of 6"),
+        (ids_of(5), ids_of(-1), "-1 in NumberOfConnectivityIds"),
+        (ids_of(5), ids_of(1 << 62), "beyond all reason"),
+        (counts(5), counts(6), "partition 3: Offsets has 6 numbers of 7"),
+        (counts(5), counts(-1), "-1 in NumberOfCells"),
+        (counts(5), counts(1 << 62), "beyond all reason"),
+        (data(6), data(13), "partition 3: vtkGhostType has 4 numbers of 5"),
+        (data(6), data(i64::MAX), "partition 3: vtkGhostType has 0 numbers of 5"),
+    ] {
+        let lying = replaced(&bytes, &from, &to);
+        let (result, largest) = memory::largest_allocation(|| read(&lying, 1));
+        let fault = result.expect_err(says).to_string();
+        assert!(fault.contains(says), "{fault} instead of {says}");
+        assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
+    }
+    // The faults of files in which one of several equal entries lies.
+    let faults = |bytes: &[u8], from: &[u8], to: &[u8], step: Option<u64>| -> Vec<String> {
+        let lying = places(bytes, from).into_iter().map(|at| {
+            let mut lying = bytes.to_vec();
+            lying[at..at + to.len()].copy_from_slice(to);
+            read(&lying, step)
+        });
+        lying.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
+    };
+    for (cell, says) in [
+        (1 << 40, "partition 2: Offsets has 0 numbers of 5"),
+        (1 << 40, "partition 3: Connectivity has 0 numbers of 5"),
+        (-6, "-6 in CellOffsets"),
+        (-6, "-6 in ConnectivityIdOffsets"),
+    ] {
+        let found = faults(&bytes, &first(6), &first(cell), Some(1));
+        assert!(found.iter().any(|fault| fault.contains(says)), "{found:?} without {says}");
+    }
+    // Of cells with offsets of other lengths each point stays.
+    let ends = |last: i64| longs(&[5, 0, 1, 2, 3, 4, last]);
+    let file = read(&replaced(&bytes, &ends(5), &ends(6)), 1).unwrap();
+    assert_eq!(ids(&file), (6..13).collect::<Vec<_>>());
+    // All flags belong to cells where there are no steps.
+    let whole = fs::read(files::data("simulations/cells.vtkhdf")).unwrap();
+    let [right, wrong] = [24, 23].map(|count| longs(&[count]));
+    // Two counts have to agree: those of cells, and of their corners.
+    let lying = places(&whole, &right).into_iter().flat_map(|at| {
+        let mut lying = whole.clone();
+        lying[at..at + 8].copy_from_slice(&wrong);
+        faults(&lying, &right, &wrong, None)
+    });
+    let lying: Vec<String> = lying.collect();
+    let says = "vtkGhostType is not of one number for each of 23 cells";
+    assert!(lying.iter().any(|fault| fault.contains(says)), "{lying:?}");
+}
+
+#[test]
+fn damage_is_an_error_or_other_values_but_never_a_panic_nor_a_large_allocation() {
+    for (kind, step) in [("poly", 1), ("poly", 3), ("grid", 1)] {
+        let (name, whole) = file_of_steps(kind);
+        let values = positions(&read(&whole, step).unwrap());
+        let read = |bytes: &[u8]| {
+            let (result, largest) = memory::largest_allocation(|| read(bytes, step));
+            // As much as any file may unpack to.
+            assert!(largest <= 64 << 20, "{name}: {largest} bytes");
+            result.map(|file| positions(&file))
+        };
+        for length in 0..whole.len() {
+            // What is cut off may have been padding.
+            if let Ok(found) = read(&whole[..length]) {
+                assert_eq!(found, values, "{name} cut at {length}");
+            }
+        }
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= [0x01, 0x80, 0xff][at % 3];
+            let _ = read(&bytes);
+        }
+    }
+}

@@ -1,0 +1,230 @@
+//! Compact glTF: what a reader of the format finds is the mesh, and what does not fit is refused.
+
+use std::io;
+
+use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::UpAxis;
+use meniscus::internals::io::glb::{Compression, Layout, grid_step};
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
+use serde_json::Value;
+
+use crate::common::shapes::{dressed, moved, sphere};
+
+fn written(mesh: &Mesh, width: CoordinateWidth, layout: Layout) -> (Value, Vec<u8>) {
+    let mut bytes = Vec::new();
+    MeshFormat::Glb(layout).write(&mut bytes, mesh, width).unwrap();
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let json = word(12);
+    assert_eq!((&bytes[16..20], json % 4), (&b"JSON"[..], 0));
+    assert_eq!((&bytes[24 + json..28 + json], word(20 + json)), (&b"BIN\0"[..], bytes.len() - 28 - json));
+    (serde_json::from_slice(&bytes[20..20 + json]).unwrap(), bytes[28 + json..].to_vec())
+}
+
+fn meshopt(up: UpAxis) -> Layout {
+    Layout { up, compression: Compression::Meshopt }
+}
+
+fn number(value: &Value) -> usize {
+    value.as_u64().unwrap() as usize
+}
+
+/// The bytes of an accessor's elements, decompressed, and the file's name for their type.
+fn elements(json: &Value, binary: &[u8], accessor: usize) -> Vec<u8> {
+    let accessor = &json["accessors"][accessor];
+    let view = &json["bufferViews"][number(&accessor["bufferView"])];
+    let packed = &view["extensions"]["EXT_meshopt_compression"];
+    if packed.is_null() {
+        return binary[number(&view["byteOffset"])..][..number(&view["byteLength"])].to_vec();
+    }
+    let bytes = &binary[number(&packed["byteOffset"])..][..number(&packed["byteLength"])];
+    let count = number(&packed["count"]);
+    match (packed["mode"].as_str().unwrap(), number(&packed["byteStride"])) {
+        ("TRIANGLES", 4) => {
+            let corners: Vec<u32> = meshopt::decode_index_buffer(bytes, count).unwrap();
+            bytemuck::cast_slice(&corners).to_vec()
+        }
+        ("ATTRIBUTES", 8) => {
+            let points: Vec<[u16; 4]> = meshopt::decode_vertex_buffer(bytes, count).unwrap();
+            bytemuck::cast_slice(&points).to_vec()
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+fn floats(bytes: &[u8]) -> Vec<[f32; 3]> {
+    let words = bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()));
+    words.collect::<Vec<_>>().chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
+}
+
+fn triangles(json: &Value, binary: &[u8]) -> Vec<[u32; 3]> {
+    let indices = number(&json["meshes"][0]["primitives"][0]["indices"]);
+    let bytes = elements(json, binary, indices);
+    let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes(b.try_into().unwrap())).collect();
+    words.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
+}
+
+/// Triangles as corner positions, each from its least corner on, in order.
+fn soup<T: PartialOrd + Copy>(positions: &[[T; 3]], triangles: &[[u32; 3]]) -> Vec<[[T; 3]; 3]> {
+    let mut soup: Vec<[[T; 3]; 3]> = triangles
+        .iter()
+        .map(|t| {
+            let mut corners = t.map(|v| positions[v as usize]);
+            let least = (0..3).min_by(|&a, &b| corners[a].partial_cmp(&corners[b]).unwrap()).unwrap();
+            corners.rotate_left(least);
+            corners
+        })
+        .collect();
+    soup.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    soup
+}
+
+#[test]
+fn a_plain_file_holds_the_mesh_to_the_bit_of_f32_with_velocity_under_the_name_of_the_format() {
+    let mesh = dressed(moved(&sphere(0.7, 4), [1e-3, -3.0, 1.0 / 3.0]));
+    let (json, binary) = written(&mesh, CoordinateWidth::F32, Layout::PLAIN);
+    let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
+    let named = |name: &str| floats(&elements(&json, &binary, number(&attributes[name])));
+    let narrow: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.map(|x| x as f32)).collect();
+    let positions = named("POSITION");
+    assert_eq!(soup(&positions, &triangles(&json, &binary)), soup(&narrow, &mesh.triangles));
+    // Vertices go together with what they carry.
+    let velocity = mesh.attributes.iter().find(|a| a.name == "velocity").unwrap();
+    let of = |i: usize| -> [f32; 3] { velocity.values[3 * i..][..3].try_into().unwrap() };
+    let whole = |p: &[f32; 3], n: &[f32; 3], v: &[f32; 3]| [p.as_slice(), n, v].concat();
+    let mut found: Vec<_> = positions.iter().zip(named("NORMAL")).zip(named("_VELOCITY")).collect::<Vec<_>>();
+    found.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    let found: Vec<_> = found.iter().map(|((p, n), v)| whole(p, n, v)).collect();
+    let normals = mesh.normals.as_ref().unwrap();
+    let mut expected: Vec<_> = (0..narrow.len()).map(|i| whole(&narrow[i], &normals[i], &of(i))).collect();
+    expected.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    assert_eq!(found, expected);
+    // Bounds are those of what is stored.
+    let accessor = &json["accessors"][number(&attributes["POSITION"])];
+    for (bound, pick) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
+        let said: Vec<f32> =
+            accessor[bound].as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect();
+        let stored = positions.iter().copied().reduce(|a, b| [0, 1, 2].map(|axis| pick(a[axis], b[axis])));
+        assert_eq!(said, stored.unwrap(), "{bound}");
+    }
+    assert!(json["nodes"][0]["translation"].is_null() && json["extensionsRequired"].is_null());
+}
+
+#[test]
+fn vertices_come_in_the_order_in_which_triangles_use_them() {
+    let (json, binary) = written(&sphere(1.0, 5), CoordinateWidth::F32, Layout::PLAIN);
+    let mut next = 0;
+    for &vertex in triangles(&json, &binary).as_flattened() {
+        assert!(vertex <= next, "{vertex} is used before {next}");
+        next = next.max(vertex + 1);
+    }
+    assert_eq!(next as usize, sphere(1.0, 5).positions.len(), "all vertices are used");
+}
+
+#[test]
+fn a_compressed_file_has_the_same_triangles_and_positions_within_half_a_step() {
+    let mesh = dressed(moved(&sphere(0.7, 4), [-5.0, 2.0, 1.0 / 3.0]));
+    let (json, binary) = written(&mesh, CoordinateWidth::F32, meshopt(UpAxis::Y));
+    for list in ["extensionsUsed", "extensionsRequired"] {
+        assert_eq!(json[list], serde_json::json!(["EXT_meshopt_compression", "KHR_mesh_quantization"]));
+    }
+    let step = grid_step(1.4);
+    let node = &json["nodes"][0];
+    assert_eq!(node["scale"], serde_json::json!([step, step, step]));
+    assert_eq!(json["asset"]["extras"]["positionError"], serde_json::json!(step / 2.0));
+    let (plain_json, plain_binary) = written(&mesh, CoordinateWidth::F32, Layout::PLAIN);
+    // Both are in the same order but for the codec, which turns triangles round.
+    let positions = floats(&elements(&plain_json, &plain_binary, 0));
+    let packed: Vec<u16> = elements(&json, &binary, 0)
+        .chunks_exact(2)
+        .map(|b| u16::from_le_bytes(b.try_into().unwrap()))
+        .collect();
+    assert_eq!(packed.len(), 4 * mesh.positions.len());
+    for (position, packed) in positions.iter().zip(packed.chunks_exact(4)) {
+        for axis in 0..3 {
+            let origin = node["translation"][axis].as_f64().unwrap();
+            let off = origin + step * f64::from(packed[axis]) - f64::from(position[axis]);
+            assert!(off.abs() <= step / 2.0 + 1e-6, "{off} of {step}");
+        }
+    }
+    let turned = |(json, binary): (&Value, &[u8])| soup(&positions, &triangles(json, binary));
+    assert_eq!(turned((&json, &binary)), turned((&plain_json, &plain_binary)));
+    assert!(binary.len() * 3 < plain_binary.len());
+}
+
+#[test]
+fn the_grid_of_positions_spans_the_mesh_in_powers_of_two() {
+    for extent in [1e-9, 0.3, 1.0, 65_533.9, 65_534.0, 65_534.1, 7e12] {
+        let step = grid_step(extent);
+        assert_eq!(step.log2().fract(), 0.0);
+        assert!(step * 65_534.0 >= extent && step * 65_534.0 < 2.0 * extent, "{extent}: {step}");
+    }
+}
+
+#[test]
+fn where_z_points_up_the_node_turns_it_to_y_and_far_away_it_carries_the_place() {
+    let mesh = moved(&sphere(1.0, 2), [1e6, 2e6, 3e6]);
+    let layout = Layout { up: UpAxis::Z, ..Layout::PLAIN };
+    let (json, binary) = written(&mesh, CoordinateWidth::F64, layout);
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    assert_eq!(json["nodes"][0]["rotation"], serde_json::json!([-half, 0.0, 0.0, half]));
+    let translation: Vec<f64> =
+        json["nodes"][0]["translation"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
+    // Up is y; what pointed along y comes towards the viewer's back.
+    assert_eq!(translation.len(), 3);
+    for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
+        assert!((found - expected).abs() < 1e-3, "{translation:?}");
+    }
+    let near = floats(&elements(&json, &binary, 0));
+    assert_eq!(near.len(), mesh.positions.len());
+    assert!(near.iter().flatten().all(|x| x.abs() <= 1.01));
+}
+
+/// Only its counts are there.
+struct Huge(u64);
+
+impl MeshSource for Huge {
+    fn outline(&self) -> Outline {
+        Outline { vertices: self.0, triangles: 2 * self.0, normals: false, attributes: Vec::new(), pieces: 1 }
+    }
+
+    fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
+        panic!("vertices are asked for")
+    }
+    fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
+        panic!("triangles are asked for")
+    }
+}
+
+#[test]
+fn more_than_four_gibibytes_are_refused_before_anything_is_read_or_written() {
+    for layout in [Layout::PLAIN, meshopt(UpAxis::Y)] {
+        let mut out = Vec::new();
+        let fault =
+            MeshFormat::Glb(layout).write(&mut out, &Huge(1 << 29), CoordinateWidth::F32).unwrap_err();
+        assert_eq!((fault.kind(), out.len()), (io::ErrorKind::InvalidInput, 0));
+        assert!(fault.to_string().contains("write .ply"), "{fault}");
+    }
+}
+
+#[test]
+fn an_empty_mesh_is_a_scene_without_one_for_nothing_may_be_of_no_bytes() {
+    for layout in [Layout::PLAIN, meshopt(UpAxis::Z)] {
+        let empty = Mesh { normals: Some(Vec::new()), ..Mesh::default() };
+        let mut bytes = Vec::new();
+        MeshFormat::Glb(layout).write(&mut bytes, &empty, CoordinateWidth::F32).unwrap();
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        assert_eq!(
+            (&bytes[..4], word(4), word(8), word(12)),
+            (&b"glTF"[..], 2, bytes.len(), bytes.len() - 20)
+        );
+        let json: Value = serde_json::from_slice(&bytes[20..]).unwrap();
+        assert_eq!(json["scenes"][0]["nodes"], serde_json::json!([0]));
+        assert_eq!(json["nodes"], serde_json::json!([{}]));
+        for of_nothing in ["meshes", "accessors", "bufferViews", "buffers", "extensionsRequired"] {
+            assert!(json[of_nothing].is_null(), "{json}");
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Particles in HDF5, as h5py writes them: what is there is read, and whatever is damaged is refused.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::{open_particles, steps};
+use meniscus::internals::io::wanted::Wanted;
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, h5};
+use meniscus::internals::particles::Particles;
+
+use crate::common::files;
+use crate::common::particle_files::{attribute, positions};
+use crate::common::program::command;
+
+fn data(name: &str) -> PathBuf {
+    files::data("h5").join(name)
+}
+
+fn open(name: &str) -> Result<ParticleFile, ReadError> {
+    open_particles(&data(name), Unpacking::in_memory())
+}
+
+#[test]
+fn a_step_is_a_frame_with_its_time_and_columns_of_one_vector_belong_together() {
+    assert_eq!(steps(&data("steps.h5part")).unwrap(), [0, 2, 10]);
+    let [zero, two] = ["steps.h5part#0", "steps.h5part#2"].map(|name| open(name).unwrap());
+    assert_eq!((zero.particles.len(), zero.time, two.time), (60, Some(0.0), Some(0.5)));
+    let names: Vec<_> = two.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+    assert_eq!(names, [("id", 1), ("v", 3)]);
+    for (a, b) in positions(&zero).into_iter().zip(positions(&two)) {
+        assert!((0..3).all(|axis| (b[axis] - a[axis] - 2.0).abs() < 1e-12));
+    }
+    let v: Vec<f32> = positions(&zero).into_iter().flatten().map(|x| x as f32).collect();
+    assert_eq!(attribute(&two, "v"), v);
+    assert_eq!(attribute(&two, "id")[59], 59.0);
+
+    for (name, says) in [("steps.h5part", "steps 0 to 10"), ("steps.h5part#1", "no Step#1")] {
+        let error = open(name).unwrap_err();
+        assert!(matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(says)), "{error}");
+    }
+}
+
+#[test]
+fn data_sets_at_the_root_are_a_frame_however_they_are_packed() {
+    let packed = open("packed.h5").unwrap();
+    assert_eq!((packed.particles.len(), packed.time), (60, Some(1.5)));
+    let names: Vec<_> = packed.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+    assert_eq!(names, [("mass", 1), ("velocity", 3)]);
+    let exact = positions(&open("steps.h5part#0").unwrap());
+    assert!(exact.iter().zip(positions(&packed)).all(|(a, b)| a.map(|x| f64::from(x as f32)) == b));
+    let doubled: Vec<f32> = exact.into_iter().flatten().map(|x| (2.0 * x) as f32).collect();
+    assert_eq!(attribute(&packed, "velocity"), doubled);
+    // Through scratch as in memory.
+    let folder = tempfile::tempdir().unwrap();
+    let unpacking = Unpacking { in_memory: 0, scratch: folder.path() };
+    assert_eq!(positions(&open_particles(&data("packed.h5"), unpacking).unwrap()), positions(&packed));
+}
+
+#[test]
+fn more_rows_than_the_file_vouches_for_are_refused() {
+    let error = open("huge.h5").unwrap_err();
+    assert!(matches!(error.fault, ReadFault::Compression(_)), "{error}");
+}
+
+#[test]
+fn damage_is_an_error_or_other_values_but_never_a_panic() {
+    for name in ["steps.h5part", "packed.h5"] {
+        let whole = fs::read(data(name)).unwrap();
+        let read = |bytes: Vec<u8>| {
+            h5::open_particles(
+                Path::new(name),
+                bytes.into(),
+                Some(2).filter(|_| name.starts_with("steps")),
+                Wanted::default(),
+                Unpacking::in_memory(),
+            )
+        };
+        let values = positions(&read(whole.clone()).unwrap());
+        for length in 0..whole.len() {
+            // What is cut off may have been padding.
+            if let Ok(file) = read(whole[..length].to_vec()) {
+                assert_eq!(positions(&file), values, "{name} cut at {length}");
+            }
+        }
+        for at in 0..whole.len() {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut bytes = whole.clone();
+                bytes[at] ^= flip;
+                let _ = read(bytes);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_of_steps_is_a_sequence() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(data("steps.h5part"), folder.path().join("sim.h5part")).unwrap();
+    let run = |arguments: &[&str]| {
+        let output = command(folder.path(), &["reconstruct"]).args(arguments).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25"]);
+    assert_eq!(code, Some(0), "{said}");
+    let list: serde_json::Value =
+        serde_json::from_slice(&fs::read(folder.path().join("m/sim.ply.json")).unwrap()).unwrap();
+    let listed: Vec<_> = list["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| (f["file"].as_str().unwrap(), f["time"].as_f64()))
+        .collect();
+    assert_eq!(listed, [("sim_0.ply", Some(0.0)), ("sim_2.ply", Some(0.5)), ("sim_10.ply", Some(2.5))]);
+    let (code, said) = run(&["sim.h5part", "-o", "m/", "--spacing", "0.25", "--resume"]);
+    assert_eq!(code, Some(0));
+    assert!(said.contains("3 of 3 frames are done already"), "{said}");
+    let (code, said) = run(&["sim.h5part", "-o", "n/", "--watch"]);
+    assert!(code == Some(2) && said.contains("--watch"), "{said}");
+    let (code, said) = run(&["sim.h5part#2", "-o", "one.ply", "--spacing", "0.25"]);
+    assert_eq!(code, Some(0), "{said}");
+}

@@ -1,0 +1,22 @@
+//! Every format in both directions: what is written is read, and damage is refused.
+#![allow(clippy::unwrap_used)]
+
+mod build;
+#[path = "../common/mod.rs"]
+mod common;
+#[cfg(feature = "hdf5")]
+mod ghost_cells;
+mod glb;
+#[cfg(feature = "hdf5")]
+mod hdf5;
+mod memory;
+mod mesh_files;
+mod mesh_memory;
+mod mesh_pieces;
+mod packed_frames;
+mod parallel_vtk;
+mod ply_vtk;
+mod readers;
+mod series;
+#[cfg(feature = "hdf5")]
+mod snapshots;

@@ -1,0 +1,78 @@
+//! The allocator of these tests: it refuses large blocks, and measures what a call allocates.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, AtomicIsize, Ordering};
+
+/// The largest block that tests may allocate: more is asked for only where a file's header is believed.
+const LARGEST_BLOCK: usize = 64 << 20;
+
+thread_local! {
+    /// The largest block that this thread has asked for since [`largest_allocation`] began.
+    static LARGEST: Cell<usize> = const { Cell::new(0) };
+    static UNLIMITED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether [`peak_of_process`] is measuring.
+static COUNTING: AtomicBool = AtomicBool::new(false);
+/// Bytes that all threads hold, and the most that they have held, beyond those from before counting.
+static HELD: AtomicIsize = AtomicIsize::new(0);
+static PEAK: AtomicIsize = AtomicIsize::new(0);
+
+struct Meter;
+
+// SAFETY: every call is the system allocator's own, or returns null, which says that there is no memory.
+unsafe impl GlobalAlloc for Meter {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LARGEST.set(LARGEST.get().max(layout.size()));
+        if layout.size() > LARGEST_BLOCK && !UNLIMITED.get() {
+            return std::ptr::null_mut();
+        }
+        if COUNTING.load(Ordering::Relaxed) {
+            let held = HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
+            PEAK.fetch_max(held, Ordering::Relaxed);
+        }
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        if COUNTING.load(Ordering::Relaxed) {
+            HELD.fetch_sub(layout.size() as isize, Ordering::Relaxed);
+        }
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static METER: Meter = Meter;
+
+/// Returns what `call` returns, and the size in bytes of the largest block that this thread asks for in it.
+///
+/// The caller checks the size: blocks of this thread may be larger than [`LARGEST_BLOCK`].
+pub fn largest_allocation<T>(call: impl FnOnce() -> T) -> (T, usize) {
+    LARGEST.set(0);
+    let result = unlimited(call);
+    (result, LARGEST.get())
+}
+
+/// Runs `call` without the limit on blocks that this thread allocates: for tests that make large inputs.
+pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
+    UNLIMITED.set(true);
+    let result = call();
+    UNLIMITED.set(false);
+    result
+}
+
+/// The most bytes that all threads hold at once in `call`, beyond those held before it.
+///
+/// Other tests in the process would be counted too: the caller runs in a process of its own.
+pub fn peak_of_process(call: impl FnOnce()) -> usize {
+    HELD.store(0, Ordering::Relaxed);
+    PEAK.store(0, Ordering::Relaxed);
+    COUNTING.store(true, Ordering::Relaxed);
+    call();
+    COUNTING.store(false, Ordering::Relaxed);
+    PEAK.load(Ordering::Relaxed) as usize
+}

@@ -1,0 +1,71 @@
+//! Writing a mesh takes memory by the size of its pieces, not by their number.
+
+use std::borrow::Cow;
+use std::io;
+
+use meniscus::internals::io::CoordinateWidth;
+use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::particles::AttributeInfo;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
+
+use crate::common::alone::alone;
+use crate::memory::peak_of_process;
+
+/// So many pieces, each made when it is asked for.
+struct Strip {
+    pieces: usize,
+}
+
+const VERTICES: usize = 1 << 10;
+const TRIANGLES: usize = 1 << 11;
+
+impl MeshSource for Strip {
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: (self.pieces * VERTICES) as u64,
+            triangles: (self.pieces * TRIANGLES) as u64,
+            normals: true,
+            attributes: vec![AttributeInfo { name: "velocity".to_owned(), components: 3 }],
+            pieces: self.pieces,
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let numbers = piece * VERTICES..(piece + 1) * VERTICES;
+        Ok(Vertices {
+            positions: numbers.map(|n| [n as f64, 0.1, 0.2]).collect(),
+            normals: vec![[0., 1., 0.]; VERTICES].into(),
+            attributes: vec![Cow::Owned(vec![0.5; 3 * VERTICES])],
+        })
+    }
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        Ok((0..TRIANGLES as u64).map(|n| [n % 1000, n % 999, piece as u64]).collect())
+    }
+}
+
+#[test]
+fn four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl() {
+    let name = "mesh_memory::four_times_the_pieces_take_no_more_memory_but_for_the_positions_of_stl";
+    alone(name, write_strips);
+}
+
+fn write_strips() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("two threads");
+    let peak = |format: MeshFormat, pieces: usize| {
+        peak_of_process(|| {
+            pool.install(|| format.write(&mut io::sink(), &Strip { pieces }, CoordinateWidth::F64))
+                .expect("a sink takes all");
+        })
+    };
+    for format in [MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Vtk, MeshFormat::Vtp, MeshFormat::Stl] {
+        peak(format, 16);
+        let [few, many] = [100, 400].map(|pieces| peak(format, pieces));
+        let whole = if format.holds_whole_mesh() { 24 * VERTICES * 300 } else { 0 };
+        // Buffers for eight pieces, of at most 110 bytes a triangle as they double, and two pieces as they are.
+        assert!(few - whole / 3 < (8 * 110 + 2 * 100) * TRIANGLES, "{format}: {few} bytes");
+        assert!(
+            (whole..whole + few / 4 * 5).contains(&many),
+            "{format}: {many} bytes for 400 pieces, {few} for 100"
+        );
+    }
+}

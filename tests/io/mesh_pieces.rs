@@ -1,0 +1,178 @@
+//! A mesh in pieces, however it is cut, is written as the whole mesh is, and a piece that fails leaves no file.
+
+use std::borrow::Cow;
+use std::fs;
+use std::io;
+use std::ops::Range;
+
+use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::{MeshSource, Outline, Vertices};
+
+use crate::common::shapes::{dressed, torus};
+
+const FORMATS: [MeshFormat; 7] = [
+    MeshFormat::Ply,
+    MeshFormat::Obj,
+    MeshFormat::Vtk,
+    MeshFormat::Vtp,
+    MeshFormat::VtkHdf,
+    MeshFormat::Stl,
+    MeshFormat::Usdc(UpAxis::Y),
+];
+
+/// Hands out a mesh by these ranges of vertices and triangles.
+struct Cut {
+    mesh: Mesh,
+    pieces: Vec<[Range<usize>; 2]>,
+    /// Of vertices and of triangles, the piece that cannot be read.
+    lost: [Option<usize>; 2],
+}
+
+impl Cut {
+    /// Cuts behind the given numbers of vertices and of triangles; the last pieces hold the rest.
+    fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
+        let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {
+            let ends = sizes.iter().scan(0, |end, size| {
+                *end += size;
+                Some(*end)
+            });
+            let ends: Vec<_> = ends.chain([all]).collect();
+            std::iter::once(0).chain(ends.clone()).zip(ends).map(|(start, end)| start..end).collect()
+        };
+        let vertices = ranges(vertices, mesh.positions.len());
+        let triangles = ranges(triangles, mesh.triangles.len());
+        let pieces = vertices.into_iter().zip(triangles).map(|(v, t)| [v, t]).collect();
+        Self { mesh: mesh.clone(), pieces, lost: [None; 2] }
+    }
+
+    fn found(&self, what: usize, piece: usize) -> io::Result<Range<usize>> {
+        match self.lost[what] {
+            Some(lost) if lost == piece => Err(io::Error::other(format!("piece {piece} is lost"))),
+            _ => Ok(self.pieces[piece][what].clone()),
+        }
+    }
+}
+
+impl MeshSource for Cut {
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.mesh.vertex_count(),
+            triangles: self.mesh.triangle_count(),
+            normals: self.mesh.has_normals(),
+            attributes: self.mesh.attributes(),
+            pieces: self.pieces.len(),
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let range = self.found(0, piece)?;
+        let Mesh { positions, normals, attributes, .. } = &self.mesh;
+        Ok(Vertices {
+            positions: Cow::Owned(positions[range.clone()].to_vec()),
+            normals: normals.as_ref().map_or(Cow::default(), |n| n[range.clone()].to_vec().into()),
+            attributes: attributes
+                .iter()
+                .map(|a| a.values[range.start * a.components..range.end * a.components].to_vec().into())
+                .collect(),
+        })
+    }
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let range = self.found(1, piece)?;
+        Ok(self.mesh.triangles[range].iter().map(|t| t.map(u64::from)).collect())
+    }
+}
+
+fn written(format: MeshFormat, mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    format.write(&mut bytes, mesh, width).unwrap();
+    bytes
+}
+
+/// Empty pieces, pieces of one, all vertices in one and all triangles in another.
+fn cuts(mesh: &Mesh) -> [Cut; 4] {
+    let [vertices, triangles] = [mesh.positions.len(), mesh.triangles.len()];
+    let ones: Vec<_> = (0..99).map(|i| i % 2).collect();
+    let twos: Vec<_> = (0..99).map(|i| i % 3).collect();
+    [
+        Cut::new(mesh, &[], &[]),
+        Cut::new(mesh, &[vertices, 0], &[0, triangles]),
+        Cut::new(mesh, &[0, 0, 0, vertices], &[0, triangles, 0, 0]),
+        Cut::new(mesh, &ones, &twos),
+    ]
+}
+
+#[test]
+fn a_mesh_in_any_pieces_is_written_as_the_whole_mesh() {
+    let bare = torus(200, 100);
+    assert!(bare.pieces() > 1, "the mesh itself is in one piece");
+    for mesh in [Mesh::default(), dressed(torus(200, 100)), bare] {
+        for format in FORMATS {
+            for width in [CoordinateWidth::F32, CoordinateWidth::F64] {
+                let whole = written(format, &mesh, width);
+                let small = mesh.positions.is_empty();
+                let cuts = if small { vec![Cut::new(&mesh, &[0, 0], &[0, 0])] } else { cuts(&mesh).into() };
+                for (number, cut) in cuts.iter().enumerate() {
+                    assert!(written(format, cut, width) == whole, "{format} {width:?}, cut {number}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_source_without_pieces_is_read_back_as_an_empty_mesh() {
+    let none = Cut { mesh: Mesh::default(), pieces: Vec::new(), lost: [None; 2] };
+    let folder = tempfile::tempdir().unwrap();
+    // .usdc is not read.
+    for format in FORMATS.into_iter().filter(|format| !matches!(format, MeshFormat::Usdc(_))) {
+        let path = folder.path().join(format!("a{format}"));
+        fs::write(&path, written(format, &none, CoordinateWidth::F32)).unwrap();
+        let read = read_mesh(&path).unwrap_or_else(|fault| panic!("{fault}"));
+        assert_eq!(read, Mesh::default(), "{format}");
+    }
+}
+
+#[test]
+fn a_piece_that_cannot_be_read_ends_the_writing_and_leaves_no_file() {
+    let mesh = dressed(torus(40, 30));
+    for format in FORMATS {
+        for (lost, first) in [([Some(3), None], 3), ([None, Some(50)], 50), ([Some(99), Some(0)], 99)] {
+            let [.., mut cut] = cuts(&mesh);
+            cut.lost = lost;
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join(format!("a{format}"));
+            let output = MeshOutput::prepare(&path, Replace::Refuse).unwrap();
+            let fault = output.write(&cut, CoordinateWidth::F32).unwrap_err();
+            assert_eq!(fault.path, path);
+            assert!(matches!(&fault.fault, WriteFault::Io(_)), "{format}: {fault}");
+            assert!(fault.to_string().ends_with(&format!("piece {first} is lost")), "{format}: {fault}");
+            assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{format}");
+        }
+    }
+}
+
+#[test]
+#[should_panic = "all vertices are in the pieces"]
+fn pieces_that_lack_a_vertex_make_no_file() {
+    let mut cut = Cut::new(&torus(40, 30), &[10, 10], &[5, 5]);
+    cut.pieces[1][0].end -= 1;
+    written(MeshFormat::Ply, &cut, CoordinateWidth::F32);
+}
+
+#[test]
+#[should_panic = "is named of 1200"]
+fn a_triangle_of_a_missing_vertex_makes_no_file() {
+    let mut mesh = torus(40, 30);
+    mesh.triangles[7][1] = 1200;
+    written(MeshFormat::Obj, &mesh, CoordinateWidth::F32);
+}
+
+#[test]
+#[should_panic = "one normal a vertex"]
+fn a_mesh_of_more_normals_than_vertices_makes_no_file() {
+    let mesh = Mesh { normals: Some(vec![[0.; 3]; 9]), positions: vec![[0.; 3]; 8], ..Mesh::default() };
+    written(MeshFormat::Vtp, &mesh, CoordinateWidth::F32);
+}

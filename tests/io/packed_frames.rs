@@ -1,0 +1,441 @@
+//! The frame file: the same field from disk as from memory, and no damage that goes unnoticed.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, IVec3};
+use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles};
+use meniscus::internals::field::indicator::{
+    Amount, Indicator, IndicatorKind, PageRule, SampledDif, indicate,
+};
+use meniscus::internals::grid::units::MeanCount;
+use meniscus::internals::grid::{CellBox, Domain, Grid, Periodic};
+use meniscus::internals::io::ReadFault;
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::input::open_particles;
+use meniscus::internals::io::mnf::{FrameWriter, frame_from_file, open_frame, write_frame};
+use meniscus::internals::particles::Particles;
+use rayon::prelude::*;
+use tempfile::TempDir;
+
+use crate::common::{INDICATORS, by, full_cells, sampling, splashes, tank};
+
+const SIDES: [BrickSide; 3] = [BrickSide::Four, BrickSide::Eight, BrickSide::Sixteen];
+
+/// The DIF of `particles`, and all else that a frame is.
+fn sample(
+    particles: &(impl Particles + ?Sized),
+    grid: Grid,
+    domain: Option<Domain>,
+    indicator: IndicatorKind,
+    side: BrickSide,
+) -> SampledDif {
+    let plan = BinPlan::count(particles, &grid, domain.as_ref(), InvalidParticles::Skip, CountingRoom::BINS)
+        .unwrap();
+    let census = plan.census();
+    let bins = plan.fill(particles, &[]).unwrap();
+    let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
+    // What a particle adds is told by the spacing.
+    let mean = match indicator {
+        IndicatorKind::Cloud => (grid.cell_size() / 0.5).powi(3),
+        _ => census.binned as f64 / full_cells(&bins) as f64,
+    };
+    let indicator = by(indicator, mean);
+    let rule = PageRule { content: indicator.content(), side, walls: facts.walls() };
+    let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
+    SampledDif::new(facts, indicator, DifField::in_memory(rule.shape(), pages))
+}
+
+fn encoded(frame: &SampledDif) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let written = write_frame(&mut bytes, frame).unwrap();
+    assert_eq!(written, bytes.len() as u64);
+    bytes
+}
+
+/// A few pages of very few particles, in a tank.
+fn small() -> SampledDif {
+    let mut particles: Vec<[f64; 3]> = splashes(5).into_iter().step_by(25).collect();
+    particles.push([f64::NAN; 3]);
+    let domain = tank(&sampling().grid);
+    sample(&particles[..], sampling().grid, Some(domain), INDICATORS[1], BrickSide::Four)
+}
+
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn file(&self, bytes: &[u8]) -> PathBuf {
+        let path = self.0.path().join("frame.mnf");
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+}
+
+/// Why `bytes` are refused, after their checksums were made to fit again: damage that was done on purpose.
+fn refusal(folder: &Folder, bytes: &[u8]) -> String {
+    open_frame(&folder.file(bytes), 1 << 20).expect_err("damage goes unnoticed").fault.to_string()
+}
+
+fn assert_same_frame(found: &SampledDif, expected: &SampledDif, what: &str) {
+    assert_eq!((found.facts, found.indicator), (expected.facts, expected.indicator), "{what}");
+    let (found, expected) = (&found.dif, &expected.dif);
+    assert_eq!(found.infos(), expected.infos(), "{what}");
+    assert_eq!(found.side(), expected.side(), "{what}");
+    assert_eq!(found.mean_of_full(), expected.mean_of_full(), "{what}");
+    let all = expected.infos().iter().fold(CellBox::EMPTY, |all, info| all.union(&info.full));
+    let blocks: Vec<_> = all.grown(3, 3).cubes(20).collect();
+    blocks.par_iter().for_each(|&block| {
+        let cells = CellBox::cube(block, 20).grown(5, 2);
+        assert!(found.gather(cells) == expected.gather(cells), "{what}: {cells:?}");
+    });
+}
+
+#[test]
+fn a_field_from_a_file_is_the_field_in_memory_whatever_the_cache() {
+    let folder = Folder::new();
+    let particles = splashes(1);
+    let grid = sampling().grid;
+    for side in SIDES {
+        for indicator in INDICATORS {
+            for domain in [None, Some(tank(&grid))] {
+                let frame = sample(&particles[..], grid, domain, indicator, side);
+                let path = folder.file(&encoded(&frame));
+                for cache_bytes in [0, 64 << 10, u64::MAX] {
+                    let what = format!("{side:?}, {indicator:?}, {domain:?}, a cache of {cache_bytes} bytes");
+                    assert_same_frame(&open_frame(&path, cache_bytes).unwrap(), &frame, &what);
+                    let scratch = frame_from_file(&fs::File::open(&path).unwrap(), cache_bytes).unwrap();
+                    assert_same_frame(&scratch, &frame, &what);
+                    assert!(encoded(&scratch) == fs::read(&path).unwrap(), "{what}: written again");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_bytes_depend_neither_on_threads_nor_on_how_pages_are_pushed() {
+    let particles: Vec<[f64; 3]> = splashes(2).iter().map(|p| p.map(|x| 6.0 * x)).collect();
+    let frame = sample(&particles[..], sampling().grid, None, INDICATORS[0], BrickSide::Eight);
+    let field = &frame.dif;
+    assert!(field.infos().len() > 200, "more than a chunk of pages");
+    let expected = encoded(&frame);
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        assert!(pool.install(|| encoded(&frame)) == expected, "{threads} threads");
+        let mut bytes = Vec::new();
+        let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
+        let pages: Vec<_> = field.infos().iter().copied().zip(0..).collect();
+        for batch in pages.chunks(37 * threads) {
+            pool.install(|| writer.push(batch, |&page| field.stored(page))).unwrap();
+        }
+        writer.finish(&frame.facts, frame.indicator).unwrap();
+        assert!(bytes == expected, "{} pages at a time", 37 * threads);
+    }
+}
+
+#[test]
+fn facts_survive_at_their_extremes() {
+    let folder = Folder::new();
+    let grid = Grid::new(DVec3::new(-1e300, 0.1, -0.0), 1e-300).unwrap();
+    let mut frame = small();
+    frame.facts = FrameFacts { grid, domain: None, spacing: None, ..frame.facts };
+    frame.facts.census.outside = usize::MAX;
+    for mean in [f64::MIN_POSITIVE, MeanCount::MAX] {
+        frame.indicator = Indicator::Counting(MeanCount::new(mean).unwrap());
+        let found = open_frame(&folder.file(&encoded(&frame)), 0).unwrap();
+        assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
+    }
+}
+
+/// A frame of a box that is periodic along y, between the walls of a tank.
+fn small_periodic() -> SampledDif {
+    let (open, mut frame) = (f64::INFINITY, small());
+    let grid = frame.facts.grid;
+    let walls = [DVec3::new(-13.0, -open, -11.0), DVec3::new(12.0, open, 14.0)];
+    let domain = Some(Domain::new(&grid, walls[0], walls[1]).unwrap());
+    let periodic = Some(Periodic::new(&grid, [None, Some([-15.0, 9.5]), None], 9).unwrap());
+    frame.facts = FrameFacts { domain, periodic, ..frame.facts };
+    frame
+}
+
+#[test]
+fn a_periodic_box_survives_and_damage_to_it_does_not_go_unnoticed() {
+    let folder = Folder::new();
+    let frame = small_periodic();
+    let good = encoded(&frame);
+    let found = open_frame(&folder.file(&good), 0).unwrap();
+    assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
+    assert!(encoded(&found) == good);
+    let Layout { footer, index } = Layout::of(&good);
+    let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
+    let cases: [(usize, Vec<u8>, &str); 7] = [
+        (faces, 0_f64.to_le_bytes().into(), "corners"),
+        (faces + 8, 9.5_f64.to_le_bytes().into(), "corners"),
+        (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
+        (faces + 32, 2.5_f64.to_le_bytes().into(), "less than two reaches"),
+        (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
+        (faces + 52, 1_u32.to_le_bytes().into(), "no periodic box"),
+        (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),
+    ];
+    for (at, patch, expected) in cases {
+        let mut bad = good.clone();
+        bad[at..at + patch.len()].copy_from_slice(&patch);
+        layout.seal(&mut bad);
+        let found = refusal(&folder, &bad);
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+    }
+    for at in (0..good.len()).filter(|at| (footer..layout.index).contains(at)) {
+        let mut bad = good.clone();
+        bad[at] ^= 0x80;
+        assert!(open_frame(&folder.file(&bad), 0).is_err(), "byte {at}");
+        assert!(open_frame(&folder.file(&good[..at]), 0).is_err(), "a prefix of {at} bytes");
+    }
+}
+
+#[test]
+fn a_frame_without_pages_is_a_frame() {
+    let folder = Folder::new();
+    let SampledDif { facts, indicator, .. } = small();
+    let none = DifField::in_memory(BrickSide::Eight.into(), Vec::new());
+    let empty = SampledDif::new(facts, indicator, none);
+    let found = open_frame(&folder.file(&encoded(&empty)), 0).unwrap();
+    assert_eq!((found.facts, found.dif.infos().len()), (facts, 0));
+    assert_eq!(found.dif.gather(CellBox::cube(IVec3::ZERO, 8)).samples(), [0; 512]);
+}
+
+#[test]
+fn every_flipped_byte_and_every_prefix_is_a_typed_error() {
+    let folder = Folder::new();
+    let frame = small();
+    let good = encoded(&frame);
+    assert!(frame.dif.infos().len() > 5 && good.len() < 20_000, "{} bytes", good.len());
+    let kind = |bytes: &[u8], what: &str| {
+        let path = folder.file(bytes);
+        match open_frame(&path, 1 << 20) {
+            Ok(_) => panic!("{what} goes unnoticed"),
+            Err(error) => {
+                assert!(error.to_string().contains("frame.mnf"), "{error}");
+                error.fault
+            }
+        }
+    };
+    for at in 0..good.len() {
+        for flip in [1, 0x80, 0xff] {
+            let mut bad = good.clone();
+            bad[at] ^= flip;
+            let fault = kind(&bad, &format!("{flip:#x} at byte {at}"));
+            let damage = matches!(fault, ReadFault::Malformed { .. } | ReadFault::Unsupported(_));
+            assert!(damage, "byte {at}: {fault}");
+        }
+        let fault = kind(&good[..at], &format!("a prefix of {at} bytes"));
+        let cut = matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. });
+        assert!(cut || at == 0, "{at} bytes: {fault}");
+    }
+    let mut longer = good;
+    longer.push(0);
+    assert!(matches!(kind(&longer, "a byte more"), ReadFault::Malformed { .. }));
+}
+
+/// Parts of the file as the module's table has them.
+struct Layout {
+    footer: usize,
+    index: usize,
+}
+
+impl Layout {
+    fn of(bytes: &[u8]) -> Self {
+        let tail = bytes.len() - 20;
+        let footer = u64::from_le_bytes(bytes[tail..tail + 8].try_into().unwrap()) as usize;
+        Self { footer, index: footer + 144 }
+    }
+
+    /// Makes the footer's checksum fit.
+    fn seal(&self, bytes: &mut [u8]) {
+        let tail = bytes.len() - 20;
+        let mut hasher = crc32fast::Hasher::new();
+        hasher.update(&bytes[..16]);
+        hasher.update(&bytes[self.footer..tail + 8]);
+        bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
+    }
+}
+
+#[test]
+fn damage_with_checksums_that_fit_is_refused_all_the_same() {
+    let folder = Folder::new();
+    let good = encoded(&small());
+    let layout = Layout::of(&good);
+    let Layout { footer, index } = layout;
+    let second = index + 44;
+    let cases: Vec<(usize, Vec<u8>, &str)> = vec![
+        (8, 3_u32.to_le_bytes().into(), "a frame of version 3; this program reads versions 1 to 2"),
+        (8, 0_u32.to_le_bytes().into(), "a frame of version 0"),
+        (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
+        (12, 8_u32.to_le_bytes().into(), "not of its bin"),
+        (footer, f64::NAN.to_le_bytes().into(), "origin"),
+        (footer + 24, 0_f64.to_le_bytes().into(), "cell-size"),
+        (footer + 32, 4_u32.to_le_bytes().into(), "walls"),
+        (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
+        (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
+        (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
+        (footer + 36, 0_u32.to_le_bytes().into(), ""),
+        (footer + 40, 1e9_f64.to_le_bytes().into(), "corners"),
+        (footer + 40, 0_f64.to_le_bytes().into(), "beyond the grid or the walls"),
+        (footer + 88, 0_f64.to_le_bytes().into(), "mu0"),
+        (footer + 96, (-1_f64).to_le_bytes().into(), "spacing"),
+        (footer + 104, 1_u64.to_le_bytes().into(), "more full cells than particles"),
+        (footer + 136, 1_u64.to_le_bytes().into(), "cannot be that of 1 pages"),
+        (footer + 136, u64::MAX.to_le_bytes().into(), "cannot be that of"),
+        (index, (1_u64 << 63).to_le_bytes().into(), "names no bin"),
+        (index, 0_u64.to_le_bytes().into(), "beyond the grid or the walls"),
+        (second, good[index..index + 8].into(), ""),
+        (index + 8, 17_u64.to_le_bytes().into(), "where the one before it ends"),
+        (index + 16, 0_u64.to_le_bytes().into(), "bricks are none"),
+        (index + 16, u64::MAX.to_le_bytes().into(), "does not decompress to its size"),
+        (index + 24, u32::MAX.to_le_bytes().into(), "where the one before it ends"),
+        (index + 24, 0_u32.to_le_bytes().into(), "where the one before it ends"),
+        (index + 28, 0_u32.to_le_bytes().into(), "page 0 does not match its checksum"),
+        (index + 32, 0_u32.to_le_bytes().into(), "do not fit in its box"),
+        (index + 32, 2_u32.to_le_bytes().into(), "page 0 holds other cells"),
+        (index + 36, [15, 15, 15, 17, 16, 16].into(), "not in its bin"),
+        (index + 36, [3, 3, 3, 3, 4, 4].into(), "not in its bin"),
+        (index + 42, [1, 0].into(), "end in zeros"),
+    ];
+    for (at, patch, expected) in cases {
+        let mut bad = good.clone();
+        bad[at..at + patch.len()].copy_from_slice(&patch);
+        layout.seal(&mut bad);
+        if expected.is_empty() {
+            // Another frame, or none: no panic is all that is asked.
+            let _ = open_frame(&folder.file(&bad), 0);
+            continue;
+        }
+        let found = refusal(&folder, &bad);
+        assert!(found.contains(expected), "{patch:?} at {at}: {found:?} does not say {expected:?}");
+    }
+}
+
+#[test]
+fn a_frame_of_the_first_version_is_read_unless_it_holds_clouds() {
+    let folder = Folder::new();
+    let particles = splashes(5);
+    for indicator in INDICATORS {
+        let frame = sample(&particles[..], sampling().grid, None, indicator, BrickSide::Eight);
+        let mut bytes = encoded(&frame);
+        assert_eq!(bytes[8..12], 2_u32.to_le_bytes());
+        bytes[8] = 1;
+        assert!(refusal(&folder, &bytes).contains("checksum"), "{indicator:?}");
+        Layout::of(&bytes).seal(&mut bytes);
+        if indicator == IndicatorKind::Cloud {
+            let found = open_frame(&folder.file(&bytes), 1 << 20).unwrap_err().fault;
+            assert!(matches!(found, ReadFault::Unsupported(_)), "{found}");
+            assert!(found.to_string().contains("clouds of version 1"), "{found}");
+            assert!(found.to_string().contains("pack the particles again"), "{found}");
+        } else {
+            assert_same_frame(&open_frame(&folder.file(&bytes), 1 << 20).unwrap(), &frame, "version 1");
+        }
+    }
+}
+
+#[test]
+fn clouds_come_back_as_large_as_their_spacing_says() {
+    let folder = Folder::new();
+    for spacing in [None, Some(0.05), Some(0.5), Some(1.5), Some(7.0)] {
+        let mut frame =
+            sample(&splashes(5)[..], sampling().grid, None, IndicatorKind::Cloud, BrickSide::Sixteen);
+        frame.facts.spacing = spacing;
+        let found = open_frame(&folder.file(&encoded(&frame)), 1 << 20).unwrap();
+        let amount = Amount::of_spacing(spacing.unwrap_or(1.0));
+        assert_eq!((found.indicator, found.facts), (Indicator::Cloud(amount), frame.facts));
+    }
+}
+
+#[test]
+fn what_no_particle_of_a_page_can_have_left_in_its_rim_is_refused() {
+    let folder = Folder::new();
+    let particle = [[8.5; 3]];
+    let cloud = IndicatorKind::Cloud;
+    let frame = sample(&particle[..], sampling().grid, None, cloud, BrickSide::Sixteen);
+    let field = &frame.dif;
+    let mut samples = field.stored(0).to_vec();
+    let written = |samples: &[u16]| {
+        let mut bytes = Vec::new();
+        let mut writer = FrameWriter::create(&mut bytes, field.shape()).unwrap();
+        writer.push(&[(field.infos()[0], samples)], |&samples| samples.into()).unwrap();
+        writer.finish(&frame.facts, frame.indicator).unwrap();
+        bytes
+    };
+    let mut whole = written(&samples);
+    open_frame(&folder.file(&whole), 0).unwrap();
+    samples[0] = 1;
+    assert!(refusal(&folder, &written(&samples)).contains("page 0 holds other cells"));
+
+    // As many particles as a file can speak of.
+    let layout = Layout::of(&whole);
+    whole[layout.footer + 104..][..8].fill(0xff);
+    layout.seal(&mut whole);
+    open_frame(&folder.file(&whole), 0).unwrap();
+}
+
+#[test]
+fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
+    let folder = Folder::new();
+    let whole = encoded(&small());
+    let unfinished = &whole[..Layout::of(&whole).footer];
+    assert!(refusal(&folder, unfinished).contains("truncated"));
+    assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a frame"));
+    let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0).unwrap_err();
+    assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
+}
+
+/// Takes so many bytes and no more.
+struct FullDisk(usize);
+
+impl Write for FullDisk {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let taken = bytes.len().min(self.0);
+        self.0 -= taken;
+        if taken == 0 { Err(std::io::ErrorKind::StorageFull.into()) } else { Ok(taken) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_wherever_it_fills() {
+    let frame = small();
+    let whole = encoded(&frame).len();
+    for room in (0..whole).step_by(7) {
+        let fault = write_frame(FullDisk(room), &frame).unwrap_err();
+        assert_eq!(fault.kind(), std::io::ErrorKind::StorageFull);
+    }
+    write_frame(FullDisk(whole), &frame).unwrap();
+}
+
+#[test]
+fn pages_of_real_frames_compress() {
+    let data = crate::common::files::data("");
+    for (name, spacing) in [
+        ("dambreak_small/ParticleData_Fluid_1.bgeo", 0.05),
+        ("dambreak_small/ParticleData_Fluid_20.bgeo", 0.05),
+        ("dualsphysics_dambreak/Part_0005.bi4", 0.02),
+    ] {
+        let unpacking = Unpacking { in_memory: 1 << 30, scratch: &data };
+        let particles = open_particles(&data.join(name), unpacking).unwrap().particles;
+        for indicator in INDICATORS {
+            let grid = Grid::new(DVec3::ZERO, spacing).unwrap();
+            let frame = sample(&particles, grid, None, indicator, BrickSide::Eight);
+            let (field, bytes) = (&frame.dif, encoded(&frame).len() as f64);
+            let ratio = field.sample_bytes() as f64 / bytes;
+            println!("{name}, {indicator:?}: {} pages, {ratio:.2} times smaller", field.infos().len());
+            let least = if matches!(indicator, IndicatorKind::Counting) { 5.0 } else { 1.5 };
+            assert!(ratio > least, "{name}, {indicator:?}: {ratio}");
+        }
+    }
+}

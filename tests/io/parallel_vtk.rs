@@ -1,0 +1,370 @@
+//! VTK's lists of pieces: the particles of all of them are read once, a mesh is whole again, and damage names the piece that it is in.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use meniscus::internals::io::bytes::Unpacking;
+use meniscus::internals::io::frame_files::pieces_named;
+use meniscus::internals::io::input::{holds_mesh, open_particles};
+use meniscus::internals::io::output::{MeshOutput, read_mesh};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadError, ReadFault, WriteFault};
+use meniscus::internals::particles::Particles;
+use tempfile::TempDir;
+
+use crate::common::files::{self, tree};
+use crate::common::particle_files::{attribute, positions};
+use crate::common::program::command;
+use crate::common::shapes::{dressed, torus};
+
+fn data(name: &str) -> PathBuf {
+    files::data("simulations").join(name)
+}
+
+fn open(path: &Path) -> Result<ParticleFile, ReadError> {
+    open_particles(path, Unpacking::in_memory())
+}
+
+/// A list of pieces and a folder with two, each of two points and of four.
+struct Set(TempDir);
+
+impl Set {
+    fn new() -> Self {
+        let set = Self(TempDir::new().unwrap());
+        fs::create_dir(set.path("p")).unwrap();
+        set.write("a.pvtu", &list(&["p/0.vtu", "p/1.vtu"]));
+        set.write("p/0.vtu", &piece("Float64", &[0, 1], &["id"], &[]));
+        set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["id"], &[]));
+        set
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    fn open(&self) -> Result<ParticleFile, ReadError> {
+        open(&self.path("a.pvtu"))
+    }
+}
+
+fn list(sources: &[&str]) -> String {
+    let pieces: String = sources.iter().map(|source| format!("<Piece Source=\"{source}\"/>\n")).collect();
+    format!(
+        "<VTKFile type=\"PUnstructuredGrid\"><PUnstructuredGrid GhostLevel=\"1\">\n{pieces}</PUnstructuredGrid></VTKFile>\n"
+    )
+}
+
+/// Points at (i, 2 i, 3 i) + 0.1, whose attributes are i, some of them flagged.
+fn piece(kind: &str, points: &[usize], attributes: &[&str], ghosts: &[usize]) -> String {
+    let numbers = |values: &mut dyn Iterator<Item = String>| values.collect::<Vec<_>>().join(" ");
+    let where_ =
+        numbers(&mut points.iter().flat_map(|&i| [1, 2, 3].map(|k| format!("{}", (k * i) as f64 + 0.1))));
+    let array = |kind: &str, name: &str, text: String| {
+        format!("<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">{text}</DataArray>\n")
+    };
+    let mut data: String = attributes
+        .iter()
+        .map(|name| array("Float32", name, numbers(&mut points.iter().map(|i| i.to_string()))))
+        .collect();
+    if !ghosts.is_empty() {
+        let flags = numbers(&mut points.iter().map(|i| u8::from(ghosts.contains(i)).to_string()));
+        data += &array("UInt8", "vtkGhostType", flags);
+    }
+    format!(
+        "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid><Piece NumberOfPoints=\"{}\">\n\
+         <PointData>{data}</PointData>\n\
+         <Points><DataArray type=\"{kind}\" NumberOfComponents=\"3\" format=\"ascii\">{where_}</DataArray></Points>\n\
+         </Piece></UnstructuredGrid></VTKFile>\n",
+        points.len(),
+    )
+}
+
+fn at(i: usize) -> [f64; 3] {
+    [1, 2, 3].map(|k| (k * i) as f64 + 0.1)
+}
+
+#[test]
+fn pieces_that_vtk_wrote_are_one_set_of_particles_without_ghosts() {
+    let points = positions(&open(&data("points.csv")).unwrap());
+    for name in ["poly_0007.pvtp", "grid_0007.pvtu"] {
+        let file = open(&data(name)).unwrap();
+        assert_eq!(positions(&file), points, "{name}");
+        assert_eq!((file.ghosts, file.time), (8, Some(0.75)), "{name}");
+        let names: Vec<_> = file.particles.attributes().iter().map(|a| (&*a.name, a.components)).collect();
+        assert_eq!(names, [("velocity", 3), ("id", 1)], "{name}");
+        assert_eq!(attribute(&file, "id"), (0..24).map(|i| i as f32).collect::<Vec<_>>(), "{name}");
+        assert!(!holds_mesh(&data(name)).unwrap(), "{name}");
+        // Any range is the same as in the whole, across ghosts and pieces.
+        for first in 0..=points.len() {
+            for count in 0..=points.len() - first {
+                let mut part = vec![[0.0; 3]; count];
+                file.particles.positions(first, &mut part);
+                assert_eq!(part, points[first..first + count], "{name} {first} {count}");
+            }
+        }
+    }
+}
+
+#[test]
+fn ghosts_anywhere_are_left_out_and_a_piece_may_be_all_ghosts() {
+    let set = Set::new();
+    for (flagged, left) in [
+        ([vec![1], vec![2]], vec![0, 3, 4, 5]),
+        ([vec![0, 1], vec![3, 5]], vec![2, 4]),
+        ([vec![0], vec![2, 3, 4, 5]], vec![1]),
+        ([vec![0, 1], vec![2, 3, 4, 5]], vec![]),
+    ] {
+        set.write("p/0.vtu", &piece("Float64", &[0, 1], &["id"], &flagged[0]));
+        set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["id"], &flagged[1]));
+        let file = set.open().unwrap();
+        assert_eq!(file.ghosts, 6 - left.len());
+        assert_eq!(positions(&file), left.iter().map(|&i| at(i)).collect::<Vec<_>>());
+        assert_eq!(attribute(&file, "id"), left.iter().map(|&i| i as f32).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn pieces_may_differ_in_precision_and_in_the_order_of_their_attributes_and_be_empty() {
+    let set = Set::new();
+    set.write("a.pvtu", &list(&["p/none.vtu", "p/0.vtu", "p/1.vtu"]));
+    set.write("p/none.vtu", &piece("Float32", &[], &[], &[]));
+    set.write("p/0.vtu", &piece("Float32", &[0, 1], &["id", "mass"], &[]).replace("Float64", "Float32"));
+    set.write("p/1.vtu", &piece("Float64", &[2, 3, 4, 5], &["mass", "id"], &[]));
+    let file = set.open().unwrap();
+    assert_eq!(positions(&file), (0..6).map(at).collect::<Vec<_>>());
+    assert_eq!(attribute(&file, "mass"), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+}
+
+#[test]
+fn whatever_is_wrong_with_a_piece_names_it() {
+    for (name, text, says) in [
+        ("p/1.vtu", piece("Float64", &[2, 3], &["mass"], &[]), "an attribute mass of 1 numbers"),
+        ("p/1.vtu", piece("Float64", &[2, 3], &[], &[]), "no attribute id of 1 numbers"),
+        ("p/0.vtu", "<VTKFile".to_owned(), "ends without </VTKFile>"),
+        (
+            "p/1.vtu",
+            piece("Float64", &[2, 3], &["id"], &[]).replace("NumberOfPoints=\"2\"", "NumberOfPoints=\"9\""),
+            "9 points",
+        ),
+        ("a.pvtu", list(&["p/0.vtu", "p/0.vtu"]), "named twice"),
+        ("a.pvtu", list(&[]), "names no pieces"),
+        ("a.pvtu", list(&[""]), "without a Source"),
+        ("a.pvtu", list(&["p/0.vtu"]).replace("PUnstructuredGrid", "PImageData"), "PImageData"),
+    ] {
+        let set = Set::new();
+        set.write(name, &text);
+        let error = set.open().expect_err(says);
+        assert!(error.path == set.path(name) && error.to_string().contains(says), "{error}");
+    }
+    let set = Set::new();
+    fs::remove_file(set.path("p/1.vtu")).unwrap();
+    let error = set.open().unwrap_err();
+    assert!(error.path == set.path("p/1.vtu") && matches!(error.fault, ReadFault::Io(_)), "{error}");
+}
+
+#[test]
+fn a_list_or_a_piece_is_refused_at_every_prefix_and_flipped_bytes_are_no_panic() {
+    for name in ["a.pvtu", "p/1.vtu"] {
+        let set = Set::new();
+        let whole = fs::read(set.path(name)).unwrap();
+        for end in 0..whole.trim_ascii_end().len() {
+            fs::write(set.path(name), &whole[..end]).unwrap();
+            let error = set.open().expect_err("cut");
+            assert_eq!(error.path, set.path(name), "cut at {end}");
+        }
+        for at in 0..whole.len() {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut bytes = whole.clone();
+                bytes[at] ^= flip;
+                fs::write(set.path(name), bytes).unwrap();
+                let _ = (set.open(), pieces_named(&set.path("a.pvtu")), holds_mesh(&set.path("a.pvtu")));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_folder_of_lists_does_not_take_their_pieces_for_frames() {
+    let set = Set::new();
+    for frame in [1, 2] {
+        let names = [0, 1].map(|k| format!("a_{frame}_{k}.vtu"));
+        set.write(&names[0], &piece("Float64", &[0, 1], &["id"], &[]));
+        set.write(&names[1], &piece("Float64", &[2, 3, 4, 5], &["id"], &[]));
+        set.write(&format!("a_{frame}.pvtu"), &list(&[&names[0], &names[1]]));
+    }
+    for inputs in [".", "*.*vtu"] {
+        let arguments = ["reconstruct", inputs, "-o", "m/", "--spacing", "1", "--overwrite"];
+        let output = command(&set.path(""), &arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        // The list without a number is no frame of a folder.
+        let expected = if inputs == "." { Some(0) } else { output.status.code() };
+        assert_eq!(output.status.code(), expected, "{said}");
+        if inputs == "." {
+            let list: serde_json::Value =
+                serde_json::from_slice(&fs::read(set.path("m/a.ply.json")).unwrap()).unwrap();
+            let frames: Vec<_> =
+                list["frames"].as_array().unwrap().iter().map(|f| f["particles"].as_u64()).collect();
+            assert_eq!(frames, [Some(6), Some(6)]);
+        }
+    }
+}
+
+#[test]
+fn a_mesh_is_written_as_a_list_and_a_folder_and_read_back_as_it_was() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("torus.pvtp");
+    let mesh = dressed(torus(20, 10));
+    let write = |replace| {
+        let output = MeshOutput::prepare(&path, replace)?;
+        output.write(&mesh, CoordinateWidth::F64)
+    };
+    write(Replace::Refuse).unwrap();
+    let files: Vec<String> = tree(folder.path()).into_keys().collect();
+    assert_eq!(files, ["torus.pvtp", "torus/torus_0.vtp"]);
+    assert_eq!(read_mesh(&path).unwrap(), mesh);
+    assert!(holds_mesh(&path).unwrap());
+
+    // Neither the list nor the folder is replaced unless that is allowed, and nothing else ever is.
+    let exists = |fault: &WriteFault| matches!(fault, WriteFault::Exists);
+    assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
+    fs::remove_file(&path).unwrap();
+    assert!(exists(&write(Replace::Refuse).unwrap_err().fault));
+    write(Replace::Allow).unwrap();
+    let before = tree(folder.path());
+    write(Replace::Allow).unwrap();
+    assert_eq!(tree(folder.path()), before);
+    fs::write(folder.path().join("torus/notes.txt"), "mine").unwrap();
+    let fault = write(Replace::Allow).unwrap_err().fault;
+    assert!(matches!(&fault, WriteFault::Unsupported(what) if what.contains("other files")), "{fault}");
+    assert_eq!(tree(folder.path()).len(), before.len() + 1);
+    // A piece that is lost is told of.
+    fs::remove_file(folder.path().join("torus/torus_0.vtp")).unwrap();
+    assert!(read_mesh(&path).unwrap_err().path.ends_with("torus_0.vtp"));
+}
+
+/// Points as by [`piece`], with a vertex each in this order of points, and flags of these vertices under a name.
+fn with_cells(polydata: bool, order: &[usize], name: &str, flags: &[u8]) -> String {
+    let numbers = |values: &mut dyn Iterator<Item = usize>| {
+        values.map(|value| value.to_string()).collect::<Vec<_>>().join(" ")
+    };
+    let array = |name: &str, text: String| {
+        format!("<DataArray type=\"Int64\" Name=\"{name}\" format=\"ascii\">{text}</DataArray>")
+    };
+    let cells = array("connectivity", numbers(&mut order.iter().copied()))
+        + &array("offsets", numbers(&mut (1..=order.len())));
+    let (section, count, types) = match polydata {
+        true => ("Verts", "NumberOfVerts", String::new()),
+        false => ("Cells", "NumberOfCells", array("types", numbers(&mut order.iter().map(|_| 1)))),
+    };
+    let data = array(name, numbers(&mut flags.iter().map(|&flag| flag.into())));
+    let text = piece("Float64", &[0, 1, 2, 3, 4, 5], &["id"], &[])
+        .replace("<Piece ", &format!("<Piece {count}=\"{}\" ", order.len()))
+        .replace(
+            "<Points>",
+            &format!("<CellData>{data}</CellData><{section}>{cells}{types}</{section}><Points>"),
+        );
+    if polydata { text.replace("UnstructuredGrid", "PolyData") } else { text }
+}
+
+fn points_left(polydata: bool, text: &str) -> Result<Vec<usize>, ReadError> {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });
+    fs::write(&path, text).unwrap();
+    let file = open(&path)?;
+    let ids: Vec<usize> = attribute(&file, "id").iter().map(|&id| id as usize).collect();
+    assert_eq!(positions(&file), ids.iter().map(|&i| at(i)).collect::<Vec<_>>());
+    assert_eq!(file.ghosts, 6 - ids.len());
+    Ok(ids)
+}
+
+#[test]
+fn points_whose_vertices_are_all_copies_or_hidden_are_left_out() {
+    let order = [5, 4, 3, 2, 1, 0];
+    for polydata in [true, false] {
+        for (name, flags, left) in [
+            ("vtkGhostType", [1, 0, 0, 8, 0, 32], &[1, 3, 4][..]),
+            // High and low connectivity, and the exterior, say nothing of the cell itself.
+            ("vtkGhostType", [2, 4, 16, 0, 0, 0], &[0, 1, 2, 3, 4, 5]),
+            ("vtkGhostLevels", [2, 1, 0, 0, 0, 0], &[0, 1, 2, 3]),
+            ("vtkGhostType", [1; 6], &[]),
+            ("other", [1; 6], &[0, 1, 2, 3, 4, 5]),
+        ] {
+            let found = points_left(polydata, &with_cells(polydata, &order, name, &flags)).unwrap();
+            assert_eq!(found, left, "{name} {flags:?}");
+        }
+        // A point with another vertex that is its own stays, and so does one without any.
+        let text = with_cells(polydata, &[0, 0, 1, 2, 2], "vtkGhostType", &[1, 0, 1, 1, 1]);
+        assert_eq!(points_left(polydata, &text).unwrap(), [0, 3, 4, 5]);
+        // Cells of several points say nothing of each.
+        let text = with_cells(polydata, &order, "vtkGhostType", &[1; 6]);
+        let line = text.replace(">1 2 3 4 5 6<", ">1 2 3 4 5 7<");
+        assert_eq!(points_left(polydata, &line).unwrap().len(), 6);
+    }
+    let text = with_cells(false, &order, "vtkGhostType", &[1; 6]);
+    assert_eq!(
+        points_left(
+            false,
+            &text.replace(">1 1 1 1 1 1</DataArray></Cells>", ">1 1 3 1 1 1</DataArray></Cells>")
+        )
+        .unwrap()
+        .len(),
+        6
+    );
+    let text = with_cells(true, &order, "vtkGhostType", &[1; 6]);
+    assert_eq!(points_left(true, &text.replace("<Piece ", "<Piece NumberOfLines=\"1\" ")).unwrap().len(), 6);
+}
+
+#[test]
+fn flags_of_cells_add_up_over_pieces_and_with_those_of_points() {
+    let set = Set::new();
+    let order = [0, 1, 2, 3, 4, 5];
+    let both = with_cells(false, &order, "vtkGhostType", &[1, 0, 0, 0, 0, 1]);
+    let flags =
+        "<PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"ascii\">0 1 0 0 0 1</DataArray>";
+    set.write("p/0.vtu", &both.replace("<PointData>", flags));
+    set.write(
+        "p/1.vtu",
+        &with_cells(false, &order, "vtkGhostType", &[0, 0, 1, 0, 0, 0])
+            .replace("<PointData>", &flags.replace('1', "0")),
+    );
+    let file = set.open().unwrap();
+    assert_eq!(attribute(&file, "id"), [2.0, 3.0, 4.0, 0.0, 1.0, 3.0, 4.0, 5.0]);
+    assert_eq!(file.ghosts, 4);
+}
+
+#[test]
+fn cells_that_are_not_as_announced_are_refused_and_no_damage_is_a_panic() {
+    for polydata in [true, false] {
+        let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
+        let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };
+        for (from, to, says) in [
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "names point 6 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "names point -1 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells name 5 points"),
+            (">1 0 0 1 0 0<", ">1 0 0 1 0<", "for each of 6 cells"),
+            (
+                &format!("{name}=\"6\""),
+                &format!("{name}=\"99999999999999\""),
+                "99999999999999 cells are announced",
+            ),
+            ("NumberOfPoints=\"6\"", "NumberOfPoints=\"99999999999999\"", "99999999999999 points"),
+        ] {
+            let text = whole.replace(from, to);
+            assert_ne!(text, whole);
+            let error = points_left(polydata, &text).expect_err(says);
+            assert!(error.to_string().contains(says), "{error}");
+        }
+        let folder = TempDir::new().unwrap();
+        let path = folder.path().join(if polydata { "a.vtp" } else { "a.vtu" });
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone().into_bytes();
+            bytes[at] ^= 1 << (at % 8);
+            fs::write(&path, bytes).unwrap();
+            let _ = open(&path);
+        }
+    }
+}

@@ -1,0 +1,797 @@
+//! Particle files: what is read is what was written, and nothing damaged gets through or brings the reader down.
+
+use std::io::{Seek, Write};
+use std::path::Path;
+
+use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
+use meniscus::internals::io::input;
+use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, bgeo, bi4, npy, npz, vtp, xyz};
+use meniscus::internals::particles::{Particles, Unread, velocity_attribute};
+use zip::CompressionMethod;
+
+use crate::build::{self, Bi4, VtkXml, gzip, tuples};
+use crate::common::files::data;
+use crate::common::particle_files::{attribute, positions};
+use crate::memory;
+
+type Reader = fn(Bytes) -> Result<ParticleFile, ReadFault>;
+
+const TEXT: Reader = |bytes| xyz::read_text(bytes, Unpacking::in_memory());
+const XYZ: Reader = |bytes| xyz::read_particles(bytes, Unpacking::in_memory());
+const VTU: Reader = |bytes| vtp::read_particles(bytes, Unpacking::in_memory());
+const NPZ: Reader = |bytes| npz::read_particles(bytes, Unpacking::in_memory());
+
+/// With as much memory as unpacking takes.
+fn open_particles(path: &Path) -> Result<ParticleFile, ReadError> {
+    input::open_particles(path, Unpacking { in_memory: 1 << 40, scratch: Path::new("nowhere") })
+}
+
+fn attributes(file: &ParticleFile) -> Vec<(&str, usize)> {
+    file.particles.attributes().iter().map(|info| (info.name.as_str(), info.components)).collect()
+}
+
+fn bounds(positions: &[[f64; 3]]) -> [[f64; 3]; 2] {
+    let fold = |start: f64, pick: fn(f64, f64) -> f64| {
+        [0, 1, 2].map(|axis| positions.iter().map(|p| p[axis]).fold(start, pick))
+    };
+    [fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max)]
+}
+
+fn read(reader: Reader, bytes: &[u8]) -> Result<ParticleFile, ReadFault> {
+    reader(bytes.to_vec().into())
+}
+
+fn text(text: &str) -> Result<ParticleFile, ReadFault> {
+    read(TEXT, text.as_bytes())
+}
+
+fn fault(result: Result<ParticleFile, ReadFault>) -> String {
+    result.expect_err("a fault").to_string()
+}
+
+/// One small file of every binary format and layout.
+fn samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
+    let points = tuples(7);
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> =
+        vec![("bgeo", bgeo::read_particles, build::bgeo(&points)), ("raw.xyz", XYZ, build::raw(&points))];
+    for descr in ["<f4", "<f8", ">f4", ">f8"] {
+        for fortran in [false, true] {
+            samples.push(("npy", npy::read_particles, build::npy(&points, descr, fortran)));
+        }
+    }
+    for big in [false, true] {
+        for wide in [false, true] {
+            for double in [false, true] {
+                for mixed in [false, true] {
+                    let layout = Bi4 { big, wide, double, mixed, pieces: 1, piece: 0 };
+                    samples.push(("bi4", bi4::read_particles, layout.build(&points)));
+                }
+            }
+        }
+    }
+    samples
+}
+
+/// The same of formats that hold their numbers encoded, or may.
+fn encoded_samples() -> Vec<(&'static str, Reader, Vec<u8>)> {
+    let points = tuples(7);
+    let mut samples: Vec<(&str, Reader, Vec<u8>)> =
+        VtkXml::all().into_iter().map(|layout| ("vtu", VTU, layout.build(&points))).collect();
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        samples.push(("npz", NPZ, build::npz_frame(&points, compression)));
+    }
+    samples
+}
+
+#[test]
+fn a_particle_alone_reads_back_whatever_the_order_of_its_axes() {
+    let points = tuples(1);
+    for descr in ["<f4", "<f8", ">f4", ">f8"] {
+        for fortran in [false, true] {
+            let file = read(npy::read_particles, &build::npy(&points, descr, fortran));
+            assert_eq!(positions(&file.unwrap()), points, "{descr}, in Fortran's order: {fortran}");
+        }
+    }
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        let file = read(NPZ, &build::npz_frame(&points, compression)).unwrap();
+        assert_eq!(positions(&file), points, "{compression:?}");
+    }
+}
+
+#[test]
+fn splishsplash_frames_hold_what_the_simulation_said_of_them() {
+    let frames = [
+        (
+            1,
+            [
+                [-1.9000000953674316, 0.09996075928211212, -0.44999998807907104],
+                [-1.0000001192092896, 1.2499607801437378, 0.45000001788139343],
+            ],
+            0.019620001316070557,
+        ),
+        (
+            10,
+            [
+                [-1.9498687982559204, 0.0397249311208725, -0.7047143578529358],
+                [-0.18260399997234344, 1.037776231765747, 0.704704761505127],
+            ],
+            7.032591819763184,
+        ),
+        (
+            20,
+            [
+                [-1.9468082189559937, 0.03871124982833862, -0.7047089338302612],
+                [1.645922303199768, 2.7653231620788574, 0.704710841178894],
+            ],
+            6.232513427734375,
+        ),
+    ];
+    for (number, bounds_said, fastest) in frames {
+        let file =
+            open_particles(&data(&format!("dambreak_small/ParticleData_Fluid_{number}.bgeo"))).unwrap();
+        assert_eq!(file.particles.len(), 8664);
+        assert_eq!(bounds(&positions(&file)), bounds_said, "frame {number}");
+        assert_eq!(attributes(&file), [("id", 1), ("velocity", 3), ("density", 1)]);
+        assert_eq!(velocity_attribute(file.particles.attributes()), Some(1));
+        let speeds = attribute(&file, "velocity");
+        let speeds = speeds.chunks(3).map(|v| v.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt());
+        assert!((speeds.fold(0.0, f64::max) - fastest).abs() < 1e-6, "frame {number}");
+        let mut ids = attribute(&file, "id");
+        ids.sort_by(f32::total_cmp);
+        assert!(ids.iter().enumerate().all(|(i, &id)| i as f32 == id), "ids are a permutation");
+    }
+}
+
+/// Counted and measured by a separate program: it looked for the array tags in the bytes, and took the rows
+/// whose Idp is at least CaseNfixed + CaseNmoving + CaseNfloat = 7846.
+#[test]
+fn a_dualsphysics_part_gives_its_fluid_and_its_spacing() {
+    let file = open_particles(&data("dualsphysics_dambreak/Part_0005.bi4")).unwrap();
+    assert_eq!(file.spacing, Some(0.02));
+    assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3), ("Rhop", 1)]);
+    let positions = positions(&file);
+    assert_eq!(positions.len(), 9600);
+    assert_eq!(
+        bounds(&positions),
+        [
+            [0.028087908402085304, 0.02641223929822445, 0.025894498452544212],
+            [1.3392283916473389, 0.6535863280296326, 0.19753335416316986]
+        ]
+    );
+    assert_eq!(positions[1234], [0.12831753492355347, 0.25041982531547546, 0.039033424109220505]);
+    assert_eq!(attribute(&file, "Idp")[1234], 9452.0);
+    assert_eq!(attribute(&file, "Vel")[3 * 1234..][..3], [0.179_336_86, 0.003_737_534_4, -0.018_744_586]);
+    assert_eq!(attribute(&file, "Rhop")[1234], 999.602_84);
+}
+
+#[test]
+fn every_binary_layout_reads_back_to_the_bit_gzipped_or_not() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, _, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+        let plain = folder.path().join(format!("{number}.{name}"));
+        let packed = folder.path().join(format!("{number}.{}.GZ", name.to_uppercase()));
+        let misnamed = folder.path().join(format!("{number}-packed.{name}"));
+        std::fs::write(&plain, &bytes).unwrap();
+        std::fs::write(&packed, gzip(&bytes)).unwrap();
+        std::fs::write(&misnamed, gzip(&bytes)).unwrap();
+        for path in [plain, packed, misnamed] {
+            let file = open_particles(&path).unwrap();
+            assert_eq!(positions(&file), tuples(7), "{}", path.display());
+        }
+    }
+}
+
+#[test]
+fn any_range_of_a_file_is_the_same_as_in_the_whole() {
+    for (name, reader, bytes) in samples().into_iter().chain(encoded_samples()) {
+        let file = read(reader, &bytes).unwrap();
+        let whole = positions(&file);
+        for first in 0..=whole.len() {
+            for count in 0..=whole.len() - first {
+                let mut part = vec![[0.0; 3]; count];
+                file.particles.positions(first, &mut part);
+                assert_eq!(part, whole[first..first + count], "{name} {first} {count}");
+            }
+        }
+    }
+}
+
+#[test]
+fn attributes_of_a_bgeo_are_floats_vectors_and_integers_without_strings() {
+    let file = read(bgeo::read_particles, &build::bgeo(&tuples(7))).unwrap();
+    assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("uv", 2)]);
+    assert_eq!(attribute(&file, "id"), [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+    let v: Vec<f32> = (0..7).flat_map(|i| [0.5, 1.5, 2.5].map(|x| x + i as f32)).collect();
+    assert_eq!(attribute(&file, "v"), v);
+    let uv: Vec<f32> = (0..7).flat_map(|i| [0.25, 0.75].map(|x| x + i as f32)).collect();
+    assert_eq!(attribute(&file, "uv"), uv);
+}
+
+#[test]
+fn a_bi4_gives_the_fluid_only_in_whatever_order_it_lies() {
+    for mixed in [false, true] {
+        let layout = Bi4 { big: false, wide: false, double: false, mixed, pieces: 1, piece: 0 };
+        let file = read(bi4::read_particles, &layout.build(&tuples(7))).unwrap();
+        assert_eq!(file.spacing, Some(0.25));
+        assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
+        assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
+        let velocity: Vec<f32> = tuples(7).as_flattened().iter().map(|&x| 2.0 * x as f32).collect();
+        assert_eq!(attribute(&file, "Vel"), velocity);
+    }
+}
+
+#[test]
+fn no_particles_are_no_error() {
+    let layout = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 1, piece: 0 };
+    let empty: [(Reader, Vec<u8>); 5] = [
+        (bgeo::read_particles, build::bgeo(&[])),
+        (npy::read_particles, build::npy(&[], "<f4", false)),
+        (npy::read_particles, build::npy(&[], "<f4", true)),
+        (bi4::read_particles, layout.build(&[])),
+        (TEXT, b"# nobody here\n\n".to_vec()),
+    ];
+    for (reader, bytes) in empty {
+        assert!(read(reader, &bytes).unwrap().particles.is_empty());
+    }
+    let named = text("x,y,z,vx,vy,vz\n").unwrap();
+    assert_eq!((named.particles.len(), attributes(&named)), (0, vec![("v", 3)]));
+}
+
+#[test]
+fn a_truncated_file_is_refused_at_every_prefix() {
+    for (name, reader, bytes) in samples() {
+        for end in 0..bytes.len() {
+            match read(reader, &bytes[..end]) {
+                Err(ReadFault::Truncated { needed, have, .. }) => {
+                    assert!(have == end as u64 && needed > have, "{name} cut at {end}");
+                }
+                Err(ReadFault::Malformed { .. }) if name == "raw.xyz" => assert_ne!(end % 12, 0),
+                Err(other) => panic!("{name} cut at {end}: {other}"),
+                Ok(_) => assert!(name == "raw.xyz" && end % 12 == 0, "{name} cut at {end} is read"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_truncated_file_of_encoded_numbers_is_refused_at_every_prefix() {
+    for (name, reader, bytes) in encoded_samples() {
+        for end in 0..bytes.trim_ascii_end().len() {
+            assert!(read(reader, &bytes[..end]).is_err(), "{name} cut at {end} of {}", bytes.len());
+        }
+    }
+}
+
+/// What a reader makes of a file's first bytes, in words: all numbers, or a fault.
+fn made_of(file: Result<ParticleFile, ReadFault>) -> String {
+    let numbers = |file: ParticleFile| {
+        let values: Vec<_> = attributes(&file).iter().map(|(name, _)| attribute(&file, name)).collect();
+        format!("{:?} {values:?}", positions(&file))
+    };
+    file.map_or_else(|fault| fault.to_string(), numbers)
+}
+
+#[test]
+fn a_file_that_is_read_by_position_is_what_it_is_in_memory_at_every_prefix() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+        // A single byte is read at once.
+        for cut in 2..=bytes.len() {
+            let path = folder.path().join(format!("{number}.{cut}"));
+            std::fs::write(&path, &bytes[..cut]).unwrap();
+            let opened = open_bytes(&path).unwrap();
+            assert!(matches!(opened, Bytes::File(_)), "{name}");
+            let [by_position, in_memory] = [reader(opened), read(reader, &bytes[..cut])].map(made_of);
+            assert_eq!(by_position, in_memory, "{name} of {cut} bytes");
+        }
+    }
+}
+
+#[test]
+fn headers_between_large_arrays_are_read_by_position() {
+    let points = tuples(40000);
+    let mut written = tempfile::NamedTempFile::new().unwrap();
+    for mixed in [false, true] {
+        let layout = Bi4 { big: false, wide: true, double: mixed, mixed, pieces: 1, piece: 0 };
+        let bytes = layout.build(&points);
+        written.as_file_mut().set_len(0).unwrap();
+        written.rewind().unwrap();
+        written.write_all(&bytes).unwrap();
+        let opened = open_bytes(written.path()).unwrap();
+        let [by_position, in_memory] = [bi4::read_particles(opened), read(bi4::read_particles, &bytes)];
+        let by_position = by_position.unwrap();
+        assert!(by_position.particles.len() > 32768, "more than are looked at at once");
+        assert!(made_of(Ok(by_position)) == made_of(in_memory), "mixed {mixed}");
+    }
+}
+
+#[test]
+fn a_file_that_is_shortened_before_its_header_is_parsed_is_a_typed_error_and_no_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (name, reader, bytes)) in samples().into_iter().chain(encoded_samples()).enumerate() {
+        for left in (1..bytes.len()).step_by(11) {
+            let path = folder.path().join(format!("{number}.{left}"));
+            std::fs::write(&path, &bytes).unwrap();
+            let opened = open_bytes(&path).unwrap();
+            let file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len(left as u64).unwrap();
+            match reader(opened) {
+                Err(ReadFault::Changed) => {}
+                // Of columns that begin where it was cut nothing was read so far.
+                Ok(file) => assert_eq!(file.particles.check(), Err(Unread::Changed), "{name}"),
+                Err(fault) => panic!("{name}: {fault}"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_of_a_position_with_a_checksum_is_found_out() {
+    let points = tuples(7);
+    let mut files: Vec<(Reader, Vec<u8>)> = Vec::new();
+    let compressed = |layout: &VtkXml| layout.zlib && layout.placed != build::Placed::Ascii;
+    files.extend(VtkXml::all().into_iter().filter(compressed).map(|layout| (VTU, layout.build(&points))));
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        files.push((NPZ, build::npz(&[("pos", build::npy(&points, "<f4", true))], compression)));
+    }
+    for (reader, bytes) in files {
+        for at in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x10;
+            if let Ok(file) = read(reader, &damaged)
+                && !file.particles.is_empty()
+            {
+                assert_eq!(positions(&file), points, "byte {at} of {}: {}", bytes.len(), file.format);
+            }
+        }
+    }
+}
+
+#[test]
+fn vtk_xml_and_npz_give_attributes_and_time_wherever_their_numbers_are() {
+    let doubled: Vec<f32> = tuples(7).as_flattened().iter().map(|&x| 2.0 * x as f32).collect();
+    for (name, reader, bytes) in encoded_samples() {
+        let file = read(reader, &bytes).unwrap();
+        let (velocity, time) = if name == "vtu" { ("velocity", Some(1.5)) } else { ("vel", None) };
+        assert_eq!((attributes(&file), file.time), (vec![(velocity, 3), ("id", 1)], time), "{name}");
+        assert_eq!(attribute(&file, velocity), doubled, "{name}");
+        assert_eq!(attribute(&file, "id"), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{name}");
+    }
+}
+
+#[test]
+fn encoded_numbers_beyond_their_share_of_memory_go_to_scratch() {
+    let scratch = tempfile::tempdir().unwrap();
+    let unpacking = Unpacking { in_memory: 100, scratch: scratch.path() };
+    let folder = tempfile::tempdir().unwrap();
+    let mut scratched = 0;
+    for (name, reader, bytes) in encoded_samples() {
+        let path = folder.path().join(format!("a.{name}"));
+        std::fs::write(&path, &bytes).unwrap();
+        let file = input::open_particles(&path, unpacking).unwrap();
+        assert_eq!(positions(&file), positions(&read(reader, &bytes).unwrap()));
+        scratched += usize::from(file.particles.scratch_bytes() > 0);
+    }
+    // All but what is appended raw, and stored.
+    assert_eq!(scratched, 32 - 4 + 1);
+    let nowhere = Unpacking { in_memory: 100, scratch: Path::new("nowhere") };
+    let path = folder.path().join("a.npz");
+    let fault = input::open_particles(&path, nowhere).expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Scratch(_)), "{fault}");
+}
+
+#[test]
+fn an_npz_finds_its_position_by_name_or_because_there_is_but_one() {
+    let points = tuples(4);
+    let vectors = build::npy(&points, "<f4", false);
+    let axis = |axis: usize| {
+        let column = points.iter().flat_map(|p| p[axis].to_le_bytes());
+        build::npy_header("<f8", false, "(4,)").into_iter().chain(column).collect::<Vec<u8>>()
+    };
+    let pairs = [build::npy_header("<i8", false, "(4, 2)"), vec![1; 64]].concat();
+    let [x, y, z] = [axis(0), axis(1), axis(2)];
+    type Case = (Vec<(&'static str, Vec<u8>)>, Vec<(&'static str, usize)>);
+    let cases: Vec<Case> = vec![
+        (vec![("v", vectors.clone()), ("x", vectors.clone())], vec![("v", 3)]),
+        (vec![("v", vectors.clone()), ("Positions", vectors.clone())], vec![("v", 3)]),
+        (vec![("arr_0", vectors.clone())], vec![]),
+        (
+            vec![("mass", x.clone()), ("arr_0", vectors.clone()), ("pair", pairs)],
+            vec![("mass", 1), ("pair", 2)],
+        ),
+        (vec![("z", z), ("y", y), ("x", x), ("v", vectors.clone())], vec![("v", 3)]),
+    ];
+    for (arrays, expected) in cases {
+        let names: Vec<_> = arrays.iter().map(|(name, _)| *name).collect();
+        for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+            let file = read(NPZ, &build::npz(&arrays, compression)).unwrap();
+            assert_eq!(
+                (positions(&file), attributes(&file)),
+                (points.clone(), expected.clone()),
+                "{names:?}"
+            );
+        }
+    }
+    let neither = build::npz(&[("a", vectors.clone()), ("b", vectors)], CompressionMethod::Stored);
+    let fault = fault(read(NPZ, &neither));
+    assert!(
+        fault.contains("save it as pos, of shape (N, 3)") && fault.contains("a (4, 3), b (4, 3)"),
+        "{fault}"
+    );
+}
+
+#[test]
+fn the_pieces_of_a_part_are_read_together_from_any_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let points = tuples(9);
+    let layout =
+        |piece: u32| Bi4 { big: false, wide: false, double: false, mixed: piece == 1, pieces: 3, piece };
+    let path = |piece: u32| folder.path().join(format!("Part_p{piece:02}_0007.bi4"));
+    for (piece, points) in (0..).zip(points.chunks(3)) {
+        std::fs::write(path(piece), layout(piece).build(points)).unwrap();
+    }
+    for piece in 0..3 {
+        assert_eq!(bi4::is_later_piece(&path(piece)), piece > 0);
+        let file = open_particles(&path(piece)).unwrap();
+        assert_eq!((positions(&file), file.spacing, file.time), (points.clone(), Some(0.25), Some(1.5)));
+        assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3)]);
+        assert_eq!(attribute(&file, "Idp"), [5.0, 6.0, 7.0].repeat(3));
+    }
+    for (piece, bytes, said) in [
+        (1, layout(1).build(&points)[..500].to_vec(), "truncated"),
+        (2, layout(1).build(&points), "piece 1 of 3 where piece 2 of 3 was expected"),
+        (
+            2,
+            Bi4 { double: true, ..layout(2) }.build(&points),
+            "an attribute Idpd of 1 numbers, unlike the pieces before",
+        ),
+    ] {
+        let right = std::fs::read(path(piece)).unwrap();
+        std::fs::write(path(piece), bytes).unwrap();
+        let error = open_particles(&path(0)).expect_err(said);
+        assert_eq!(error.path, path(piece));
+        assert!(error.to_string().contains(said), "{error}");
+        std::fs::write(path(piece), right).unwrap();
+    }
+    // Each is read in its own byte order.
+    std::fs::write(path(1), Bi4 { big: true, ..layout(1) }.build(&points[3..6])).unwrap();
+    assert_eq!(positions(&open_particles(&path(0)).unwrap()), points);
+    std::fs::remove_file(path(1)).unwrap();
+    let error = open_particles(&path(2)).expect_err("missing");
+    assert!(error.path == path(1) && matches!(error.fault, ReadFault::Io(_)), "{error}");
+    let alone = folder.path().join("alone.bi4");
+    std::fs::rename(path(2), &alone).unwrap();
+    let fault = open_particles(&alone).expect_err("unnamed").to_string();
+    assert!(fault.contains("Part_p00_0000.bi4"), "{fault}");
+}
+
+#[test]
+fn a_truncated_gzip_is_refused_at_every_prefix() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frame.bgeo");
+    let packed = gzip(&build::bgeo(&tuples(7)));
+    for end in 2..packed.len() {
+        std::fs::write(&path, &packed[..end]).unwrap();
+        let fault = open_particles(&path).expect_err("refused").fault;
+        assert!(matches!(fault, ReadFault::Compression(_)), "cut at {end}: {fault}");
+    }
+}
+
+#[test]
+fn gzip_streams_one_after_the_other_are_one_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frame.xyz");
+    let [one, two] =
+        [7, 5].map(|count| build::raw(&(0..count).map(|i| [f64::from(i); 3]).collect::<Vec<_>>()));
+    for (parts, count) in [(vec![&one, &two], 12), (vec![&one, &one], 14), (vec![&one, &two, &one], 19)] {
+        std::fs::write(&path, parts.iter().flat_map(|part| gzip(part)).collect::<Vec<u8>>()).unwrap();
+        assert_eq!(open_particles(&path).unwrap().particles.len(), count);
+    }
+    // What follows a stream and is none is damage.
+    std::fs::write(&path, [gzip(&one), b"\x1f\x8brest".to_vec()].concat()).unwrap();
+    assert!(matches!(open_particles(&path).expect_err("refused").fault, ReadFault::Compression(_)));
+}
+
+#[test]
+fn a_gzip_bomb_is_refused_before_it_fills_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bomb.xyz");
+    let of_64_mib = gzip(&vec![0; 64 << 20]);
+    std::fs::write(&path, of_64_mib.repeat(8)).unwrap();
+    let (result, largest) = memory::largest_allocation(|| open_particles(&path));
+    let fault = result.expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Compression(_)), "{fault}");
+    assert!(largest <= 256 << 20, "{largest} bytes");
+}
+
+#[test]
+fn counts_beyond_the_file_are_refused_without_room_made_for_them() {
+    let points = tuples(7);
+    let most = i32::MAX.to_be_bytes();
+    let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
+    for count_at in [9, 25] {
+        let mut bytes = build::bgeo(&points);
+        bytes[count_at..count_at + 4].copy_from_slice(&most);
+        cases.push((bgeo::read_particles, bytes));
+    }
+    for rows in [1 << 31, 1 << 63, u64::MAX] {
+        for fortran in [false, true] {
+            cases.push((npy::read_particles, build::npy_header("<f8", fortran, &format!("({rows}, 3)"))));
+        }
+    }
+    for wide in [false, true] {
+        let bytes = Bi4 { big: true, wide, double: false, mixed: false, pieces: 1, piece: 0 }.build(&points);
+        let tags = bytes.windows(6).enumerate().filter(|(_, tag)| tag == b"\nARRAY");
+        for tag in tags.map(|(at, _)| at).collect::<Vec<_>>() {
+            // Past the tag, a name of 3 letters (all three are), the flag and the type.
+            let count_at = tag + 6 + 4 + 3 + 4 + 4;
+            let mut bytes = bytes.clone();
+            let width = if wide { 8 } else { 4 };
+            for field in [0, width] {
+                let top = if wide { 0x80 } else { 0x7f };
+                bytes[count_at + field] = top;
+            }
+            cases.push((bi4::read_particles, bytes));
+        }
+    }
+    assert_eq!(cases.len(), 2 + 3 * 2 + 2 * 3, "two counts, six shapes, three arrays of either width");
+    for (reader, bytes) in cases {
+        let (result, largest) = memory::largest_allocation(|| reader(bytes.into()));
+        let fault = result.expect_err("refused");
+        assert!(matches!(fault, ReadFault::Truncated { .. } | ReadFault::Malformed { .. }), "{fault}");
+        assert!(largest < 4096, "{largest} bytes for: {fault}");
+    }
+}
+
+#[test]
+fn encoded_numbers_that_claim_too_much_are_refused_without_room_made_for_them() {
+    let points = tuples(7);
+    let mut cases: Vec<(Reader, Vec<u8>)> = Vec::new();
+    for layout in VtkXml::all() {
+        let bytes = layout.build(&points);
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        for count in ["8", "1000000000", "1537228672809129301", "18446744073709551615"] {
+            let wrong = format!("NumberOfPoints=\"{count}\"");
+            let at = text.find("NumberOfPoints=\"7\"").unwrap();
+            let rest = at + "NumberOfPoints=\"7\"".len();
+            cases.push((VTU, [&bytes[..at], wrong.as_bytes(), &bytes[rest..]].concat()));
+        }
+        if layout.placed == build::Placed::AppendedRaw {
+            let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
+            for field in 0..if layout.zlib { 3 } else { 1 } {
+                let width = if layout.wide { 8 } else { 4 };
+                let mut bytes = bytes.clone();
+                // Of the points' array, which the last element names.
+                let offset: usize =
+                    text.split("Name=\"Points\"").nth(1).unwrap().split('"').nth(5).unwrap().parse().unwrap();
+                bytes[data + offset + field * width..][..width].fill(0x7f);
+                cases.push((VTU, bytes));
+            }
+        }
+    }
+    for shape in
+        ["(2000000000, 3)", "(18446744073709551615, 3)", "(6148914691236517206, 3)", "(1, 2000000000)"]
+    {
+        let array = [build::npy_header("<f4", false, shape), vec![0; 24]].concat();
+        for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+            cases.push((NPZ, build::npz(&[("pos", array.clone())], compression)));
+        }
+    }
+    let archive = build::npz_frame(&points, CompressionMethod::Stored);
+    for field in [8, 10, 16] {
+        let mut bytes = archive.clone();
+        let end = bytes.len() - 22;
+        bytes[end + field..][..2].fill(0xfe);
+        cases.push((NPZ, bytes));
+    }
+    for (reader, bytes) in cases {
+        let (result, largest) = memory::largest_allocation(|| reader(bytes.into()));
+        let fault = result.expect_err("refused");
+        assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
+    }
+}
+
+#[test]
+fn an_array_of_a_last_block_and_none_in_all_is_refused() {
+    for layout in VtkXml::all().into_iter().filter(|l| l.zlib && l.placed == build::Placed::AppendedRaw) {
+        // Of two points the coordinates are one block, which is not full.
+        let mut bytes = layout.build(&tuples(2));
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let offset: usize =
+            text.split("Name=\"Points\"").nth(1).unwrap().split('"').nth(5).unwrap().parse().unwrap();
+        let data = bytes.windows(2).position(|at| at == b" _").unwrap() + 2;
+        bytes[data + offset..][..if layout.wide { 8 } else { 4 }].fill(0);
+        assert!(fault(read(VTU, &bytes)).contains("a last block, and none in all"), "{layout:?}");
+    }
+}
+
+#[test]
+fn compressed_zeros_beyond_all_reason_are_refused() {
+    let bomb = memory::unlimited(|| {
+        let zeros = [build::npy_header("<f4", false, "(12000000, 3)"), vec![0; 144_000_000]].concat();
+        build::npz(&[("pos", zeros)], CompressionMethod::Deflated)
+    });
+    let (result, largest) = memory::largest_allocation(|| read(NPZ, &bomb));
+    let fault = result.expect_err("refused");
+    assert!(matches!(fault, ReadFault::Compression(_)), "{fault}");
+    assert!(largest < 1 << 20, "{largest} bytes");
+}
+
+#[test]
+fn what_is_not_read_says_what_to_do() {
+    let points = tuples(2);
+    let of_pieces = Bi4 { big: false, wide: false, double: false, mixed: false, pieces: 3, piece: 0 };
+    let mut info = of_pieces.build(&points);
+    info[9..27].copy_from_slice(b"JPartDataBi4_Info ");
+    let cases: [(Reader, Vec<u8>, &str); 9] = [
+        (bgeo::read_particles, b"\x7fNSJ\x00\x00".to_vec(), ".bhclassic"),
+        (bgeo::read_particles, b"scf1\x00\x00".to_vec(), "hclassic"),
+        (npy::read_particles, build::npy_header("|O", false, "(2, 3)"), "elements |O"),
+        (npy::read_particles, build::npy_header("<i8", false, "(2, 3)"), "float32"),
+        (npy::read_particles, build::npy_header("<f4", false, "(2, 4)"), "shape (2, 4)"),
+        (npy::read_particles, build::npy_header("<f4", false, "(6,)"), "shape (6,)"),
+        (npy::read_particles, build::npy_header("<f4", false, "()"), "shape ()"),
+        (bi4::read_particles, of_pieces.build(&points), "one of 3 pieces"),
+        (bi4::read_particles, info, "Part_0000.bi4"),
+    ];
+    for (reader, bytes, words) in cases {
+        let fault = read(reader, &bytes).expect_err(words);
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+        assert!(fault.to_string().contains(words), "{fault}");
+    }
+}
+
+#[test]
+fn separators_comments_and_line_ends_do_not_change_a_table() {
+    let same = [
+        "1 2 3\n4 5 -6e-1\n",
+        "1,2,3\r\n4,5,-6e-1",
+        "1, 2, 3 # the first, no more\n4,5,-.6# the second\n",
+        "\u{feff}# by hand\n1;2;3;\n\n4; 5; -6e-1;\n# end\n",
+        "  1\t2\t3   # the first\n\t4  5  -0.6\n",
+        "x y z\n1 2 3\n4 5 -.6\n",
+        "a title\nX;Y;Z\n1;2;3\n4;5;-.6\n",
+        "# z y x\n3 2 1\n-0.6 5 4\n",
+        "# x y z of all particles\n1 2 3\n4 5 -.6\n",
+        "title 1\n1,2,3\n4,5,-0.6\n",
+        "\"Points:0\",\"Points:1\",\"Points:2\"\n1,2,3\n4,5,-0.6\n",
+    ];
+    for table in same {
+        assert_eq!(positions(&text(table).expect(table)), [[1.0, 2.0, 3.0], [4.0, 5.0, -0.6]], "{table:?}");
+    }
+}
+
+#[test]
+fn named_columns_become_attributes_with_their_components() {
+    let table = "TimeStep [s];Np;Nbound\n0.5;2;0\n\n\
+        Pos.x [m];Pos.y [m];Pos.z [m];Idp;Vel.x [m/s];Vel.y [m/s];Vel.z [m/s];Rhop [kg/m^3];\n\
+        1;2;3;10;4;5;6;1000;\n7;8;9;11;-4;-5;-6;1001;\n";
+    let file = text(table).unwrap();
+    assert_eq!(positions(&file), [[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]]);
+    assert_eq!(attributes(&file), [("Idp", 1), ("Vel", 3), ("Rhop", 1)]);
+    assert_eq!(attribute(&file, "Vel"), [4.0, 5.0, 6.0, -4.0, -5.0, -6.0]);
+    assert_eq!(attribute(&file, "Rhop"), [1000.0, 1001.0]);
+
+    let file = text("id,vx,z,index,vy,y,x,vz,n:0,n:1,n:2,n:3\n1,2,3,8,4,5,6,7,9,10,11,12\n").unwrap();
+    assert_eq!(positions(&file), [[6.0, 5.0, 3.0]]);
+    assert_eq!(attributes(&file), [("id", 1), ("v", 3), ("index", 1), ("n", 3), ("n:3", 1)]);
+    assert_eq!(attribute(&file, "v"), [2.0, 4.0, 7.0]);
+    assert_eq!(attribute(&file, "n"), [9.0, 10.0, 11.0]);
+}
+
+#[test]
+fn not_a_number_and_infinity_are_read_as_such() {
+    let read = positions(&text("nan,inf,-inf\n").unwrap())[0];
+    assert!(read[0].is_nan());
+    assert_eq!(read[1..], [f64::INFINITY, f64::NEG_INFINITY]);
+}
+
+#[test]
+fn a_bad_line_is_named_by_its_number() {
+    let cases = [
+        ("1,2,3\n4,5\n", "line 2: 2 fields where 3 are expected"),
+        ("1,2,3\n4,5,6,7\n", "line 2: 4 fields where 3 are expected"),
+        ("x,y,z\n\n1,2,3\n4,,6\n", "line 4: \"\" is not a number"),
+        ("x;y;z\n1,5;2,5;3,5\n", "line 2: \"1,5\" is not a number"),
+        ("1 2 3\n# note\n\nx y z\n", "line 4: \"x\" is not a number"),
+        ("1 2\n", "line 1: 2 fields where x, y and z are expected"),
+        (
+            "a,b,c\n1,2,3\n",
+            "line 1: neither three numbers nor the names of columns x, y and z: \"a\", \"b\", \"c\"",
+        ),
+        ("hello\n", "line 1: neither three numbers nor the names of columns x, y and z: \"hello\""),
+        ("x,y\n1,2\n", "line 1: neither three numbers nor the names of columns x, y and z: \"x\", \"y\""),
+    ];
+    for (table, said) in cases {
+        assert_eq!(fault(text(table)), said, "{table:?}");
+    }
+}
+
+#[test]
+fn a_long_table_is_the_same_whoever_decodes_it() {
+    let rows = 200_000;
+    let mut table = String::from("x,y,z\n");
+    for i in 0..rows {
+        table += &format!("{},{},{}\n", i, f64::from(i) * 0.1, -i);
+    }
+    let decode = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| positions(&text(&table).unwrap()))
+    };
+    let one = decode(1);
+    assert_eq!(one, decode(3));
+    assert_eq!(one.len(), rows as usize);
+    assert!(one.iter().zip(0..).all(|(p, i)| *p == [f64::from(i), f64::from(i) * 0.1, -f64::from(i)]));
+
+    let bad = table.replace("\n150000,", "\n150000.0.0,");
+    assert_eq!(fault(text(&bad)), "line 150002: \"150000.0.0\" is not a number");
+}
+
+#[test]
+fn a_prefix_of_a_table_is_its_first_rows_or_an_error() {
+    let table = "x,y,z,vx,vy,vz\n1,2,3,4,5,6\n10,20,30,40,50,60\n7,8,9,10,11,12\n";
+    let whole = positions(&text(table).unwrap());
+    for end in 1..table.len() {
+        if let Ok(file) = text(&table[..end]) {
+            let rows = positions(&file);
+            assert_eq!(rows, whole[..rows.len()], "cut at {end}");
+            assert!(rows.is_empty() || attributes(&file) == [("v", 3)], "cut at {end}");
+        }
+    }
+}
+
+#[test]
+fn an_xyz_is_text_or_raw_by_its_bytes() {
+    let raw = read(XYZ, &build::raw(&tuples(7))).unwrap();
+    assert_eq!((raw.format, positions(&raw)), ("raw f32 .xyz", tuples(7)));
+    let accents = format!("# {}\n1 2 3\n", "\u{e9}".repeat(3000));
+    for start in [accents.clone(), format!(" {accents}")] {
+        let table = read(XYZ, start.as_bytes()).unwrap();
+        assert_eq!((table.format, positions(&table)), ("text table", vec![[1.0, 2.0, 3.0]]));
+    }
+}
+
+#[test]
+fn an_unknown_extension_is_refused_before_the_file_is_looked_for() {
+    for name in ["nowhere/a.obj", "nowhere/a", "nowhere/a.ibi4", "nowhere/.bgeo/a", "nowhere/a.obj.gz"] {
+        let fault = open_particles(Path::new(name)).expect_err("refused").fault;
+        assert!(matches!(fault, ReadFault::UnknownExtension { .. }), "{name}: {fault}");
+    }
+    let fault = open_particles(Path::new("nowhere/a.BGEO")).expect_err("refused").fault;
+    assert!(matches!(fault, ReadFault::Io(_)), "{fault}");
+}
+
+#[test]
+fn the_spacing_is_found_beside_the_frames_or_above_them() {
+    let (spacing, scene) = spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
+    assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));
+    let (spacing, case) =
+        spacing_beside(&data("dualsphysics_dambreak/particles/PartFluid_0000.vtk")).unwrap();
+    assert_eq!((spacing, case), (0.02, data("dualsphysics_dambreak/CaseDambreak.xml")));
+
+    let folder = tempfile::tempdir().unwrap();
+    let frames = folder.path().join("run/frames");
+    std::fs::create_dir_all(&frames).unwrap();
+    let frame = frames.join("a.bgeo");
+    let scene = |radius: &str| format!(r#"{{"Configuration": {{"particleRadius": {radius}}}}}"#);
+    assert_eq!(spacing_beside(&frame), None);
+    std::fs::write(folder.path().join("run/z.json"), scene("1")).unwrap();
+    assert_eq!(spacing_beside(&frame).unwrap().0, 2.0);
+    std::fs::write(frames.join("b.json"), scene("3")).unwrap();
+    for other in 'c'..='z' {
+        std::fs::write(frames.join(format!("{other}.json")), scene("4")).unwrap();
+    }
+    for (name, no_scene) in [
+        ("0.json", scene("-1")),
+        ("1.json", "[".repeat(100_000)),
+        ("2.json", "{}".into()),
+        ("3.xml", "<mesh><dp value=\"5\"/></mesh>".into()),
+        ("4.xml", "<case><dp value=\"five\"/></case>".into()),
+        ("5.xml", "<a".repeat(100_000)),
+        ("6.json", scene(&format!("{}1", " ".repeat(17 << 20)))),
+    ] {
+        std::fs::write(frames.join(name), no_scene).unwrap();
+    }
+    assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+}

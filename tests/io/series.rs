@@ -1,0 +1,208 @@
+//! What tells other programs of a simulation: listings that are whole after each frame, and a stage of layers.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::internals::io::glb::Layout;
+use meniscus::internals::io::output::{MeshFormat, MeshOutput};
+use meniscus::internals::io::series::{Series, SeriesFrame};
+use meniscus::internals::io::whole::Replace;
+use meniscus::internals::io::{CoordinateWidth, UpAxis, WriteFault};
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::source::MeshSource;
+use serde_json::Value;
+
+use crate::common::files::names;
+use crate::common::shapes::{dressed, moved, sphere};
+
+fn series(folder: &Path, format: MeshFormat, fps: Option<f64>) -> Series {
+    Series { format, simulation: folder.join(format!("pool{format}")), fps, up: UpAxis::Z }
+}
+
+fn frame(frame: u64, file: &str, time: Option<f64>) -> SeriesFrame {
+    let mesh = dressed(sphere(1.0, 1));
+    SeriesFrame {
+        frame,
+        time,
+        file: file.into(),
+        bytes: 9,
+        particles: 7,
+        vertices: mesh.vertex_count(),
+        triangles: mesh.triangle_count(),
+        bounds: Some([[-1.0; 3], [1.0; 3]]),
+        normals: mesh.has_normals(),
+        attributes: MeshSource::attributes(&mesh),
+    }
+}
+
+#[test]
+fn listings_name_every_frame_with_its_time_and_nothing_else_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let series = series(folder.path(), MeshFormat::Vtp, None);
+    let frames = [frame(1, "pool_1.vtp", Some(0.05)), frame(2, "pool_2 & \"3\".vtp", Some(0.08))];
+    series.write(&frames[1..]).unwrap();
+    series.write(&frames).unwrap();
+    assert_eq!(names(folder.path()), ["pool.pvd", "pool.vtp.json", "pool.vtp.series"]);
+    let text = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    assert_eq!(
+        text("pool.pvd"),
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\">\n<Collection>\n\
+         <DataSet timestep=\"0.05\" part=\"0\" file=\"pool_1.vtp\"/>\n\
+         <DataSet timestep=\"0.08\" part=\"0\" file=\"pool_2 &amp; &quot;3&quot;.vtp\"/>\n\
+         </Collection>\n</VTKFile>\n"
+    );
+    let json: Value = serde_json::from_str(&text("pool.vtp.series")).unwrap();
+    assert_eq!(json["file-series-version"], "1.0");
+    assert_eq!(
+        (&json["files"][1]["name"], &json["files"][1]["time"]),
+        (&"pool_2 & \"3\".vtp".into(), &0.08.into())
+    );
+    let json: Value = serde_json::from_str(&text("pool.vtp.json")).unwrap();
+    assert_eq!((&json["up"], &json["fps"]), (&"Z".into(), &Value::Null));
+    let listed: Vec<SeriesFrame> = serde_json::from_value(json["frames"].clone()).unwrap();
+    assert_eq!(listed, frames);
+}
+
+#[test]
+fn times_are_the_files_where_they_grow_else_numbers_by_the_rate_else_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let listed = |fps: Option<f64>, times: [Option<f64>; 2]| -> [f64; 2] {
+        let series = series(folder.path(), MeshFormat::Obj, fps);
+        series.write(&[frame(3, "a.obj", times[0]), frame(5, "b.obj", times[1])]).unwrap();
+        let json: Value = serde_json::from_slice(&fs::read(&series.files()[0]).unwrap()).unwrap();
+        [0, 1].map(|i| json["frames"][i]["time"].as_f64().unwrap())
+    };
+    assert_eq!(listed(Some(25.0), [Some(0.1), Some(0.3)]), [0.1, 0.3]);
+    for untold in [[None, None], [Some(0.1), None], [Some(0.1), Some(0.1)], [Some(0.3), Some(0.1)]] {
+        assert_eq!(listed(Some(25.0), untold), [3.0 / 25.0, 5.0 / 25.0], "{untold:?}");
+        assert_eq!(listed(None, untold), [3.0, 5.0], "{untold:?}");
+    }
+}
+
+#[test]
+fn each_format_has_the_listings_of_its_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    for (format, expected) in [
+        (MeshFormat::Ply, &["pool.ply.json", "pool.ply.series"][..]),
+        (MeshFormat::Vtk, &["pool.vtk.json", "pool.vtk.series"]),
+        (MeshFormat::Stl, &["pool.stl.json", "pool.stl.series"]),
+        (MeshFormat::Obj, &["pool.obj.json"]),
+        (MeshFormat::Glb(Layout::PLAIN), &["pool.glb.json"]),
+        (MeshFormat::Usdc(UpAxis::Y), &["pool.usdc.json", "pool.manifest.usda", "pool.usda"]),
+    ] {
+        let files = series(folder.path(), format, None).files();
+        assert_eq!(files, expected.iter().map(|name| folder.path().join(name)).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_folder_that_is_gone_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = series(&folder.path().join("gone"), MeshFormat::Vtk, None).write(&[]).unwrap_err();
+    assert!(matches!(error.fault, WriteFault::Io(_)), "{error}");
+}
+
+#[test]
+fn a_stage_shows_each_layer_from_its_own_time_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let series = series(folder.path(), MeshFormat::Usdc(UpAxis::Z), Some(25.0));
+    let frames = [(1, "f1.usdc", 0.04), (3, "f3.usdc", 0.12), (4, "f@4.usdc", 0.17)];
+    series.write(&frames.map(|(number, name, time)| frame(number, name, Some(time)))).unwrap();
+    assert_eq!(names(folder.path()), ["pool.manifest.usda", "pool.usda", "pool.usdc.json"]);
+    let stage = fs::read_to_string(folder.path().join("pool.usda")).unwrap();
+    for line in [
+        "upAxis = \"Z\"",
+        "timeCodesPerSecond = 25",
+        "startTimeCode = 1\n",
+        "endTimeCode = 4.25\n",
+        "asset[] assetPaths = [@./f1.usdc@, @./f3.usdc@, @@@./f@4.usdc@@@]",
+        "double2[] active = [(1, 0), (3, 1), (4.25, 2)]",
+        "double2[] times = [(1, 0), (3, 2), (3, 0), (4.25, 1.25), (4.25, 0)]",
+        "asset manifestAssetPath = @./pool.manifest.usda@",
+        "uniform token subdivisionScheme = \"none\"",
+        "vector3f[] velocities\n",
+    ] {
+        assert!(stage.contains(line), "{line} is not in {stage}");
+    }
+    let manifest = fs::read_to_string(folder.path().join("pool.manifest.usda")).unwrap();
+    for line in ["point3f[] points\n", "vector3f[] velocities\n", "normal3f[] normals (\n"] {
+        assert!(manifest.contains(line), "{line} is not in {manifest}");
+    }
+}
+
+fn layer(mesh: &Mesh) -> Vec<u8> {
+    layer_with(mesh, UpAxis::Y)
+}
+
+fn layer_with(mesh: &Mesh, up: UpAxis) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    MeshFormat::Usdc(up).write(&mut bytes, mesh, CoordinateWidth::F32).unwrap();
+    bytes
+}
+
+fn word(bytes: &[u8], at: u64) -> u64 {
+    u64::from_le_bytes(bytes[at as usize..][..8].try_into().unwrap())
+}
+
+#[test]
+fn a_layer_has_its_arrays_as_they_are_and_its_tables_where_it_says() {
+    let mesh = dressed(moved(&sphere(1.0, 2), [0.5, 0.0, -3.0]));
+    let bytes = layer(&mesh);
+    assert_eq!(bytes[..16], *b"PXR-USDC\0\x08\0\0\0\0\0\0");
+    let contents = word(&bytes, 16);
+    assert_eq!(word(&bytes, contents), 6);
+    let mut end = None;
+    for (section, name) in (0..).zip(["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"]) {
+        let entry = contents + 8 + 32 * section;
+        assert!(bytes[entry as usize..].starts_with(name.as_bytes()));
+        let start = word(&bytes, entry + 16);
+        assert_eq!(end.unwrap_or(start), start, "{name}");
+        end = Some(start + word(&bytes, entry + 24));
+    }
+    assert_eq!(end, Some(contents));
+    assert_eq!(bytes.len() as u64, contents + 8 + 6 * 32);
+
+    let vertices = mesh.positions.len() as u64;
+    assert_eq!(word(&bytes, 88), vertices);
+    let floats = |at: u64, count: usize| -> Vec<f32> {
+        bytes[at as usize..][..4 * count]
+            .chunks(4)
+            .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+            .collect()
+    };
+    let points: Vec<f32> = mesh.positions.as_flattened().iter().map(|&x| x as f32).collect();
+    assert_eq!(floats(96, points.len()), points);
+    let after = |at: u64, bytes: u64| at + 8 + bytes.next_multiple_of(8);
+    let triangles = mesh.triangles.len() as u64;
+    let counts = after(88, 12 * vertices);
+    assert_eq!((word(&bytes, counts), word(&bytes, counts + 8)), (triangles, 3 << 32 | 3));
+    let corners = after(counts, 4 * triangles);
+    let [a, b, _] = mesh.triangles[0];
+    assert_eq!(
+        (word(&bytes, corners), word(&bytes, corners + 8)),
+        (3 * triangles, u64::from(b) << 32 | u64::from(a))
+    );
+    let extent = floats(after(corners, 12 * triangles) + 8, 6);
+    let fold = |axis: usize, pick: fn(f32, f32) -> f32| {
+        points[axis..].iter().step_by(3).copied().reduce(pick).unwrap()
+    };
+    for axis in 0..3 {
+        assert_eq!((extent[axis], extent[axis + 3]), (fold(axis, f32::min), fold(axis, f32::max)));
+    }
+}
+
+#[test]
+fn a_layer_is_the_same_on_any_number_of_threads_and_appears_under_either_extension() {
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = dressed(sphere(1.0, 5));
+    let on = |threads| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| layer(&mesh))
+    };
+    let bytes = on(1);
+    assert_eq!(bytes, on(3));
+    for name in ["a.usdc", "a.usd"] {
+        let path = folder.path().join(name);
+        MeshOutput::prepare(&path, Replace::Refuse).unwrap().write(&mesh, CoordinateWidth::F32).unwrap();
+        assert_eq!(fs::read(path).unwrap(), bytes);
+    }
+}

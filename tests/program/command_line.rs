@@ -1,0 +1,1031 @@
+//! What the program promises to whoever calls it: results, exit codes, and nothing left behind.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use meniscus::Settings;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::measure::measure;
+use tempfile::TempDir;
+
+use crate::common::files::{data, names, raw};
+use crate::common::program::{command, in_shell};
+use crate::common::scene::Random;
+use crate::common::{device, fill, splashes};
+
+fn meniscus(folder: &Path, arguments: &[&str]) -> Output {
+    command(folder, arguments).output().unwrap()
+}
+
+/// A folder with a ball of particles at spacing 0.5 in `ball.xyz`.
+fn folder_with_ball() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    fs::write(folder.path().join("ball.xyz"), raw(&ball)).unwrap();
+    folder
+}
+
+/// Runs `reconstruct`, which must fail with `code`, say something of `says`, and leave the folder as it was.
+#[track_caller]
+fn assert_refused(folder: &Path, arguments: &[&str], code: i32, says: &[&str]) {
+    let before = names(folder);
+    let output = meniscus(folder, &[&["reconstruct"], arguments].concat());
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {errors}");
+    for word in says {
+        assert!(errors.contains(word), "{arguments:?} does not say {word:?}: {errors}");
+    }
+    assert!(!errors.contains("panicked"), "{errors}");
+    assert_eq!(names(folder), before, "{arguments:?} left something behind");
+}
+
+#[test]
+fn every_bundled_frame_becomes_a_watertight_mesh_without_options() {
+    let folder = TempDir::new().unwrap();
+    let mut frames = 0;
+    for entry in ["dambreak_small", "dualsphysics_dambreak"].map(data) {
+        for frame in fs::read_dir(entry).unwrap().map(|e| e.unwrap().path()) {
+            let extension = frame.extension().unwrap().to_str().unwrap();
+            if !["bgeo", "vtk", "bi4"].contains(&extension) {
+                continue;
+            }
+            frames += 1;
+            for output in ["mesh.ply", "mesh.obj", "mesh.vtk", "mesh.vtp", "mesh.stl"] {
+                let run = meniscus(
+                    folder.path(),
+                    &["reconstruct", frame.to_str().unwrap(), "-o", output, "--overwrite"],
+                );
+                assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+                let mesh = read_mesh(&folder.path().join(output)).unwrap();
+                assert!(mesh.triangles.len() > 1000);
+                let report = check(&mesh);
+                assert!(report.is_closed_oriented_manifold(), "{} as {output}: {report}", frame.display());
+                let velocity = mesh.attributes.iter().any(|a| a.name == "velocity" && a.components == 3);
+                assert_eq!(velocity, !["mesh.obj", "mesh.stl"].contains(&output), "{output}");
+            }
+        }
+    }
+    assert!(frames >= 4, "{frames} frames");
+}
+
+#[test]
+fn the_bytes_depend_on_neither_threads_nor_order_nor_run() {
+    let folder = TempDir::new().unwrap();
+    let mut particles = splashes(5);
+    fs::write(folder.path().join("a.xyz"), raw(&particles)).unwrap();
+    particles.reverse();
+    fs::write(folder.path().join("b.xyz"), raw(&particles)).unwrap();
+    let bytes = |input: &str, threads: &str| {
+        let options =
+            ["--cell-size", "0.9", "--normals", "--smooth", "1.4", "--overwrite", "--threads", threads];
+        let run = meniscus(folder.path(), &[&["reconstruct", input, "-o", "out.ply"], &options[..]].concat());
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        fs::read(folder.path().join("out.ply")).unwrap()
+    };
+    let first = bytes("a.xyz", "1");
+    assert!(first == bytes("a.xyz", "1") && first == bytes("a.xyz", "2") && first == bytes("b.xyz", "3"));
+}
+
+#[test]
+fn wrong_arguments_are_refused_before_any_work_with_exit_2() {
+    let folder = folder_with_ball();
+    let ball = |more: &[&'static str]| [&["ball.xyz", "-o", "out.ply"], more].concat();
+    for (arguments, says) in [
+        (vec!["ball.xyz"], "--output"),
+        (vec!["ball.xyz", "-o", "out.abc"], "out.abc"),
+        (vec!["ball.xyz", "-o", "out"], "out"),
+        (vec!["ball.xyz", "-o", "out.stl", "--normals"], "normals"),
+        (vec!["ball.xyz", "-o", "out.obj", "--attributes", "velocity"], "attributes"),
+        (vec!["ball.xyz", "-o", "other.xyz"], "unknown extension"),
+        (vec!["ball.abc", "-o", "out.ply"], "unknown extension"),
+        (vec![".", "-o", "out.ply"], "{}"),
+        (ball(&["--sigma", "0"]), "sigma"),
+        (ball(&["--sigma", "nan"]), "sigma"),
+        (ball(&["--iso", "1.5"]), "--iso must be"),
+        (ball(&["--iso", "high"]), "auto"),
+        (ball(&["--mu0", "3", "--indicator", "symmetry"]), "symmetry"),
+        (ball(&["--method", "guess"]), "guess"),
+        (ball(&["--method", "mueller", "--sigma", "1"]), "--sigma"),
+        (ball(&["--method", "yu-turk", "--smooth", "2"]), "--smooth"),
+        (ball(&["--adaptive"]), "--adaptive"),
+        (ball(&["--smooth", "0.79"]), "--smooth must be from 0.8 to 4 spacings, not 0.79"),
+        (ball(&["--smooth", "4.01"]), "--smooth must be from 0.8 to 4 spacings, not 4.01"),
+        (ball(&["--smooth", "-1"]), "--smooth must be"),
+        (ball(&["--smooth", "nan"]), "--smooth must be"),
+        (ball(&["--sigma", "1"]), "--sigma is for --indicator counting and symmetry"),
+        (
+            ball(&["--iso", "0.4"]),
+            "--iso is for --indicator counting and symmetry, and for --method mueller and yu-turk",
+        ),
+        (ball(&["--detail"]), "distances told by clouds are 0, and --smooth says how calm it is"),
+        (ball(&["--mu0", "3"]), "--mu0 has no meaning for --indicator cloud"),
+        (ball(&["--smooth", "2", "--indicator", "counting"]), "--smooth is for --indicator cloud"),
+        (
+            ball(&["--smooth", "2", "--indicator", "symmetry"]),
+            "--sigma says how smooth the surface of others is",
+        ),
+        (ball(&["--method", "zhu-bridson", "--iso", "0.4"]), "--iso"),
+        (ball(&["--method", "mueller", "--mu0", "3"]), "--mu0"),
+        (ball(&["--method", "mueller", "--cell", "0.05"]), "20 cells a spacing"),
+        (ball(&["--indicator", "counting", "--mu0", "-3"]), "mu0"),
+        (ball(&["--cell", "0"]), "--cell must be positive and finite, not 0"),
+        (ball(&["--cell-size", "-1"]), "--cell-size"),
+        (ball(&["--cell-size", "1", "--cell", "1"]), "cannot be used with"),
+        (ball(&["--spacing", "inf"]), "--spacing"),
+        (ball(&["--radius", "0"]), "--radius"),
+        (ball(&["--origin", "1,2"]), "3 numbers"),
+        (ball(&["--origin", "1,2,nan"]), "origin"),
+        (ball(&["--domain", "0,0,0,1,-1,1"]), "domain"),
+        (ball(&["--domain", "0,0,0,0.01,1,1", "--cell-size", "0.5"]), "no cell centre along x"),
+        (ball(&["--attributes", "colour"]), "colour"),
+        (ball(&["--threads", "0"]), "--threads"),
+        (ball(&["--memory", "much"]), "--memory"),
+        (ball(&["--backend", "abacus"]), "abacus"),
+    ] {
+        assert_refused(folder.path(), &arguments, 2, &[says]);
+    }
+}
+
+#[test]
+fn every_method_gives_a_watertight_ball_and_a_record_that_names_it() {
+    let folder = folder_with_ball();
+    for method in ["dif", "mueller", "zhu-bridson", "yu-turk"] {
+        let out = format!("{method}.ply");
+        let arguments = ["reconstruct", "ball.xyz", "-o", &out, "--method", method, "--stats", "stats.jsonl"];
+        let run = meniscus(folder.path(), &arguments);
+        assert!(run.status.success(), "{method}: {run:?}");
+        assert!(meniscus(folder.path(), &["check", &out]).status.success(), "{method}");
+        let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        assert_eq!(record["method"], method);
+        assert!(record["triangles"].as_u64().unwrap() > 100);
+    }
+}
+
+#[test]
+fn kernel_methods_say_nothing_of_an_indicator() {
+    let folder = folder_with_ball();
+    for (method, says) in [("dif", true), ("mueller", false), ("zhu-bridson", false), ("yu-turk", false)] {
+        let given =
+            ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--cell", "0.6", "--method", method];
+        let run = meniscus(folder.path(), &given);
+        assert!(run.status.success(), "{method}: {run:?}");
+        let notes = String::from_utf8(run.stderr).unwrap();
+        assert_eq!(notes.contains("indicator"), says, "{method}: {notes}");
+    }
+}
+
+#[test]
+fn cells_are_half_a_spacing_for_clouds_and_for_others_two_thirds_smoothed_over_all_of_it_or_a_cell() {
+    let folder = folder_with_ball();
+    for (more, cell, width, indicator) in [
+        (&[][..], 0.25, 1.6, "cloud"),
+        (&["--smooth", "2.5"], 0.25, 2.5, "cloud"),
+        (&["--cell", "0.8"], 0.4, 1.6, "cloud"),
+        (&["--cell-size", "0.2"], 0.2, 1.6, "cloud"),
+        (&["--indicator", "counting"], 2.0 / 6.0, 1.5, "counting"),
+        (&["--indicator", "counting", "--cell", "2"], 1.0, 1.0, "counting"),
+        (&["--indicator", "counting", "--cell", "0.5", "--sigma", "1.2"], 0.25, 1.2, "counting"),
+        (&["--indicator", "symmetry", "--cell", "1"], 0.5, 1.0, "symmetry"),
+    ] {
+        let [name, other] = if indicator == "cloud" { ["smooth", "sigma"] } else { ["sigma", "smooth"] };
+        let given = ["reconstruct", "ball.xyz", "-o", "a.ply", "--overwrite", "--stats", "s.jsonl"];
+        let given = [&given[..], &["--spacing", "0.5"], more].concat();
+        assert!(meniscus(folder.path(), &given).status.success());
+        let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+        let record: serde_json::Value = serde_json::from_str(stats.lines().next_back().unwrap()).unwrap();
+        let number = |name: &str| record[name].as_f64().unwrap();
+        assert!(
+            (number("cell_size") - cell).abs() < 1e-12 && (number(name) - width).abs() < 1e-12,
+            "{record}"
+        );
+        assert!(record[other].is_null(), "{record}");
+        assert_eq!(record["indicator"], indicator, "{more:?}");
+    }
+}
+
+#[test]
+fn an_existing_output_is_replaced_only_when_allowed() {
+    let folder = folder_with_ball();
+    let out = folder.path().join("out.ply");
+    fs::write(&out, "precious").unwrap();
+    assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply"], 2, &["out.ply", "--overwrite"]);
+    assert_eq!(fs::read(&out).unwrap(), b"precious");
+    // A failure keeps what was there, even where it may be replaced.
+    assert_refused(
+        folder.path(),
+        &["ball.xyz", "-o", "out.ply", "--overwrite", "--indicator", "counting", "--iso", "0.999"],
+        3,
+        &["empty"],
+    );
+    assert_eq!(fs::read(&out).unwrap(), b"precious");
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
+    assert!(run.status.success());
+    assert!(fs::read(&out).unwrap().starts_with(b"ply"));
+    assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
+}
+
+#[test]
+fn an_input_is_never_its_own_output() {
+    let folder = TempDir::new().unwrap();
+    fs::copy(data("spot.ply"), folder.path().join("spot.ply")).unwrap();
+    let before = fs::read(folder.path().join("spot.ply")).unwrap();
+    assert_refused(folder.path(), &["spot.ply", "-o", "./spot.ply", "--overwrite"], 2, &["two purposes"]);
+    assert_eq!(fs::read(folder.path().join("spot.ply")).unwrap(), before);
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_refused_before_the_work_with_exit_4() {
+    let folder = folder_with_ball();
+    assert_refused(folder.path(), &["ball.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    // The output is tried first: the input is not even looked at.
+    assert_refused(folder.path(), &["missing.xyz", "-o", "no/such/folder/out.ply"], 4, &["no/such/folder"]);
+    fs::create_dir(folder.path().join("out.ply")).unwrap();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--overwrite"]);
+    assert_eq!(run.status.code(), Some(4));
+    assert_eq!(names(folder.path()), ["ball.xyz", "out.ply"]);
+}
+
+#[test]
+fn a_full_disk_is_exit_4_and_leaves_nothing() {
+    let folder = folder_with_ball();
+    // A limit on file size stands in for a full disk; the signal it sends is ignored by the shell.
+    let run = in_shell(folder.path(), "trap '' XFSZ; ulimit -f 8", "reconstruct ball.xyz -o out.ply --quiet");
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(4), "{errors}");
+    assert!(errors.contains("out.ply"), "{errors}");
+    assert_eq!(names(folder.path()), ["ball.xyz"]);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn no_more_memory_is_planned_for_than_ulimit_leaves() {
+    let folder = folder_with_ball();
+    let run = in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
+    let plan = String::from_utf8_lossy(&run.stdout);
+    let budget: Option<f64> = plan.split(" of ").find_map(|rest| rest.split_once(" MiB;")?.0.parse().ok());
+    assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
+}
+
+#[test]
+fn bad_input_is_named_with_exit_3() {
+    let folder = TempDir::new().unwrap();
+    let put = |name: &str, bytes: &[u8]| fs::write(folder.path().join(name), bytes).unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    let with = |index: usize, value: [f64; 3]| {
+        let mut particles = ball.clone();
+        particles[index] = value;
+        raw(&particles)
+    };
+    put("empty.ply", b"");
+    put("none.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n");
+    put("one.xyz", &raw(&ball[..1]));
+    put("same.xyz", &raw(&vec![[1.0, 2.0, 3.0]; 1_000_000]));
+    put("cut.xyz", &raw(&ball)[..100]);
+    put("nan.xyz", &with(1234, [0.0, f64::NAN, 0.0]));
+    put("inf.xyz", &with(77, [f64::INFINITY, 0.0, 0.0]));
+    put("far.xyz", &with(5, [0.0, 0.0, 1e30]));
+    put("noise.bgeo", &[7; 500]);
+    for (file, more, says) in [
+        ("missing.ply", &[][..], &["missing.ply", "No such file"][..]),
+        ("empty.ply", &[], &["empty.ply", "empty"]),
+        ("none.ply", &[], &["none.ply", "no particles"]),
+        ("one.xyz", &[], &["one.xyz", "spacing", "--spacing"]),
+        ("same.xyz", &[], &["same.xyz", "spacing", "--spacing"]),
+        ("same.xyz", &["--cell-size", "1", "--indicator", "counting"], &["same.xyz", "mu0"]),
+        ("cut.xyz", &[], &["cut.xyz"]),
+        ("nan.xyz", &["--spacing", "0.5"], &["nan.xyz", "particle 1234", "--skip-invalid"]),
+        ("nan.xyz", &[], &["nan.xyz", "particle 1234"]),
+        ("inf.xyz", &[], &["inf.xyz", "particle 77"]),
+        ("far.xyz", &["--spacing", "0.5"], &["far.xyz", "particle 5 ", "cells"]),
+        ("noise.bgeo", &[], &["noise.bgeo"]),
+    ] {
+        assert_refused(folder.path(), &[&[file, "-o", "out.ply"], more].concat(), 3, says);
+    }
+}
+
+#[test]
+fn a_lattice_on_the_cells_corners_is_refused_with_the_origin_that_helps() {
+    let folder = TempDir::new().unwrap();
+    let lattice = fill(10.0, 2.0, 0.0, 1, |p| p.length() < 5.0);
+    let on_corners: Vec<[f64; 3]> = lattice.iter().map(|p| p.map(|c| c - 0.25)).collect();
+    fs::write(folder.path().join("lattice.xyz"), raw(&on_corners)).unwrap();
+    let notes = |more: &[&str], code: i32| {
+        let options =
+            ["reconstruct", "lattice.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "1", "--overwrite"];
+        let run = meniscus(folder.path(), &[&options[..], &["--indicator"], more].concat());
+        assert_eq!(run.status.code(), Some(code));
+        String::from_utf8(run.stderr).unwrap()
+    };
+    let refused = notes(&["symmetry", "--origin", "0,0,0"], 2);
+    assert!(
+        refused.contains("--origin 0.25,0.25,0.25") && refused.contains("on corners of cells"),
+        "{refused}"
+    );
+    assert_eq!(names(folder.path()), ["lattice.xyz"]);
+    assert!(!notes(&["symmetry", "--origin", "0.25,0.25,0.25"], 0).contains("warning"));
+    let moved = notes(&["symmetry"], 0);
+    assert!(moved.contains("lattice: the grid's origin is") && !moved.contains("warning"), "{moved}");
+    assert!(!notes(&["counting"], 0).contains("warning"));
+    assert!(!notes(&["cloud"], 0).contains("warning"));
+}
+
+#[test]
+fn invalid_particles_are_left_out_and_counted_when_asked() {
+    let folder = TempDir::new().unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    fs::write(folder.path().join("good.xyz"), raw(&ball)).unwrap();
+    let mut bad = ball;
+    for (i, bad_position) in
+        [[f64::NAN; 3], [0.0, f64::NEG_INFINITY, 0.0], [1e30, 0.0, 0.0]].into_iter().enumerate()
+    {
+        bad.insert(100 * i, bad_position);
+    }
+    fs::write(folder.path().join("bad.xyz"), raw(&bad)).unwrap();
+    let run = |input: &str, output: &str| {
+        meniscus(folder.path(), &["reconstruct", input, "-o", output, "--spacing", "0.5", "--skip-invalid"])
+    };
+    assert!(run("good.xyz", "good.ply").status.success());
+    let skipped = run("bad.xyz", "bad.ply");
+    let notes = String::from_utf8_lossy(&skipped.stderr);
+    assert!(skipped.status.success(), "{notes}");
+    assert!(notes.contains("2 particles skipped") && notes.contains("1 particles skipped"), "{notes}");
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("good.ply") == bytes("bad.ply"));
+}
+
+#[test]
+fn a_cell_too_small_for_the_memory_is_refused_with_one_that_fits() {
+    let folder = TempDir::new().unwrap();
+    // Spray: every particle has a bin of its own.
+    let mut random = Random::new(1);
+    let spray: Vec<[f64; 3]> = (0..60_000).map(|_| [(); 3].map(|()| 1e5 * random.unit())).collect();
+    fs::write(folder.path().join("spray.xyz"), raw(&spray)).unwrap();
+    let run = |cell: &str| {
+        let options = ["reconstruct", "spray.xyz", "-o", "out.ply", "--memory", "16MiB", "--spacing", "1"];
+        meniscus(folder.path(), &[&options[..], &["--cell-size", cell]].concat())
+    };
+    let refused = run("0.5");
+    let errors = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(2), "{errors}");
+    assert_eq!(names(folder.path()), ["spray.xyz"]);
+    let sizes: Vec<&str> =
+        errors.split("cell size of ").skip(1).map(|s| s.split(' ').next().unwrap()).collect();
+    let [asked, fitting] = sizes[..] else { panic!("{errors}") };
+    assert_eq!(asked, "0.5");
+    let fitted = run(fitting);
+    assert!(fitted.status.success(), "{fitting}: {}", String::from_utf8_lossy(&fitted.stderr));
+}
+
+#[test]
+fn a_dry_run_estimates_and_writes_nothing() {
+    let folder = folder_with_ball();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "out.ply", "--dry-run"]);
+    assert!(run.status.success());
+    assert!(String::from_utf8_lossy(&run.stdout).contains("memory"));
+    assert_eq!(names(folder.path()), ["ball.xyz"]);
+}
+
+#[test]
+fn statistics_are_one_json_record_a_run() {
+    let folder = folder_with_ball();
+    for output in ["a.ply", "b.ply"] {
+        let run =
+            meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", output, "--stats", "stats.jsonl"]);
+        assert!(run.status.success());
+    }
+    let text = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+    let records: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(records.len(), 2);
+    let mesh = read_mesh(&folder.path().join("b.ply")).unwrap();
+    assert_eq!(records[1]["triangles"], mesh.triangles.len());
+    assert!(records[1]["seconds"]["mesh"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn info_tells_particles_from_meshes() {
+    let folder = folder_with_ball();
+    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success());
+    let run = meniscus(folder.path(), &["info", "--json", "ball.xyz", "ball.ply"]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let infos: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(infos[0]["kind"], "particles");
+    assert_eq!(infos[1]["kind"], "mesh");
+    let spacing = infos[0]["spacing"].as_f64().unwrap();
+    assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
+    assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));
+    // A file that is bad hides none of the others.
+    let run = meniscus(folder.path(), &["info", "missing.ply", "ball.xyz", "absent.ply", "ball.ply"]);
+    assert_eq!(run.status.code(), Some(3));
+    let told = String::from_utf8_lossy(&run.stdout);
+    assert!(told.contains("ball.xyz") && told.contains("ball.ply"), "{told}");
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert!(errors.contains("missing.ply") && errors.contains("absent.ply"), "{errors}");
+}
+
+#[test]
+fn check_exits_0_only_for_a_closed_oriented_manifold() {
+    let folder = folder_with_ball();
+    assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.obj"]).status.success());
+    let good = meniscus(folder.path(), &["check", "--json", "ball.obj"]);
+    assert_eq!(good.status.code(), Some(0));
+    let checked: serde_json::Value = serde_json::from_slice(&good.stdout).unwrap();
+    assert_eq!(checked[0]["measures"]["genus"], 0);
+    // One face less is a hole.
+    let text = fs::read_to_string(folder.path().join("ball.obj")).unwrap();
+    let last_face = text.trim_end().rfind("\nf ").unwrap();
+    fs::write(folder.path().join("hole.obj"), &text[..=last_face]).unwrap();
+    assert_eq!(meniscus(folder.path(), &["check", "ball.obj", "hole.obj"]).status.code(), Some(1));
+    assert_eq!(meniscus(folder.path(), &["check", "missing.obj"]).status.code(), Some(3));
+}
+
+#[test]
+fn compare_measures_nothing_between_a_mesh_and_itself_and_the_bias_of_a_larger_one() {
+    let folder = folder_with_ball();
+    for (output, iso) in [("half.ply", "auto"), ("large.ply", "0.005")] {
+        assert!(
+            meniscus(
+                folder.path(),
+                &["reconstruct", "ball.xyz", "-o", output, "--indicator", "counting", "--iso", iso]
+            )
+            .status
+            .success()
+        );
+    }
+    let compare = |a: &str, b: &str| -> serde_json::Value {
+        let run = meniscus(folder.path(), &["compare", "--json", a, b]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_slice(&run.stdout).unwrap()
+    };
+    assert!(compare("half.ply", "half.ply")["hausdorff"].as_f64().unwrap() < 1e-12);
+    assert!(compare("half.ply", "large.ply")["bias"].as_f64().unwrap() > 0.2);
+    assert!(compare("large.ply", "half.ply")["bias"].as_f64().unwrap() < -0.2);
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let folder = folder_with_ball();
+    let mut child =
+        command(folder.path(), &["info", "ball.xyz"]).stdout(std::process::Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn statistics_never_touch_the_input_or_the_output_and_are_not_begun_for_a_run_that_fails() {
+    let folder = folder_with_ball();
+    let before = fs::read(folder.path().join("ball.xyz")).unwrap();
+    for stats in ["ball.xyz", "out.ply", "./out.ply"] {
+        assert_refused(folder.path(), &["ball.xyz", "-o", "out.ply", "--stats", stats], 2, &["two purposes"]);
+    }
+    assert_refused(folder.path(), &["missing.xyz", "-o", "out.ply", "--stats", "s"], 3, &["missing.xyz"]);
+    assert_eq!(fs::read(folder.path().join("ball.xyz")).unwrap(), before);
+}
+
+#[test]
+fn an_interrupt_is_exit_130_and_leaves_nothing() {
+    let folder = TempDir::new().unwrap();
+    let pipe = folder.path().join("pipe.xyz");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    // Nobody writes to the pipe, so the run waits for its particles.
+    let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", "out.ply"])
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    while names(folder.path()).len() < 2 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(100));
+    let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(names(folder.path()), ["pipe.xyz"]);
+}
+
+#[test]
+fn the_readmes_first_command_leaves_a_watertight_mesh() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let readme = fs::read_to_string(root.join("README.md")).unwrap();
+    let line = readme.lines().find_map(|line| line.strip_prefix("cargo run --release -- ")).unwrap();
+    let folder = TempDir::new().unwrap();
+    let arguments: Vec<String> = line
+        .split(' ')
+        .map(
+            |word| {
+                if word.starts_with("tests/") { root.join(word).display().to_string() } else { word.into() }
+            },
+        )
+        .collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let run = meniscus(folder.path(), &arguments);
+    assert!(run.status.success(), "{line}: {}", String::from_utf8_lossy(&run.stderr));
+    let [mesh] = &names(folder.path())[..] else { panic!("one mesh") };
+    let report = check(&read_mesh(&folder.path().join(mesh)).unwrap());
+    assert!(report.is_closed_oriented_manifold(), "{report}");
+}
+
+#[test]
+fn coordinates_beyond_f32_are_written_as_f64_or_refused() {
+    let folder = TempDir::new().unwrap();
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
+    for (scale, name) in [("1e39", "huge.csv"), ("1e-60", "tiny.csv"), ("1", "far.csv")] {
+        let factor: f64 = scale.parse().unwrap();
+        let shift = if name == "far.csv" { 1e6 } else { 0.0 };
+        let lines: Vec<String> =
+            ball.iter().map(|p| p.map(|c| (c * factor + shift).to_string()).join(",")).collect();
+        fs::write(folder.path().join(name), lines.join("\n")).unwrap();
+        let spacing = (0.5 * factor).to_string();
+        let run = meniscus(
+            folder.path(),
+            &["reconstruct", name, "-o", "out.ply", "--overwrite", "--spacing", &spacing],
+        );
+        assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
+        let mesh = read_mesh(&folder.path().join("out.ply")).unwrap();
+        let report = check(&mesh);
+        assert!(report.is_closed_oriented_manifold(), "{name}: {report}");
+        assert!(report.duplicate_positions.is_none(), "{name}: {report}");
+        if name != "far.csv" {
+            assert_refused(
+                folder.path(),
+                &[name, "-o", "out.stl", "--spacing", &spacing],
+                2,
+                &[".stl", "f32"],
+            );
+        }
+    }
+}
+
+/// Runs the program on a Vulkan device, with its pipelines cached in the folder.
+fn on_vulkan(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    let mut command = command(folder, arguments);
+    command.env("XDG_CACHE_HOME", folder.join("cache")).envs(environment.iter().copied()).output().unwrap()
+}
+
+/// No driver at all, as far as the Vulkan loader knows.
+const NO_DRIVER: [(&str, &str); 2] = [("VK_DRIVER_FILES", "/nowhere"), ("VK_ICD_FILENAMES", "/nowhere")];
+
+#[test]
+fn the_bytes_do_not_depend_on_the_backend_or_on_its_memory() {
+    if let Err(why) = device::shared() {
+        return device::skip(why);
+    }
+    let folder = folder_with_ball();
+    let run = |backend: &str, output: &str, more: &[&str]| {
+        let arguments = ["reconstruct", "ball.xyz", "-o", output, "--backend", backend, "--normals"];
+        let arguments = [&arguments[..], &["--cell", "0.8", "--stats", "stats"], more].concat();
+        let run = on_vulkan(folder.path(), &arguments, &[]);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.success(), "{arguments:?}: {errors}");
+        assert!(!errors.contains("warning"), "{arguments:?}: {errors}");
+        let stats = fs::read_to_string(folder.path().join("stats")).unwrap();
+        let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
+        if backend == "vulkan" {
+            assert!(stats["backend"].as_str().unwrap().starts_with("Vulkan"), "{arguments:?}: {stats}");
+            // The ball is around the origin: a bin and a block of every octant hold a part of it.
+            let on_device = ["pages_on_device", "regions_on_device"].map(|key| stats[key].as_u64());
+            assert_eq!(on_device, [Some(8); 2], "{arguments:?}: the CPU did a part of it");
+        }
+        fs::read(folder.path().join(output)).unwrap()
+    };
+    let expected = run("cpu", "cpu.ply", &[]);
+    assert!(run("vulkan", "vulkan.ply", &[]) == expected);
+    assert!(run("vulkan", "again.ply", &["--device", "0", "--threads", "1"]) == expected);
+    assert!(run("vulkan", "tight.ply", &["--memory", "64MiB"]) == expected);
+    assert!(run("auto", "auto.ply", &[]) == expected);
+}
+
+#[test]
+fn a_device_that_is_not_there_is_exit_5_and_leaves_nothing() {
+    let folder = folder_with_ball();
+    let before = names(folder.path());
+    let reconstruct = ["reconstruct", "ball.xyz", "-o", "out.ply"];
+    for (options, environment) in [
+        (&["--backend", "vulkan"][..], &NO_DRIVER[..]),
+        (&["--device", "nonsense"], &[]),
+        (&["--backend", "vulkan", "--device", "99"], &[]),
+    ] {
+        let run = on_vulkan(folder.path(), &[&reconstruct[..], options].concat(), environment);
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(5), "{options:?}: {errors}");
+        assert!(errors.contains("Vulkan") && !errors.contains("panicked"), "{options:?}: {errors}");
+        assert_eq!(names(folder.path()), before, "{options:?} left something behind");
+    }
+    let auto = on_vulkan(folder.path(), &reconstruct, &NO_DRIVER);
+    assert!(auto.status.success(), "{}", String::from_utf8_lossy(&auto.stderr));
+    assert_refused(
+        folder.path(),
+        &["ball.xyz", "-o", "new.ply", "--backend", "cpu", "--device", "0"],
+        2,
+        &["--device"],
+    );
+}
+
+#[test]
+fn devices_lists_what_the_loader_knows() {
+    if let Err(why) = device::shared() {
+        return device::skip(why);
+    }
+    let folder = TempDir::new().unwrap();
+    let run = meniscus(folder.path(), &["devices", "--json"]);
+    let devices: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert!(devices.as_array().unwrap().iter().any(|device| device["usable"] == true), "{devices}");
+    let name = devices[0]["name"].as_str().unwrap();
+    let run = meniscus(folder.path(), &["devices"]);
+    assert!(String::from_utf8_lossy(&run.stdout).contains(name));
+    assert_eq!(on_vulkan(folder.path(), &["devices"], &NO_DRIVER).status.code(), Some(5));
+}
+
+#[test]
+fn options_that_leave_something_out_are_refused_where_they_make_no_sense() {
+    let folder = folder_with_ball();
+    let ball = ["ball.xyz", "--spacing", "0.5", "-o"];
+    for (arguments, says) in [
+        (&["a.ply", "--simplify", "0"][..], "--simplify"),
+        (&["a.ply", "--simplify", "4.1"], "at most 4 cells"),
+        (&["a.ply", "--simplify", "nan"], "--simplify"),
+        (&["a.ply", "--smallest-component", "-1"], "--smallest-component"),
+        (&["a.ply", "--compress"], "--compress goes with .glb"),
+        (&["a.glb", "--up", "z"], "in a .glb y points up; --particles-up z"),
+    ] {
+        assert_refused(folder.path(), &[&ball[..], arguments].concat(), 2, &[says]);
+    }
+    let all = [&ball[..], &["a.ply", "--smallest-component", "1e9"]].concat();
+    assert_refused(
+        folder.path(),
+        &all,
+        3,
+        &["all of its 1 components are below the smallest component; a smaller --smallest-component"],
+    );
+}
+
+#[test]
+fn a_simplified_ball_is_watertight_has_fewer_triangles_and_says_so() {
+    let folder = folder_with_ball();
+    let run = |options: &[&str]| {
+        let arguments = [&["reconstruct", "ball.xyz", "--spacing", "0.5", "--overwrite"], options].concat();
+        let output = meniscus(folder.path(), &arguments);
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    run(&["-o", "whole.ply"]);
+    let said = run(&["-o", "less.ply", "--simplify", "0.25", "--smallest-component", "10"]);
+    assert!(said.contains("simplified within 0.25 cells"), "{said}");
+    assert!(said.contains("0 components of less than 10 cells left out"), "{said}");
+    let [whole, less] = ["whole.ply", "less.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
+    assert!(less.triangles.len() * 2 < whole.triangles.len());
+    assert!(check(&less).is_closed_oriented_manifold());
+    run(&["-o", "less.glb", "--simplify", "0.25", "--normals", "--compress"]);
+    assert!(fs::read(folder.path().join("less.glb")).unwrap().starts_with(b"glTF"));
+}
+
+/// The mesh in a folder, and what the program said.
+#[track_caller]
+fn drawn(folder: &Path, input: &str, more: &[&str]) -> (Vec<u8>, String) {
+    let options = ["reconstruct", input, "-o", "drawn.ply", "--overwrite"];
+    let run = meniscus(folder, &[&options[..], more].concat());
+    let notes = String::from_utf8(run.stderr).unwrap();
+    assert!(run.status.success(), "{more:?}: {notes}");
+    (fs::read(folder.join("drawn.ply")).unwrap(), notes)
+}
+
+#[test]
+fn real_frames_hold_the_same_volume_and_as_many_pieces_in_cells_of_any_size() {
+    let folder = TempDir::new().unwrap();
+    let frames = [
+        "dambreak_small/ParticleData_Fluid_1.bgeo",
+        "dambreak_small/ParticleData_Fluid_10.bgeo",
+        "dambreak_small/ParticleData_Fluid_20.bgeo",
+        "dualsphysics_dambreak/Part_0005.bi4",
+    ];
+    for frame in frames.map(data) {
+        for indicator in ["cloud", "counting"] {
+            let found = |cell: &str| {
+                let more = ["--cell", cell, "--indicator", indicator];
+                let (_, notes) = drawn(folder.path(), frame.to_str().unwrap(), &more);
+                // Counting loses drops of one particle, which clouds keep.
+                let lost = indicator == "counting" && notes.contains("are in no surface; --indicator cloud");
+                assert!(lost || !notes.contains("warning"), "{notes}");
+                let measures = measure(&read_mesh(&folder.path().join("drawn.ply")).unwrap());
+                (measures.volume.unwrap(), measures.components)
+            };
+            let (volume, pieces) = found("0.6667");
+            for cell in ["0.5", "0.4", "0.35", "0.333333", "0.25"] {
+                let (fine, fine_pieces) = found(cell);
+                let what = format!("{} by {indicator} in cells of {cell}", frame.display());
+                assert!((fine / volume - 1.0).abs() < 0.03, "{what}: {fine} of {volume}");
+                let within = if indicator == "cloud" { pieces / 10 + 2 } else { 2 };
+                assert!(fine_pieces.abs_diff(pieces) <= within, "{what}: {fine_pieces} of {pieces} pieces");
+            }
+        }
+    }
+}
+
+#[test]
+fn fine_cells_give_the_same_bytes_packed_within_a_budget_and_by_any_threads() {
+    let folder = TempDir::new().unwrap();
+    let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
+    let frame = frame.to_str().unwrap();
+    // The one finds an interior, the other none.
+    for (indicator, told) in [("cloud", "as no fluid is deep enough"), ("counting", "the spacing tells")] {
+        let fine = ["--cell", "0.333333", "--indicator", indicator];
+        let (whole, notes) = drawn(folder.path(), frame, &[&fine[..], &["--attributes", "none"]].concat());
+        assert!(notes.contains(told), "{notes}");
+        for more in [["--threads", "1"], ["--memory", "16MiB"]] {
+            let more = [&fine[..], &["--attributes", "none"], &more].concat();
+            assert!(whole == drawn(folder.path(), frame, &more).0, "{more:?}");
+        }
+        let pack =
+            meniscus(folder.path(), &[&["pack", frame, "-o", "f.mnf", "--overwrite"], &fine[..]].concat());
+        assert!(pack.status.success());
+        assert!(whole == drawn(folder.path(), "f.mnf", &[]).0, "{indicator}, packed");
+    }
+}
+
+#[test]
+fn cells_too_fine_to_tell_the_surface_are_refused_before_any_work() {
+    let folder = folder_with_ball();
+    let finest = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.09"];
+    let says = ["ball.xyz", "less than 0.1 spacings", "use cells of 0.0505 or more (--cell 0.1 or more)"];
+    assert_refused(folder.path(), &finest, 2, &says);
+    let enough =
+        ["reconstruct", "ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--dry-run"];
+    assert_eq!(meniscus(folder.path(), &enough).status.code(), Some(0));
+    let fine = ["ball.xyz", "-o", "out.ply", "--spacing", "0.5", "--cell", "0.1", "--indicator", "counting"];
+    assert_refused(
+        folder.path(),
+        &fine,
+        2,
+        &["ball.xyz", "too fine", "of 65535", "0.125", "use cells of 0.0"],
+    );
+    assert_refused(folder.path(), &[&fine[..], &["--dry-run"]].concat(), 2, &["too fine"]);
+    let more = ["--indicator", "symmetry", "--cell", "0.4"];
+    let symmetry = [&fine[..5], &more[..]].concat();
+    assert_refused(folder.path(), &symmetry, 2, &["too fine for symmetry", "0.25"]);
+    fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball_1.xyz")).unwrap();
+    let sequence = ["ball_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "0.5", "--cell", "0.09"];
+    let run = meniscus(folder.path(), &[&["reconstruct"], &sequence[..]].concat());
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.code() == Some(2) && errors.contains("less than 0.1 spacings"), "{errors}");
+    let pack = ["pack", "ball_1.xyz", "-o", "f.mnf", "--spacing", "0.5", "--cell", "0.09"];
+    let run = meniscus(folder.path(), &pack);
+    assert_eq!(run.status.code(), Some(2), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(!folder.path().join("f.mnf").exists());
+}
+
+#[test]
+fn drops_that_hold_no_cells_centre_have_no_surface_which_is_said_and_is_an_empty_frame_of_a_sequence() {
+    let folder = folder_with_ball();
+    fs::write(folder.path().join("d_1.xyz"), raw(&[[0.0; 3]])).unwrap();
+    fs::rename(folder.path().join("ball.xyz"), folder.path().join("d_2.xyz")).unwrap();
+    let coarse = ["--spacing", "0.05", "--cell-size", "1"];
+    let alone = [&["d_1.xyz", "-o", "out.ply"], &coarse[..]].concat();
+    assert_refused(folder.path(), &alone, 3, &["d_1.xyz", "no cell's centre is inside", "use smaller cells"]);
+    let run =
+        meniscus(folder.path(), &[&["reconstruct", "d_{}.xyz", "-o", "m_{}.ply"], &coarse[..]].concat());
+    let notes = String::from_utf8_lossy(&run.stderr);
+    assert!(
+        run.status.success()
+            && notes.contains("d_1.xyz: no cell's centre is inside of the surface: an empty mesh"),
+        "{notes}"
+    );
+    let empty = read_mesh(&folder.path().join("m_1.ply")).unwrap();
+    assert_eq!((empty.positions.len(), empty.triangles.len()), (0, 0));
+}
+
+#[test]
+fn a_surface_that_loses_most_of_its_particles_is_not_written_without_a_word() {
+    let folder = folder_with_ball();
+    let notes = |more: &[&str]| drawn(folder.path(), "ball.xyz", &[&["--spacing", "0.5"], more].concat()).1;
+    assert!(!notes(&[]).contains("warning"));
+    let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
+    assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
+    // A ball, and three times as much spray.
+    let mut random = Random::new(3);
+    let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
+    let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
+    fs::write(folder.path().join("ball.xyz"), raw(&spray.chain(ball).collect::<Vec<_>>())).unwrap();
+    let lost = notes(&["--indicator", "counting"]);
+    assert!(lost.contains("% of the volume of") && lost.contains("--indicator cloud keeps"), "{lost}");
+    assert!(!notes(&[]).contains("% of the volume of"));
+}
+
+#[test]
+fn cells_of_a_given_size_are_smoothed_over_as_much_as_those_of_a_given_ratio() {
+    let folder = folder_with_ball();
+    let info = meniscus(folder.path(), &["info", "ball.xyz", "--json"]);
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    let spacing = info[0]["spacing"].as_f64().unwrap().to_string();
+    let (estimated, notes) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15"]);
+    assert!(notes.contains("estimated from the particles"), "{notes}");
+    let (given, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--spacing", &spacing]);
+    assert!(estimated == given);
+    let (calmer, _) = drawn(folder.path(), "ball.xyz", &["--cell-size", "0.15", "--smooth", "2"]);
+    assert!(estimated != calmer);
+}
+
+#[test]
+fn completions_and_the_manual_know_all_commands_and_options() {
+    let folder = TempDir::new().unwrap();
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let output = meniscus(folder.path(), &["completions", shell]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{shell}");
+        for word in ["reconstruct", "smallest-drop", "completions"] {
+            assert!(text.contains(word), "{shell} does not know {word}");
+        }
+    }
+    assert_eq!(meniscus(folder.path(), &["completions", "teletype"]).status.code(), Some(2));
+    assert_eq!(names(folder.path()), [""; 0]);
+    let pages = folder.path().to_str().unwrap();
+    assert!(meniscus(folder.path(), &["manual", pages]).status.success());
+    let page = fs::read_to_string(folder.path().join("meniscus-reconstruct.1")).unwrap();
+    assert!(page.contains("smallest") && names(folder.path()).len() > 6);
+    assert_eq!(meniscus(folder.path(), &["manual", "there/is/none"]).status.code(), Some(4));
+}
+
+#[test]
+fn the_summary_fits_a_screen_and_help_has_headings_by_what_one_looks_for() {
+    let folder = TempDir::new().unwrap();
+    let text = |flag| String::from_utf8(meniscus(folder.path(), &["reconstruct", flag]).stdout).unwrap();
+    let [summary, help] = ["-h", "--help"].map(text);
+    assert!(summary.lines().count() <= 50, "{} lines", summary.lines().count());
+    let headings = help.lines().filter(|line| line.ends_with(':') && !line.starts_with(' '));
+    let headings: Vec<&str> = headings.collect();
+    let expected = [
+        "Arguments:",
+        "Options:",
+        "Input:",
+        "Surface:",
+        "Output:",
+        "Simulations:",
+        "Clusters:",
+        "Messages:",
+        "Machine:",
+    ];
+    let mut sorted = headings.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, {
+        let mut all = expected;
+        all.sort_unstable();
+        all
+    });
+    let place = |heading: &str| help.find(heading).unwrap();
+    assert!(place("Input:") < place("--spacing") && place("Simulations:") < place("--resume"));
+}
+
+#[test]
+fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_their_own_are_none() {
+    let folder = folder_with_ball();
+    let drawn = meniscus(folder.path(), &["pack", "ball.xyz", "-o", "ball.mnf", "--quiet"]);
+    assert!(drawn.status.success());
+    for mesh in ["mesh.ply", "mesh.vtk", "mesh.vtp", "mesh.vtkhdf"] {
+        // A packed frame is an input as before.
+        let drawn = meniscus(folder.path(), &["reconstruct", "ball.mnf", "-o", mesh, "--quiet"]);
+        assert!(drawn.status.success(), "{mesh}");
+        let faces = read_mesh(&folder.path().join(mesh)).unwrap().triangles.len();
+        let says = format!("{mesh}: holds a mesh ({faces} faces), not particles");
+        assert_refused(folder.path(), &[mesh, "-o", "out.ply"], 3, &[&says]);
+        let packed = meniscus(folder.path(), &["pack", mesh, "-o", "out.mnf"]);
+        let errors = String::from_utf8_lossy(&packed.stderr);
+        assert!(packed.status.code() == Some(3) && errors.contains(&says), "{errors}");
+        assert!(!folder.path().join("out.mnf").exists());
+        let info = meniscus(folder.path(), &["info", mesh]);
+        assert!(String::from_utf8_lossy(&info.stdout).contains("triangles"), "{mesh}");
+    }
+    let points = "0 0 0 1 0 0 2 0 0\n";
+    let vertices = "VERTICES 3 6\n1 0 1 1 1 2\nLINES 1 4\n3 0 1 2\n";
+    let grid = "CELLS 3 6\n1 0 1 1 1 2\nCELL_TYPES 3\n1 1 1\n";
+    for (name, kind, cells) in [("a.vtk", "POLYDATA", vertices), ("b.vtk", "UNSTRUCTURED_GRID", grid)] {
+        let file =
+            format!("# vtk DataFile Version 3.0\n\nASCII\nDATASET {kind}\nPOINTS 3 float\n{points}{cells}");
+        fs::write(folder.path().join(name), file).unwrap();
+        let run =
+            meniscus(folder.path(), &["reconstruct", name, "-o", "out.ply", "--spacing", "1", "--dry-run"]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    }
+}
+
+#[test]
+fn an_output_in_a_folder_that_is_not_there_is_refused_by_the_folders_name() {
+    let folder = folder_with_ball();
+    let output = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "none/such/x.ply"]);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{errors}");
+    assert!(errors.contains("none/such/x.ply: there is no folder none/such"), "{errors}");
+    assert!(!errors.contains(".tmp"), "{errors}");
+}
+
+#[test]
+fn info_foretells_the_memory_of_a_run_and_names_all_files_that_it_looks_into() {
+    let frame = data("dambreak_small/ParticleData_Fluid_20.bgeo");
+    let folder = TempDir::new().unwrap();
+    let frame = frame.to_str().unwrap();
+    let info = String::from_utf8(meniscus(folder.path(), &["info", frame]).stdout).unwrap();
+    let (_, memory) = info.split_once("about ").unwrap();
+    let (memory, _) = memory.split_once(" by default").unwrap();
+    let run =
+        meniscus(folder.path(), &["reconstruct", frame, "-o", "a.ply", "--dry-run", "--backend", "cpu"]);
+    let run = String::from_utf8(run.stdout).unwrap();
+    assert!(run.contains(&format!("memory: about {memory} of ")), "{memory}: {run}");
+    assert!(run.contains("scratch: none") && run.contains("cells of 0.025 into"), "{run}");
+    fs::write(folder.path().join("a.toml"), "").unwrap();
+    let unknown = meniscus(folder.path(), &["info", "a.toml"]);
+    let errors = String::from_utf8_lossy(&unknown.stderr);
+    assert_eq!(unknown.status.code(), Some(2), "{errors}");
+    assert!([".bgeo", ".mnf", ".stl"].iter().all(|known| errors.contains(known)), "{errors}");
+}
+
+#[test]
+fn figures_for_people_have_as_many_digits_as_tell_something_and_all_are_in_json() {
+    let folder = folder_with_ball();
+    let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "a.ply", "--spacing", "0.5"]);
+    let notes = String::from_utf8(run.stderr).unwrap();
+    assert!(notes.contains("spacing 0.5 (as given), cell size 0.25,"), "{notes}");
+    assert!(
+        notes.contains("measured density: 1.0") && notes.contains(" particles per cubed spacing"),
+        "{notes}"
+    );
+    let digits = |text: &str| text.chars().filter(char::is_ascii_digit).count();
+    for command in ["info", "check"] {
+        let text = String::from_utf8(meniscus(folder.path(), &[command, "a.ply"]).stdout).unwrap();
+        let corners = text.lines().find(|line| line.trim().starts_with("box")).unwrap();
+        // Six numbers of six digits, and the noughts before their points.
+        assert!((12..=42).contains(&digits(corners)), "{corners}");
+    }
+    let json = meniscus(folder.path(), &["check", "--json", "a.ply"]);
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert!(json[0]["measures"]["area"].to_string().len() > 9, "{json}");
+}
+
+#[test]
+fn every_setting_is_an_option_and_pack_refuses_those_of_a_surface_with_a_reason() {
+    let folder = TempDir::new().unwrap();
+    let help = |command: &str| {
+        let run = meniscus(folder.path(), &[command, "--help"]);
+        String::from_utf8(run.stdout).unwrap()
+    };
+    let [reconstruct, pack] = ["reconstruct", "pack"].map(help);
+    fs::write(folder.path().join("one.xyz"), "0 0 0\n").unwrap();
+    for setting in Settings::ALL {
+        let option = format!("--{setting}");
+        let is_told = |help: &str| help.split_whitespace().any(|word| word.trim_end_matches(',') == option);
+        assert!(is_told(&reconstruct), "{option}");
+        assert_eq!(is_told(&pack), setting.is_of_samples(), "{option}");
+    }
+    run_pack_with_the_default_method(folder.path());
+    for given in [&["--smooth", "2"][..], &["--normals"], &["--method", "mueller"], &["--up", "z"]] {
+        let run = meniscus(folder.path(), &[&["pack", "one.xyz", "-o", "one.mnf"], given].concat());
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        assert_eq!(run.status.code(), Some(2), "{said}");
+        assert!(said.contains(&format!("{} is for surfaces", given[0])), "{said}");
+    }
+}
+
+/// Packs a particle and draws it, saying what is the default anyway.
+fn run_pack_with_the_default_method(folder: &Path) {
+    let given = ["--spacing", "1", "--method", "dif"];
+    let pack = meniscus(folder, &[&["pack", "one.xyz", "-o", "said.mnf"], &given[..]].concat());
+    assert!(pack.status.success(), "{}", String::from_utf8_lossy(&pack.stderr));
+    let draw = meniscus(folder, &["reconstruct", "said.mnf", "-o", "said.ply", "--method", "dif"]);
+    assert!(draw.status.success(), "{}", String::from_utf8_lossy(&draw.stderr));
+    let named = meniscus(folder, &["reconstruct", "said.mnf", "-o", "named.ply", "--format", "csv"]);
+    assert_eq!(named.status.code(), Some(2));
+    let info = meniscus(folder, &["info", "said.mnf", "--format", "csv"]);
+    assert!(String::from_utf8_lossy(&info.stdout).contains("packed frame"));
+}
+
+#[test]
+fn a_format_that_is_named_is_read_whatever_files_are_called() {
+    let folder = folder_with_ball();
+    let path = |name: &str| folder.path().join(name);
+    let run = |arguments: &[&str], code: i32| {
+        let run = meniscus(folder.path(), arguments);
+        let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {said}");
+        said
+    };
+    run(&["reconstruct", "ball.xyz", "-o", "known.ply"], 0);
+    let known = fs::read(path("known.ply")).unwrap();
+    for name in ["dump", "dump_1.out", "dump_2.csv"] {
+        fs::copy(path("ball.xyz"), path(name)).unwrap();
+        run(&["reconstruct", name, "-o", "named.ply", "--format", "xyz", "--overwrite"], 0);
+        assert!(fs::read(path("named.ply")).unwrap() == known, "{name}");
+        assert!(run(&["info", name, "--format", "xyz"], 0).contains("spacing"));
+    }
+    let said = run(&["reconstruct", "dump_1.out", "-o", "other.ply"], 2);
+    assert!(said.contains("extension") && said.contains("--format"), "{said}");
+    // As what it is not.
+    run(&["reconstruct", "dump_1.out", "-o", "other.ply", "--format", "bgeo"], 3);
+    fs::copy(path("ball.xyz"), path("dump_3.out")).unwrap();
+    run(&["reconstruct", "dump_{}.out", "-o", "out/m_{}.ply", "--format", "xyz"], 0);
+    assert!(["m_1.ply", "m_3.ply"].iter().all(|mesh| path("out").join(mesh).is_file()));
+    assert!(!path("other.ply").exists());
+    let parts = ["reconstruct", "dump", "-o", "parts.ply", "--format", "xyz", "--parts", "2"];
+    for step in [&["--plan"][..], &["--part", "0"], &["--part", "1"], &["--merge"]] {
+        run(&[&parts[..], step].concat(), 0);
+    }
+    assert!(fs::read(path("parts.ply")).unwrap() == known);
+}

@@ -1,0 +1,187 @@
+//! Inputs that are written to while they are read: an error of that frame, by name, and never a signal or a wrong mesh.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use meniscus::error::{Cause, Error, FrameError, Unread};
+use meniscus::{MemoryBudget, Particles, Reconstruction};
+use tempfile::TempDir;
+
+use crate::common::files::raw;
+use crate::common::{fill, program};
+
+/// A ball of particles at spacing 0.5.
+fn ball() -> Vec<[f64; 3]> {
+    fill(20.0, 2.0, 0.2, 3, |p| p.length() < 10.0)
+}
+
+fn written(folder: &TempDir) -> PathBuf {
+    let path = folder.path().join("ball.xyz");
+    fs::write(&path, raw(&ball())).unwrap();
+    path
+}
+
+/// What becomes of a frame whose file is changed after it was opened.
+fn after(change: impl FnOnce(&Path)) -> Error {
+    let folder = TempDir::new().unwrap();
+    let path = written(&folder);
+    let opened = Reconstruction::new().spacing(0.5).open(&path).unwrap();
+    change(&path);
+    let error = opened.sample().expect_err("a frame of bytes that are no more");
+    assert!(error.to_string().starts_with(&format!("{}: ", path.display())), "{error}");
+    assert_eq!(error.cause(), Cause::Input, "{error}");
+    error
+}
+
+fn is_changed(error: &Error) -> bool {
+    matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. })
+}
+
+#[test]
+fn a_file_that_is_shortened_is_an_error_and_no_signal() {
+    for left in [0, 1, 4096, 12 * 1000 + 5] {
+        let error = after(|path| OpenOptions::new().write(true).open(path).unwrap().set_len(left).unwrap());
+        assert!(is_changed(&error), "{left} bytes: {error}");
+    }
+}
+
+#[test]
+fn a_file_that_grows_or_is_rewritten_is_an_error() {
+    let error =
+        after(|path| OpenOptions::new().append(true).open(path).unwrap().write_all(&[0; 12]).unwrap());
+    assert!(is_changed(&error), "{error}");
+    // As many bytes, at another time.
+    let error = after(|path| {
+        let bytes = fs::read(path).unwrap();
+        let modified = fs::metadata(path).unwrap().modified().unwrap();
+        let mut file = File::options().write(true).open(path).unwrap();
+        file.write_all(&bytes).unwrap();
+        file.set_modified(modified + std::time::Duration::from_secs(1)).unwrap();
+    });
+    assert!(is_changed(&error), "{error}");
+}
+
+#[test]
+fn a_file_that_is_replaced_by_its_name_is_read_as_it_was() {
+    let folder = TempDir::new().unwrap();
+    let path = written(&folder);
+    let request = Reconstruction::new().spacing(0.5);
+    let opened = request.open(&path).unwrap();
+    let later = folder.path().join("later.xyz");
+    fs::write(&later, [0; 12]).unwrap();
+    fs::rename(&later, &path).unwrap();
+    let surface = opened.sample().unwrap().surface().unwrap();
+    let whole = request.run(&ball()[..]).unwrap();
+    assert_eq!(surface.mesh().triangle_count(), whole.mesh().triangle_count());
+}
+
+/// The same particles in formats that are decoded: texts, and what is encoded or compressed.
+fn decoded_formats(folder: &Path) -> Vec<PathBuf> {
+    let particles = fill(40.0, 2.0, 0.2, 3, |p| p.length() < 20.0);
+    let count = particles.len();
+    let rows = |separator: &str| {
+        particles.iter().map(|p| p.map(|x| x.to_string()).join(separator)).collect::<Vec<_>>().join("\n")
+    };
+    let blanks = rows(" ");
+    let ply = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\nproperty double x\nproperty double y\nproperty double z\nend_header\n{blanks}\n"
+    );
+    let vtk = format!(
+        "# vtk DataFile Version 3.0\nball\nASCII\nDATASET POLYDATA\nPOINTS {count} double\n{blanks}\n"
+    );
+    let vtp = format!(
+        "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"{count}\"><Points>\
+         <DataArray type=\"Float64\" NumberOfComponents=\"3\" format=\"ascii\">{blanks}</DataArray>\
+         </Points></Piece></PolyData></VTKFile>\n"
+    );
+    let files = [
+        ("ball.csv", rows(",")),
+        ("ball.xyz", blanks),
+        ("ball.ply", ply),
+        ("ball.vtk", vtk),
+        ("ball.vtp", vtp),
+    ];
+    files
+        .map(|(name, text)| {
+            let path = folder.join(name);
+            fs::write(&path, text).unwrap();
+            path
+        })
+        .to_vec()
+}
+
+#[test]
+fn a_file_that_is_shortened_while_it_is_decoded_is_an_error_or_read_as_it_was() {
+    let folder = TempDir::new().unwrap();
+    let mut changed = 0;
+    for path in decoded_formats(folder.path()) {
+        let whole = fs::read(&path).unwrap();
+        let mut command = program::command(folder.path(), &["info"]);
+        let command = command.arg(&path).stdout(Stdio::null()).stderr(Stdio::piped());
+        let begun = Instant::now();
+        assert!(command.output().unwrap().status.success(), "{}", path.display());
+        let time = begun.elapsed();
+        for step in 0..8 {
+            fs::write(&path, &whole).unwrap();
+            let child = command.spawn().unwrap();
+            std::thread::sleep(time * step / 8);
+            let file = OpenOptions::new().write(true).open(&path).unwrap();
+            file.set_len([0, whole.len() as u64 / 3][step as usize % 2]).unwrap();
+            let output = child.wait_with_output().unwrap();
+            let says = String::from_utf8(output.stderr).unwrap();
+            assert!(
+                matches!(output.status.code(), Some(0 | 3)),
+                "{} {:?}: {says}",
+                path.display(),
+                output.status
+            );
+            assert!(says.is_empty() || says.contains("ball."), "{says}");
+            changed += i32::from(says.contains("it has changed while it was read"));
+        }
+    }
+    assert!(changed > 0, "no file was shortened while it was read");
+}
+
+/// Particles one of which moves after they were read so often.
+struct Restless {
+    particles: Vec<[f64; 3]>,
+    still: usize,
+    readings: AtomicUsize,
+    by: [f64; 3],
+}
+
+impl Particles for Restless {
+    fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        out.copy_from_slice(&self.particles[first..first + out.len()]);
+        if first == 0 && self.readings.fetch_add(1, Ordering::Relaxed) >= self.still {
+            (0..3).for_each(|axis| out[0][axis] += self.by[axis]);
+        }
+    }
+}
+
+#[test]
+fn a_particle_that_moves_to_another_bin_between_two_readings_is_an_error_in_memory_and_beyond() {
+    // To a bin that there is, to one that is empty, and to none.
+    for by in [[9.0, 0.0, 0.0], [1e4, 0.0, 0.0], [f64::NAN, 0.0, 0.0]] {
+        for budget in [MemoryBudget(1 << 30), MemoryBudget(32 << 20)] {
+            let particles = fill(60.0, 2.0, 0.2, 3, |p| p.length() < 24.0);
+            // Of so fine cells no places are kept from the first reading: there is a second.
+            let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
+            let restless = |still| Restless { particles: particles.clone(), still, readings: 0.into(), by };
+            let calm = restless(usize::MAX);
+            request.sample(&calm).unwrap();
+            let readings = calm.readings.into_inner();
+            assert!(readings >= 2, "{readings} readings under {budget:?}");
+            let error = request.sample(&restless(readings - 1)).expect_err("a particle has moved");
+            assert!(is_changed(&error), "{by:?} under {budget:?}: {error}");
+        }
+    }
+}

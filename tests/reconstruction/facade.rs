@@ -1,0 +1,405 @@
+//! The facade: what a caller of the library has, beside the program that has the same.
+
+use std::error::Error as _;
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use meniscus::error::{Cause, Conflict, Error, Untold};
+use meniscus::internals::baselines::Method;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::FrameError;
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::particles::{Particles, StridedPositions};
+use meniscus::internals::reconstruction::SpacingSource;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::{Emptiness, LiveSimulation, Reconstruction, Settings, Surface, UpAxis, Warning};
+use tempfile::TempDir;
+
+#[cfg(target_os = "linux")]
+use crate::common::alone::alone;
+use crate::common::files::{bytes_of, data, raw};
+use crate::common::program::command;
+use crate::common::{fill, splashes};
+
+/// A ball of particles at spacing 0.5.
+fn ball() -> Vec<[f64; 3]> {
+    fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0)
+}
+
+#[test]
+fn the_library_and_the_program_write_the_same_bytes() {
+    let usual = Reconstruction::new;
+    let asked: [(&[&str], Reconstruction); 8] = [
+        (&[], usual()),
+        (&["--spacing", "0.5", "--cell", "0.3", "--smooth", "2"], usual().spacing(0.5).cell(0.3).smooth(2.0)),
+        (&["--cell-size", "0.4", "--normals"], usual().cell_size(0.4).normals(true)),
+        (&["--indicator", "counting", "--detail"], usual().indicator(IndicatorKind::Counting).detail(true)),
+        (
+            &["--indicator", "symmetry", "--iso", "0.2", "--cell", "1", "--origin", "0.1,0,0"],
+            usual().indicator(IndicatorKind::Symmetry).iso(0.2).cell(1.0).origin([0.1, 0.0, 0.0]),
+        ),
+        (
+            &["--domain", "-4,-9,-9,9,9,9", "--simplify", "0.5"],
+            usual().domain([-4.0, -9.0, -9.0], [9.0; 3]).simplify(0.5),
+        ),
+        (&["--method", "mueller"], usual().method(Method::Mueller { iso: Method::HALF })),
+        (
+            &["--memory", "24MiB", "--threads", "1", "--smallest-drop", "5"],
+            usual().memory(MemoryBudget(24 << 20)).threads(1).smallest_drop(5),
+        ),
+    ];
+    let folder = TempDir::new().unwrap();
+    let input = folder.path().join("ball.xyz");
+    fs::write(&input, raw(&ball())).unwrap();
+    for (number, (options, reconstruction)) in asked.into_iter().enumerate() {
+        let [program, library] =
+            ["program", "library"].map(|by| folder.path().join(format!("{by}_{number}.ply")));
+        let mut command = command(folder.path(), &["reconstruct"]);
+        command.arg(&input).arg("-o").arg(&program).args(["--quiet", "--backend", "cpu"]);
+        assert!(command.args(options).status().unwrap().success(), "{options:?}");
+        let surface = reconstruction.run_file(&input).unwrap();
+        surface.write(&library).unwrap();
+        assert!(fs::read(&program).unwrap() == fs::read(&library).unwrap(), "{options:?}");
+        let mesh = surface.to_mesh().unwrap();
+        assert!(check(&mesh).is_closed_oriented_manifold(), "{options:?}");
+        assert_eq!(read_mesh(&library).unwrap().triangles, mesh.triangles, "{options:?}");
+    }
+}
+
+#[test]
+fn packed_frames_are_drawn_as_their_particles() {
+    let folder = TempDir::new().unwrap();
+    let [input, packed] = ["ball.xyz", "ball.mnf"].map(|name| folder.path().join(name));
+    fs::write(&input, raw(&ball())).unwrap();
+    let mut pack = command(folder.path(), &["pack"]);
+    pack.arg(&input).arg("-o").arg(&packed).args(["--quiet", "--backend", "cpu"]);
+    assert!(pack.status().unwrap().success());
+    let request = Reconstruction::new().smooth(1.9);
+    let [whole, packed] = [&input, &packed].map(|path| request.run_file(path).unwrap());
+    assert!(bytes_of(&whole) == bytes_of(&packed));
+    assert!(whole.report().cells.is_some() && packed.report().cells.is_none());
+}
+
+#[test]
+fn positions_are_read_where_they_are_however_wide_and_far_apart() {
+    let particles: Vec<[f32; 3]> = ball().iter().map(|p| p.map(|x| x as f32)).collect();
+    let wide: Vec<[f64; 3]> = particles.iter().map(|p| p.map(f64::from)).collect();
+    // A structure of two other numbers before and one behind.
+    let structures: Vec<f32> =
+        particles.iter().flat_map(|&[x, y, z]| [7.0, -1.0, x, y, z, f32::NAN]).collect();
+    let strided = StridedPositions::new(&structures, 2, 6).unwrap();
+    assert_eq!(strided.len(), particles.len());
+    let request = Reconstruction::new().spacing(0.5);
+    let expected = bytes_of(&request.run(&particles[..]).unwrap());
+    assert!(bytes_of(&request.run(&wide[..]).unwrap()) == expected);
+    assert!(bytes_of(&request.run(&particles).unwrap()) == expected);
+    assert!(bytes_of(&request.run(&strided).unwrap()) == expected);
+    assert!(StridedPositions::new(&structures, 0, 2).is_none());
+    assert_eq!(StridedPositions::new(&structures[..5], 2, 6).unwrap().len(), 1);
+    assert_eq!(StridedPositions::new(&structures[..4], 2, 6).unwrap().len(), 0);
+    assert_eq!(StridedPositions::new(&structures[..4], 9, 6).unwrap().len(), 0);
+}
+
+#[test]
+fn a_report_tells_what_was_chosen_measured_and_left_out() {
+    let mut particles = ball();
+    particles.push([f64::NAN; 3]);
+    let surface = Reconstruction::new().skip_invalid(true).smallest_drop(3).run(&particles[..]).unwrap();
+    let report = surface.report();
+    let (spacing, source) = report.cells.as_ref().unwrap().spacing.clone().unwrap();
+    assert!((0.45..0.55).contains(&spacing), "{spacing}");
+    assert_eq!(source, SpacingSource::Estimated);
+    assert_eq!(report.facts.grid.cell_size(), spacing / 2.0);
+    assert_eq!((report.facts.census.not_finite, report.facts.census.binned), (1, particles.len() - 1));
+    assert!(report.measured.is_some() && report.too_small.is_some() && report.warnings.is_empty());
+    assert!(report.timings.seconds().iter().any(|(stage, _)| *stage == "mesh"));
+    let again = Reconstruction::new().calibrated(report.measured.unwrap().calibration);
+    let again = again.skip_invalid(true).smallest_drop(3).run(&particles[..]).unwrap();
+    assert!(again.report().measured.is_none() && bytes_of(&again) == bytes_of(&surface));
+}
+
+#[test]
+fn numbers_out_of_range_are_refused_before_any_work() {
+    let asked = Reconstruction::new;
+    let both = Settings { spacing: Some(1.0), radius: Some(0.5), ..Settings::default() };
+    let cells = Settings { cell: Some(0.5), cell_size: Some(0.5), ..Settings::default() };
+    for (what, request) in [
+        ("exclude each other", Reconstruction::by(both)),
+        ("exclude each other", Reconstruction::by(cells)),
+        ("spacing", asked().spacing(0.0)),
+        ("cell-size", asked().cell_size(f64::NAN)),
+        ("cell must", asked().cell(-1.0)),
+        ("finite", asked().origin([f64::INFINITY, 0.0, 0.0])),
+        ("smooth", asked().smooth(0.01)),
+        ("sigma", asked().indicator(IndicatorKind::Counting).sigma(-1.0)),
+        ("iso", asked().indicator(IndicatorKind::Counting).iso(2.0)),
+        ("mu0", asked().indicator(IndicatorKind::Counting).mu0(0.0)),
+        ("simplify", asked().simplify(1e9)),
+        ("smallest-component", asked().smallest_component(-2.0)),
+        ("memory", asked().memory(MemoryBudget(1 << 10))),
+        ("memory", asked().memory(MemoryBudget(48 << 20)).threads(2).simplify(1.0)),
+    ] {
+        // There is no such file: nobody looked.
+        let error = request.run_file("there/is/none.bgeo").unwrap_err();
+        assert_eq!(error.cause(), Cause::Request, "{what}: {error}");
+        assert!(error.to_string().contains(what), "{what}: {error}");
+    }
+}
+
+#[test]
+fn errors_name_the_file_and_lead_to_their_source() {
+    let folder = TempDir::new().unwrap();
+    let missing = folder.path().join("missing.bgeo");
+    let error = Reconstruction::new().run_file(&missing).unwrap_err();
+    assert!(error.to_string().starts_with(missing.to_str().unwrap()), "{error}");
+    let chain = std::iter::successors(error.source(), |error| (*error).source());
+    assert!(chain.into_iter().any(|error| error.downcast_ref::<std::io::Error>().is_some()), "{error:?}");
+
+    let none = folder.path().join("none.xyz");
+    fs::write(&none, raw(&[[1.0; 3], [2.0, 9.0, 1.0]])).unwrap();
+    let in_file = Reconstruction::new().run_file(&none).unwrap_err();
+    assert!(in_file.to_string().starts_with(none.to_str().unwrap()), "{in_file}");
+    let in_memory = Reconstruction::new().run(&[[1.0_f64; 3], [2.0, 9.0, 1.0]][..]).unwrap_err();
+    assert!(
+        matches!(in_memory, Error::NoSpacing { path: None, particles: 2, why: Untold::TooFew, .. }),
+        "{in_memory}"
+    );
+    let missing = Reconstruction::new().spacing(0.5).attributes(["heat"]).run(&ball()[..]).unwrap_err();
+    assert!(matches!(&missing, Error::NoAttribute { name, .. } if name == "heat"), "{missing}");
+    let empty = Reconstruction::new().spacing(1.0).run(&[[f64::NAN; 3]; 0]).unwrap_err();
+    assert!(matches!(empty, Error::Frame { path: None, fault: FrameError::NoParticles(_) }), "{empty}");
+}
+
+#[test]
+fn what_is_there_already_is_only_replaced_where_that_is_asked_for() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("mesh.obj");
+    fs::write(&path, "mine").unwrap();
+    let surface = Reconstruction::new().spacing(0.5).run(&ball()[..]).unwrap();
+    assert_eq!(surface.write(&path).unwrap_err().cause(), Cause::Request);
+    assert_eq!(fs::read(&path).unwrap(), b"mine");
+    surface.overwrite(&path).unwrap();
+    assert!(!read_mesh(&path).unwrap().triangles.is_empty());
+    assert_eq!(surface.write(Path::new("mesh.doc")).unwrap_err().cause(), Cause::Request);
+}
+
+#[test]
+fn calls_side_by_side_do_not_disturb_each_other() {
+    let particles = splashes(5);
+    let alone = bytes_of(&Reconstruction::new().spacing(1.0).threads(1).run(&particles[..]).unwrap());
+    let all: Vec<Vec<u8>> = std::thread::scope(|scope| {
+        let run = |threads: usize| {
+            let particles = &particles;
+            scope.spawn(move || {
+                bytes_of(&Reconstruction::new().spacing(1.0).threads(threads).run(&particles[..]).unwrap())
+            })
+        };
+        let calls: Vec<_> = [1, 2, 3, 1].map(run).into_iter().collect();
+        calls.into_iter().map(|call| call.join().unwrap()).collect()
+    });
+    assert!(all.iter().all(|bytes| *bytes == alone));
+}
+
+#[test]
+fn a_frame_that_is_sampled_refuses_what_needs_its_particles_again() {
+    let water = ball();
+    let asked = Reconstruction::new;
+    let frame = asked().spacing(0.5).cell(0.6).sample(&water).unwrap();
+    let drawn = bytes_of(&frame.surface().unwrap());
+    for same in [asked(), asked().spacing(0.5).cell(0.6), asked().indicator(IndicatorKind::Cloud)] {
+        assert!(bytes_of(&frame.surface_by(&same).unwrap()) == drawn, "{same:?}");
+    }
+    assert!(bytes_of(&frame.surface_by(&asked().smooth(2.0).simplify(0.5)).unwrap()) != drawn);
+    for (other, what) in [
+        (asked().cell(0.25), "cell"),
+        (asked().cell_size(0.3), "cell_size"),
+        (asked().spacing(0.4), "spacing"),
+        (asked().origin([0.1; 3]), "origin"),
+        (asked().domain([-1.0; 3], [1.0; 3]), "domain"),
+        (asked().indicator(IndicatorKind::Counting), "indicator"),
+        (asked().skip_invalid(true), "skip_invalid"),
+        (asked().method(Method::ZhuBridson), "method"),
+        (asked().attributes(["heat"]), "attributes"),
+    ] {
+        let error = frame.surface_by(&other).unwrap_err();
+        let Error::Unfit(unfit) = &error else { panic!("{what:?}: {error}") };
+        assert_eq!((unfit.setting.name(), &unfit.with), (what, &Conflict::Sampled), "{error}");
+    }
+}
+
+#[test]
+fn lengths_are_shown_in_as_many_digits_as_people_read() {
+    for (number, text) in [
+        (0.0, "0"),
+        (0.05, "0.05"),
+        (1.0, "1"),
+        (-1.946_808_218_955_993_7, "-1.94681"),
+        (17.878_077_719_545_484, "17.8781"),
+        (5e-4, "0.0005"),
+        (1e-5, "1e-5"),
+        (4.999_944e-321, "4.99994e-321"),
+        (999_999.7, "1000000"),
+        (1_234_567.25, "1234567"),
+        (2.5e12, "2.5e12"),
+        (f64::INFINITY, "inf"),
+    ] {
+        assert_eq!(meniscus::error::shown(number), text);
+    }
+    assert_eq!(meniscus::error::significant(0.060_234_9, 4), "0.06023");
+}
+
+#[test]
+fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_in_a_running_simulation_and_an_error_alone()
+ {
+    let none: [[f64; 3]; 0] = [];
+    let usual = || Reconstruction::new().spacing(0.5).normals(true);
+    let error = usual().run(&none).unwrap_err();
+    assert_eq!(error.cause(), Cause::Input, "{error}");
+
+    let mut simulation = LiveSimulation::new(&usual().smallest_drop(100)).unwrap();
+    let counts = |surface: &Surface| [surface.mesh().vertex_count(), surface.mesh().triangle_count()];
+    let empty = |surface: &Surface| {
+        let mesh = surface.to_mesh().unwrap();
+        counts(surface) == [0; 2] && mesh.normals.is_some() && mesh.positions.is_empty()
+    };
+    // Before anything is measured, and after.
+    assert!(empty(&simulation.frame(&none).unwrap()));
+    assert!(!empty(&simulation.frame(&ball()).unwrap()) && simulation.is_settled());
+    assert!(empty(&simulation.frame(&none).unwrap()));
+    let drop = simulation.frame(&[[0.0; 3]]).unwrap();
+    assert!(empty(&drop) && drop.report().lost == 1);
+    let warned = |warning: &Warning| matches!(warning, Warning::Empty { why: Emptiness::TooSmall(_), .. });
+    assert!(drop.report().warnings.iter().any(warned), "{:?}", drop.report().warnings);
+    // A file of it is as any other.
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("empty.ply");
+    drop.write(&path).unwrap();
+    assert_eq!(read_mesh(&path).unwrap().triangles.len(), 0);
+    // What cannot be placed is an error still.
+    let error = simulation.frame(&[[f64::NAN; 3]]).unwrap_err();
+    assert_eq!(error.cause(), Cause::Input, "{error}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn surfaces_that_are_kept_hold_no_threads() {
+    alone("facade::surfaces_that_are_kept_hold_no_threads", keep_surfaces_and_count_threads);
+}
+
+#[cfg(target_os = "linux")]
+fn keep_surfaces_and_count_threads() {
+    let threads = || fs::read_dir("/proc/self/task").unwrap().count();
+    let ball = ball();
+    let one = || Reconstruction::new().spacing(0.5).threads(16).run(&ball).unwrap();
+    let surfaces: Vec<Surface> = (0..8).map(|_| one()).collect();
+    // They end soon after.
+    let few = (0..200).any(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        threads() < 8 * 16
+    });
+    assert!(few, "{} threads", threads());
+    let [first, last] = [&surfaces[0], &surfaces[7]].map(bytes_of);
+    assert!(first == last);
+}
+
+#[test]
+fn particles_of_a_file_can_be_opened_with_their_attributes_and_the_spacing_of_the_scene() {
+    let folder = data("dambreak_small");
+    let file =
+        meniscus::files::open_particles(folder.join("ParticleData_Fluid_20.bgeo"), &Settings::default())
+            .unwrap();
+    assert_eq!(file.spacing, Some(0.05));
+    assert!(
+        file.particles.attributes().iter().any(|info| info.is_velocity()),
+        "{:?}",
+        file.particles.attributes()
+    );
+    let mut first = [[0.0; 3]];
+    file.particles.positions(0, &mut first);
+    assert!(first[0].iter().all(|x| x.is_finite()));
+    let error = meniscus::files::open_particles(folder.join("scene.json"), &Settings::default()).unwrap_err();
+    assert_eq!(error.cause(), Cause::Request, "{error}");
+}
+
+#[test]
+fn the_frames_of_a_simulation_are_listed_and_what_is_none_is_refused() {
+    let dir = TempDir::new().unwrap();
+    let write = |name: &str, bytes: &[u8]| fs::write(dir.path().join(name), bytes).unwrap();
+    let listed = |input: &str| meniscus::files::frames(&[dir.path().join(input)]);
+    for name in ["pool_10.xyz", "pool_9.xyz", "notes.txt"] {
+        write(name, &raw(&ball()));
+    }
+    let numbers = |input: &str| listed(input).unwrap().iter().map(|frame| frame.number).collect::<Vec<_>>();
+    assert_eq!(numbers(""), [9, 10]);
+    // A mesh beside them is none of the particles' frames.
+    Reconstruction::new().run(&ball()).unwrap().write(dir.path().join("mesh_1.ply")).unwrap();
+    assert_eq!([numbers(""), numbers("pool_{}.xyz"), numbers("pool_*")], [[9, 10], [9, 10], [9, 10]]);
+    let of_one = listed("pool_9.xyz").unwrap();
+    assert_eq!((of_one.len(), &*of_one[0].path), (1, &*dir.path().join("pool_9.xyz")));
+    let none = listed("none_{}.xyz").unwrap_err().to_string();
+    assert!(none.ends_with("none_{}.xyz: there are no frames"), "{none}");
+    write("sand_1.xyz", &raw(&ball()));
+    let several = listed("").unwrap_err().to_string();
+    assert!(several.contains("pool_{}.xyz (2), sand_{}.xyz (1)"), "{several}");
+}
+
+#[test]
+fn a_frame_knows_which_axis_points_up_in_its_particles() {
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("ball.xyz");
+    fs::write(&file, raw(&ball())).unwrap();
+    let up = |request: Reconstruction| request.open(&file).unwrap().sample().unwrap().particles_up();
+    assert_eq!(up(Reconstruction::new()), UpAxis::Y);
+    assert_eq!(up(Reconstruction::new().particles_up(UpAxis::Z)), UpAxis::Z);
+}
+
+/// Particles that count how often all of them are read.
+struct Watched {
+    particles: Vec<[f64; 3]>,
+    readings: AtomicUsize,
+}
+
+impl Particles for Watched {
+    fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
+        self.particles.as_slice().positions(first, out);
+        if first == 0 {
+            self.readings.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn many_particles_in_cells_of_a_given_size_are_counted_while_their_spacing_is_estimated() {
+    let ball = fill(44.0, 2.0, 0.2, 3, |p| p.length() < 21.0);
+    assert!(ball.len() > 1 << 18);
+    let mut astray = ball.clone();
+    astray[70_000][2] = f64::NAN;
+    let usual = || Reconstruction::new().cell_size(0.6);
+    let walls = || usual().domain([-20.0, -30.0, -30.0], [30.0; 3]);
+    for (particles, asked) in [(&ball, usual()), (&ball, walls()), (&astray, walls().skip_invalid(true))] {
+        let read = |asked: &Reconstruction| {
+            let watched = Watched { particles: particles.clone(), readings: 0.into() };
+            let surface = asked.run(&watched).unwrap();
+            (surface, watched.readings.into_inner())
+        };
+        let (by_estimate, readings) = read(&asked);
+        let report = by_estimate.report();
+        let Some((spacing, SpacingSource::Estimated)) = report.cells.as_ref().unwrap().spacing else {
+            panic!("the spacing is not estimated");
+        };
+        let (by_spacing, fewest) = read(&asked.spacing(spacing));
+        assert_eq!(readings, fewest);
+        assert_eq!(report.facts.census, by_spacing.report().facts.census);
+        assert_eq!(report.facts.census.not_finite, usize::from(std::ptr::eq(particles, &astray)));
+        assert!(by_estimate.to_mesh().unwrap() == by_spacing.to_mesh().unwrap());
+    }
+    let [estimated, given] = [usual(), usual().spacing(0.5)].map(|asked| asked.run(&astray).unwrap_err());
+    assert_eq!(estimated.to_string(), given.to_string());
+    assert!(given.to_string().contains("70000"), "{given}");
+}

@@ -1,0 +1,16 @@
+//! One frame as a caller has it: the facade, spacing, periodic boxes, parts, and the use of memory, files and threads.
+#![allow(clippy::unwrap_used)]
+
+mod changed_inputs;
+#[path = "../common/mod.rs"]
+mod common;
+mod facade;
+mod memory_budget;
+#[cfg(unix)]
+mod open_files;
+mod parts;
+mod parts_reading;
+mod periodic;
+mod random_frames;
+mod spacing;
+mod thread_pool;

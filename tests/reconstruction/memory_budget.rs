@@ -1,0 +1,348 @@
+//! A frame within its memory budget: the same bytes, whatever goes through scratch files.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use meniscus::error::{Cause, Error};
+use meniscus::internals::brick::{BinPlan, BrickSide, CountingRoom, InvalidParticles};
+use meniscus::internals::field::indicator::{PageRule, indicate};
+use meniscus::internals::frame::estimate::{Drawing, Estimate, Plan};
+use meniscus::internals::frame::{
+    Counted, Detail, Frame, FrameError, Normals, Resources, Sampling, Surfacing,
+};
+use meniscus::internals::grid::units::MemoryBudget;
+use meniscus::internals::system::timings::Timings;
+use tempfile::TempDir;
+
+use crate::common::attributed::Attributed;
+use crate::common::files::{names, raw};
+use crate::common::program::{command, in_shell};
+use crate::common::scene::{Random, splash};
+use crate::common::{INDICATORS, by, reconstruct, sampling, splashes, surfacing, tank};
+
+/// Particles that move and have a temperature.
+fn moving(positions: Vec<[f64; 3]>) -> Attributed {
+    Attributed::new(positions)
+        .with("v", |_, position| {
+            let [x, y, z] = position.map(|c| c as f32);
+            [-z, 0.1 * y, x]
+        })
+        .with("temperature", |_, [_, _, z]| [-z as f32])
+}
+
+#[test]
+fn spilling_particles_field_and_surface_changes_no_vertex_and_no_triangle() {
+    let particles = moving(splashes(31));
+    let scratch = TempDir::new().unwrap();
+    for indicator in INDICATORS {
+        for (carried, walls) in [(vec![], false), (vec![1, 0], false), (vec![0], true)] {
+            let mut sampling =
+                Sampling { field: indicator.into(), side: indicator.brick_side(), carried, ..sampling() };
+            sampling.domain = walls.then(|| tank(&sampling.grid));
+            let surfacing =
+                Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
+            let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
+            // Far less than the program itself takes: every share is as small as it gets.
+            for budget in [1 << 18, 1 << 20, 1 << 22] {
+                let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
+                let sampling = Sampling { resources, ..sampling.clone() };
+                let what = format!("{indicator:?}, {budget} bytes, carrying {:?}", sampling.carried);
+                let plan = Counted::of(&particles, &sampling).unwrap().estimate().plan(MemoryBudget(budget));
+                assert!(matches!(plan, Plan::OutOfCore(_)), "{what}: nothing is spilled");
+                let (_, surface) = reconstruct(&particles, &sampling, &surfacing);
+                assert_eq!(surface.iso, expected.iso, "{what}");
+                assert!(surface.mesh.positions == expected.mesh.positions, "{what}: positions");
+                assert!(surface.mesh.triangles == expected.mesh.triangles, "{what}: triangles");
+                assert!(surface.mesh.normals == expected.mesh.normals, "{what}: normals");
+                assert!(surface.mesh == expected.mesh, "{what}: attributes");
+            }
+        }
+    }
+    assert_eq!(fs::read_dir(scratch.path()).unwrap().count(), 0, "scratch files are left");
+}
+
+#[test]
+fn spray_is_kept_by_its_cells_and_the_dif_takes_no_more_than_estimated() {
+    let (mut random, grid) = (Random::new(5), sampling().grid);
+    let spray: Vec<[f64; 3]> = (0..500).map(|_| [(); 3].map(|()| 160.0 * random.unit())).collect();
+    for (particles, all_sparse) in [(splashes(6), false), (spray, true)] {
+        for (indicator, side) in
+            INDICATORS.into_iter().flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
+        {
+            let content = by(indicator, 2.0).content();
+            let rule = PageRule { content, side, walls: None };
+            let plan =
+                BinPlan::count(&particles[..], &grid, None, InvalidParticles::Refuse, CountingRoom::BINS);
+            let plan = plan.unwrap();
+            let drawing = Drawing {
+                block_bytes: 4 * 41_u64.pow(3),
+                carried_halo: 3,
+                keeps_details: false,
+                spacing_cells: None,
+                wide_levels: 0,
+                normals: false,
+                components: Vec::new(),
+            };
+            let counted = plan.keys().iter().copied().zip(plan.counts());
+            let estimate = Estimate::of(counted, Some(rule.shape()), &drawing, 0, |_| true);
+            let bins = plan.fill(&particles[..], &[]).unwrap();
+            let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
+            let (mut taken, mut sparse) = (0, 0);
+            for (info, samples) in &pages {
+                let all = samples.dense(rule.shape());
+                let nonzero = all.iter().filter(|&&sample| sample > 0).count();
+                let few = side == BrickSide::Sixteen && nonzero <= all.len() / 8;
+                assert_eq!(samples.bytes(), if few { 4 * nonzero } else { 2 * all.len() }, "{rule:?}");
+                assert!(samples.bytes() <= info.most_bytes(rule.shape()), "{rule:?}, {info:?}");
+                taken += samples.bytes() as u64;
+                sparse += usize::from(few);
+            }
+            assert!(taken <= estimate.field, "{rule:?}: {taken} bytes, {} estimated", estimate.field);
+            if side == BrickSide::Sixteen {
+                assert_eq!(sparse == pages.len(), all_sparse, "{rule:?}: {sparse} of {}", pages.len());
+                assert_ne!(sparse, 0, "{rule:?}");
+            }
+        }
+    }
+}
+
+/// The peak that a run wrote to `stats`, in bytes.
+fn peak(folder: &Path) -> u64 {
+    let stats = fs::read_to_string(folder.join("stats")).unwrap();
+    let stats: serde_json::Value = serde_json::from_str(stats.lines().last().unwrap()).unwrap();
+    stats["peak_resident_bytes"].as_u64().unwrap()
+}
+
+/// A folder with 600 000 particles at spacing 1 in `splash.xyz`, and their surface in `whole.ply`.
+fn folder_with_splash() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("splash.xyz"), raw(&splash(600_000, 3))).unwrap();
+    let run = in_shell(folder.path(), "", "reconstruct splash.xyz -o whole.ply --cell-size 1");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    folder
+}
+
+#[test]
+fn sixteen_mebibytes_give_the_same_bytes_and_leave_no_scratch() {
+    let folder = folder_with_splash();
+    let arguments = "reconstruct splash.xyz -o small.ply --cell-size 1 --memory 16MiB --stats stats";
+    let run = in_shell(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("small.ply"));
+    assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "stats", "whole.ply"]);
+}
+
+#[test]
+fn scratch_that_fills_up_is_exit_4_and_leaves_nothing() {
+    let folder = folder_with_splash();
+    // A limit on file size stands in for a full disk. What fails: spilled particles, or the mesh.
+    for kib in [64, 3600] {
+        let limits = format!("trap '' XFSZ; ulimit -f {kib}");
+        let run = in_shell(
+            folder.path(),
+            &limits,
+            "reconstruct splash.xyz -o out.obj --cell-size 1 --memory 16MiB",
+        );
+        let errors = String::from_utf8_lossy(&run.stderr);
+        assert_eq!(run.status.code(), Some(4), "{kib} KiB: {errors}");
+        assert_eq!(names(folder.path()), ["splash.xyz", "whole.ply"], "{kib} KiB");
+    }
+    let run = in_shell(
+        folder.path(),
+        "",
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch no",
+    );
+    assert_eq!(run.status.code(), Some(4), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn a_surface_that_is_larger_than_all_else_keeps_to_the_budget_too() {
+    let (folder, mut random) = (TempDir::new().unwrap(), Random::new(7));
+    // Drops in 5^3 blocks, each alone: with their details they are all surface.
+    let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
+    fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
+    let reconstruct = |arguments: &str| {
+        let fixed = "reconstruct spray.xyz --spacing 1 --cell-size 1 --threads 2 --backend cpu";
+        let run = in_shell(folder.path(), "", &format!("{fixed} --overwrite {arguments}"));
+        assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
+        String::from_utf8(run.stdout).unwrap()
+    };
+    // What the program takes for itself, its code above all, is no part of the budget.
+    fs::write(folder.path().join("drop.xyz"), [0; 12]).unwrap();
+    let drop = "reconstruct drop.xyz -o drop.ply --spacing 1 --cell-size 1 --threads 2 --stats stats";
+    assert!(in_shell(folder.path(), "", drop).status.success());
+    let own = peak(folder.path());
+    fs::remove_file(folder.path().join("stats")).unwrap();
+    for normals in ["", "--normals"] {
+        reconstruct(&format!("{normals} -o whole.ply --stats stats"));
+        let whole = peak(folder.path());
+        fs::remove_file(folder.path().join("stats")).unwrap();
+        let plan = reconstruct(&format!("{normals} -o whole.ply --dry-run"));
+        let (_, estimate) = plan.split_once("all in memory would take ").unwrap();
+        let estimate: f64 = estimate.split_once(" MiB").unwrap().0.parse().unwrap();
+        let budget = (0.6 * estimate * 1048576.0) as u64;
+        reconstruct(&format!("{normals} -o small.ply --memory {budget}B --stats stats"));
+        let peak = peak(folder.path());
+        let allowed = own + budget + (2 << 20);
+        assert!(
+            peak < allowed && allowed < whole,
+            "{normals}: {peak} bytes, {allowed} allowed, {whole} without"
+        );
+        let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+        assert!(bytes("whole.ply") == bytes("small.ply"), "{normals} under {budget} bytes");
+        fs::remove_file(folder.path().join("stats")).unwrap();
+    }
+}
+
+#[test]
+fn a_run_that_is_killed_leaves_no_scratch_and_the_next_one_gives_the_same_bytes() {
+    let folder = folder_with_splash();
+    let scratch = folder.path().join("scratch");
+    fs::create_dir(&scratch).unwrap();
+    let mut random = Random::new(5);
+    let arguments =
+        "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 16MiB --scratch scratch --overwrite";
+    for _ in 0..12 {
+        let mut child = command(folder.path(), &[])
+            .args(arguments.split(' '))
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(random.bits() % 400));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert_eq!(names(&scratch), [""; 0], "scratch files are left");
+    }
+    let run = in_shell(folder.path(), "", arguments);
+    assert!(run.status.success());
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("out.ply"));
+}
+
+#[test]
+fn a_packed_frame_gives_the_surface_of_its_particles_with_any_filter() {
+    let folder = folder_with_splash();
+    let run = |arguments: &str| {
+        let run = in_shell(folder.path(), "", arguments);
+        assert!(run.status.success(), "{arguments}: {}", String::from_utf8_lossy(&run.stderr));
+        run
+    };
+    let [paper, clouds] = [
+        &["", "--sigma 1.5 --detail", "--sigma 0.8 --iso 0.2 --normals", "--memory 16MiB"],
+        &["", "--smooth 0.9", "--smooth 2.5 --normals", "--memory 16MiB --smooth 4"],
+    ];
+    for (indicator, filters) in [("cloud", clouds), ("symmetry", paper), ("counting", paper)] {
+        run(&format!("pack splash.xyz -o packed.mnf --cell-size 1 --indicator {indicator} --overwrite"));
+        run(&format!(
+            "pack splash.xyz -o small.mnf --cell-size 1 --indicator {indicator} --overwrite --memory 16MiB"
+        ));
+        let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+        assert!(bytes("packed.mnf") == bytes("small.mnf"), "{indicator}");
+        for filter in filters {
+            run(&format!(
+                "reconstruct splash.xyz -o a.ply --cell-size 1 --indicator {indicator} --overwrite {filter}"
+            ));
+            run(&format!("reconstruct packed.mnf -o b.ply --overwrite {filter}"));
+            assert!(bytes("a.ply") == bytes("b.ply"), "{indicator} {filter}");
+        }
+    }
+    let info = run("info packed.mnf --json");
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!(info[0]["kind"], "frame");
+    assert_eq!(info[0]["indicator"], "counting");
+    let refused = in_shell(folder.path(), "", "reconstruct packed.mnf -o c.ply --cell-size 1");
+    assert_eq!(refused.status.code(), Some(2));
+}
+
+#[test]
+fn a_gzipped_input_larger_than_its_share_is_unpacked_through_scratch() {
+    let folder = folder_with_splash();
+    let packed = Command::new("gzip").current_dir(folder.path()).args(["-1", "-k", "splash.xyz"]).status();
+    assert!(packed.unwrap().success());
+    let arguments = "reconstruct splash.xyz.gz -o small.ply --cell-size 1 --memory 16MiB";
+    let run = in_shell(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let bytes = |name| fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("whole.ply") == bytes("small.ply"));
+    assert_eq!(names(folder.path()), ["small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
+    // Without room to unpack it: exit 4; cut short: exit 3.
+    let full = in_shell(folder.path(), "trap '' XFSZ; ulimit -f 1024", &arguments.replace("small", "full"));
+    assert_eq!(full.status.code(), Some(4), "{}", String::from_utf8_lossy(&full.stderr));
+    let cut = bytes("splash.xyz.gz");
+    fs::write(folder.path().join("cut.xyz.gz"), &cut[..cut.len() - 1000]).unwrap();
+    let cut = in_shell(folder.path(), "", "reconstruct cut.xyz.gz -o cut.ply --cell-size 1 --memory 16MiB");
+    assert_eq!(cut.status.code(), Some(3), "{}", String::from_utf8_lossy(&cut.stderr));
+    assert_eq!(names(folder.path()), ["cut.xyz.gz", "small.ply", "splash.xyz", "splash.xyz.gz", "whole.ply"]);
+}
+
+#[test]
+fn a_frame_that_fits_its_budget_touches_no_scratch() {
+    let folder = folder_with_splash();
+    let arguments = "reconstruct splash.xyz -o out.ply --cell-size 1 --memory 1GiB --scratch no/such/folder";
+    let run = in_shell(folder.path(), "", arguments);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+/// 1.5 M particles as a table, a .ply and a .vtk, all of text, some 45 MB each, and their surface in `whole.ply`.
+fn folder_with_texts() -> TempDir {
+    let folder = TempDir::new().unwrap();
+    let lines: Vec<String> = splash(1_500_000, 3).iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    let n = lines.len();
+    let ply = format!("element vertex {n}\nproperty float x\nproperty float y\nproperty float z\nend_header");
+    for (name, head) in [
+        ("splash.csv", "x y z".to_owned()),
+        ("splash.ply", format!("ply\nformat ascii 1.0\n{ply}")),
+        (
+            "splash.vtk",
+            format!("# vtk DataFile Version 3.0\nsplash\nASCII\nDATASET POLYDATA\nPOINTS {n} float"),
+        ),
+    ] {
+        fs::write(folder.path().join(name), format!("{head}\n{}", lines.concat())).unwrap();
+    }
+    let run = in_shell(folder.path(), "", "reconstruct splash.csv -o whole.ply --cell-size 1");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    folder
+}
+
+#[test]
+fn texts_much_larger_than_the_budget_give_the_same_bytes_within_it() {
+    let folder = folder_with_texts();
+    let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    for name in ["splash.csv", "splash.ply", "splash.vtk"] {
+        let arguments = format!(
+            "reconstruct {name} -o small.ply --cell-size 1 --memory 16MiB --threads 2 --backend cpu \
+             --stats stats --overwrite"
+        );
+        let run = in_shell(folder.path(), "", &arguments);
+        assert!(run.status.success(), "{name}: {}", String::from_utf8_lossy(&run.stderr));
+        assert!(bytes("whole.ply") == bytes("small.ply"), "{name}");
+        // The program itself, mapped from its file, counts too, and is larger without optimisation.
+        let peak = peak(folder.path());
+        assert!(peak < 32 << 20, "{name}: {peak} bytes, of a file of {}", bytes(name).len());
+        let full =
+            in_shell(folder.path(), "trap '' XFSZ; ulimit -f 4096", &arguments.replace("small", "full"));
+        let errors = String::from_utf8_lossy(&full.stderr);
+        assert_eq!(full.status.code(), Some(4), "{name}: {errors}");
+        assert!(errors.contains("scratch"), "{name}: {errors}");
+    }
+    let left = ["small.ply", "splash.csv", "splash.ply", "splash.vtk", "stats", "whole.ply"];
+    assert_eq!(names(folder.path()), left);
+}
+
+#[test]
+fn a_frame_that_no_disk_can_hold_is_refused_before_it_is_begun() {
+    let mut particles = moving(splashes(31));
+    // Attributes of pebibytes; nobody gets to read them.
+    particles.attributes[0].components = 1 << 36;
+    let scratch = TempDir::new().unwrap();
+    let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
+    let sampling = Sampling { resources, carried: vec![0], ..sampling() };
+    let fault = Frame::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
+    let FrameError::NoRoom { folder, needed, free } = &fault else { panic!("{fault}") };
+    assert!(folder == scratch.path() && needed > free);
+    let error = Error::Frame { path: Some("frame".into()), fault };
+    assert_eq!(error.cause(), Cause::Output);
+    assert!(error.to_string().contains(&*scratch.path().to_string_lossy()), "{error}");
+}

@@ -1,0 +1,149 @@
+//! Inputs in more pieces, and meshes in more parts, than a process may have open files.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::Write as _;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use meniscus::error::{Cause, Error, FrameError, Unread};
+use meniscus::{MemoryBudget, Reconstruction};
+use tempfile::TempDir;
+
+use crate::common::files::raw;
+use crate::common::{fill, program};
+
+/// More than may be open in these tests.
+const PIECES: usize = 700;
+const MAY_BE_OPEN: usize = 256;
+
+fn ball() -> Vec<[f32; 3]> {
+    fill(20.0, 2.0, 0.2, 3, |p| p.length() < 10.0).iter().map(|p| p.map(|x| x as f32)).collect()
+}
+
+fn piece(folder: &Path, number: usize) -> PathBuf {
+    folder.join(format!("ball_{number}.vtp"))
+}
+
+/// A ball in so many pieces, each appended raw and so read where it lies; and in one file.
+fn scene() -> (TempDir, PathBuf, PathBuf) {
+    let folder = TempDir::new().unwrap();
+    let particles = ball();
+    let mut list = String::from("<VTKFile type=\"PPolyData\"><PPolyData>\n");
+    for (number, own) in particles.chunks(particles.len().div_ceil(PIECES)).enumerate() {
+        let head = format!(
+            "<VTKFile type=\"PolyData\" byte_order=\"LittleEndian\" header_type=\"UInt64\"><PolyData>\
+             <Piece NumberOfPoints=\"{}\"><Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>\
+             </Points></Piece></PolyData><AppendedData encoding=\"raw\">_",
+            own.len()
+        );
+        let length = (12 * own.len() as u64).to_le_bytes();
+        let bytes = [head.as_bytes(), &length, &raw(own), b"</AppendedData></VTKFile>"].concat();
+        fs::write(piece(folder.path(), number), bytes).unwrap();
+        list += &format!("<Piece Source=\"ball_{number}.vtp\"/>\n");
+    }
+    let [pieces, whole] = ["ball.pvtp", "ball.xyz"].map(|name| folder.path().join(name));
+    fs::write(&pieces, list + "</PPolyData></VTKFile>").unwrap();
+    fs::write(&whole, raw(&particles)).unwrap();
+    assert!(piece(folder.path(), PIECES - 20).exists());
+    (folder, pieces, whole)
+}
+
+/// Runs the program where so few files may be open.
+fn limited(folder: &Path, arguments: &str) -> Output {
+    let arguments = format!("reconstruct {arguments} --backend cpu -q");
+    program::in_shell(folder, &format!("ulimit -n {MAY_BE_OPEN}"), &arguments)
+}
+
+#[track_caller]
+fn succeeds(output: Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_frame_in_more_pieces_than_may_be_open_is_that_of_one_file_in_memory_and_beyond() {
+    let (folder, _pieces, _) = scene();
+    let folder = folder.path();
+    succeeds(limited(folder, "ball.xyz -o one.ply --spacing 0.5"));
+    for (number, options) in ["", "--threads 1", "--memory 24MiB --cell 0.3"].iter().enumerate() {
+        if number == 2 {
+            succeeds(limited(folder, &format!("ball.xyz -o one.ply --overwrite --spacing 0.5 {options}")));
+        }
+        succeeds(limited(folder, &format!("ball.pvtp -o many.ply --overwrite --spacing 0.5 {options}")));
+        let [one, many] = ["one.ply", "many.ply"].map(|name| fs::read(folder.join(name)).unwrap());
+        assert!(one == many, "with {options:?}");
+    }
+}
+
+#[test]
+fn a_mesh_is_merged_of_more_parts_than_may_be_open() {
+    let (folder, ..) = scene();
+    let folder = folder.path();
+    succeeds(limited(folder, "ball.xyz -o one.ply --spacing 0.5 --cell 0.3"));
+    let common = "ball.pvtp -o many.ply --spacing 0.5 --cell 0.3 --parts 300";
+    succeeds(limited(folder, &format!("{common} --plan")));
+    let parts = Reconstruction::new().spacing(0.5).cell(0.3).parts(
+        folder.join("ball.pvtp"),
+        folder.join("many.ply"),
+        300,
+    );
+    (0..300).for_each(|part| drop(parts.part(part).unwrap()));
+    succeeds(limited(folder, &format!("{common} --merge")));
+    let [one, many] = ["one.ply", "many.ply"].map(|name| fs::read(folder.join(name)).unwrap());
+    assert!(one == many);
+}
+
+/// The outcome of a frame of which pieces are changed after it was opened.
+fn after(changed: Range<usize>, change: impl Fn(&Path)) -> Result<u64, Error> {
+    let (folder, pieces, _) = scene();
+    let opened = Reconstruction::new().spacing(0.5).open(&pieces).unwrap();
+    changed.for_each(|number| change(&piece(folder.path(), number)));
+    let surface = opened.sample().and_then(|frame| frame.surface());
+    surface.map(|surface| surface.mesh().triangle_count()).inspect_err(|error| {
+        assert!(error.to_string().starts_with(&format!("{}: ", pieces.display())), "{error}");
+        assert_eq!(error.cause(), Cause::Input, "{error}");
+    })
+}
+
+#[test]
+fn a_piece_that_changes_is_an_error_whether_it_is_open_or_not() {
+    let is_changed =
+        |error: &Error| matches!(error, Error::Frame { fault: FrameError::Unread(Unread::Changed), .. });
+    let shorter = |path: &Path| OpenOptions::new().write(true).open(path).unwrap().set_len(200).unwrap();
+    let longer = |path: &Path| OpenOptions::new().append(true).open(path).unwrap().write_all(b"\n").unwrap();
+    let later = |path: &Path| {
+        let modified = fs::metadata(path).unwrap().modified().unwrap() + std::time::Duration::from_secs(1);
+        File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
+    };
+    // Any may have been closed since, but not the last.
+    for change in [shorter as fn(&Path), longer, later] {
+        for changed in [PIECES / 2, PIECES - 20] {
+            assert!(is_changed(&after(changed..changed + 1, change).unwrap_err()));
+        }
+    }
+    // So many that some are not open any more.
+    let many = 0..MAY_BE_OPEN;
+    // Another file of its name, size and time.
+    let replaced = |path: &Path| {
+        let (bytes, modified) = (fs::read(path).unwrap(), fs::metadata(path).unwrap().modified().unwrap());
+        let other = path.with_extension("other");
+        fs::write(&other, vec![b'x'; bytes.len()]).unwrap();
+        File::options().write(true).open(&other).unwrap().set_modified(modified).unwrap();
+        fs::rename(other, path).unwrap();
+    };
+    assert!(is_changed(&after(many.clone(), replaced).unwrap_err()));
+    let removed = after(many, |path| fs::remove_file(path).unwrap());
+    assert!(matches!(removed, Err(Error::Frame { fault: FrameError::Unread(Unread::Io(_)), .. })));
+}
+
+#[test]
+fn pieces_read_one_after_the_other_take_the_memory_of_a_few() {
+    let (_folder, pieces, whole) = scene();
+    let tight = Reconstruction::new().spacing(0.5).memory(MemoryBudget(1 << 30)).threads(2);
+    let memory = |path: &Path| {
+        let opened = tight.open(path).unwrap();
+        opened.needs(meniscus::files::MeshFormat::Ply).unwrap().unwrap().in_core
+    };
+    let [one, many] = [&whole, &pieces].map(|path| memory(path));
+    assert!(many < one + (1 << 20), "{many} bytes in pieces, {one} in one file");
+}

@@ -1,0 +1,208 @@
+//! Parts of a mesh read what touches their stretch of the curve, and see where any of that is not as it was planned.
+
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use meniscus::error::{Error, PartsError};
+use meniscus::{Parts, PeriodicMesh, Reconstruction};
+use tempfile::TempDir;
+
+use crate::common::files::raw;
+use crate::common::scene::Random;
+use crate::common::shuffle;
+
+/// A long pool along x, in the order of a simulation that goes through its cells: x by x. Blocks at its
+/// sides, where hardly a surface passes, come first along the curve, and are the first part's; the last is at its end.
+fn pool() -> Vec<[f64; 3]> {
+    let mut random = Random::new(3);
+    let at = |i: usize| [i / 100, i / 10 % 10, i % 10].map(|c| 1.75 + 0.5 * c as f64);
+    (0..100_000).map(|i| at(i).map(|x| x + 0.1 * random.unit())).collect()
+}
+
+/// A .vtp of points alone, with a flag of ghosts each, appended raw.
+fn vtp(particles: &[[f64; 3]], ghosts: &[u8]) -> Vec<u8> {
+    let points = raw(particles);
+    let mut bytes = format!(
+        "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+         <PolyData><Piece NumberOfPoints=\"{}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">\n\
+         <PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"appended\" offset=\"0\"/></PointData>\n\
+         <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"appended\" offset=\"{}\"/></Points>\n\
+         </Piece></PolyData>\n<AppendedData encoding=\"raw\">\n_",
+        particles.len(),
+        8 + ghosts.len(),
+    )
+    .into_bytes();
+    bytes.extend((ghosts.len() as u64).to_le_bytes());
+    bytes.extend(ghosts);
+    bytes.extend((points.len() as u64).to_le_bytes());
+    bytes.extend(points);
+    bytes.extend(b"\n</AppendedData>\n</VTKFile>\n");
+    bytes
+}
+
+/// Writes particles as a .pvtp of so many pieces, in which the first particles of the next one are ghosts.
+fn in_pieces(folder: &Path, particles: &[[f64; 3]], pieces: usize) -> PathBuf {
+    let path = folder.join("pool.pvtp");
+    let mut list = String::from("<VTKFile type=\"PPolyData\" version=\"1.0\"><PPolyData>\n");
+    let each = particles.len().div_ceil(pieces);
+    for (number, own) in particles.chunks(each).enumerate() {
+        let next = &particles[((number + 1) * each).min(particles.len())..];
+        let ghosts = &next[..next.len().min(100)];
+        let flags: Vec<u8> = own.iter().map(|_| 0).chain(ghosts.iter().map(|_| 1)).collect();
+        fs::write(piece(folder, number), vtp(&[own, ghosts].concat(), &flags)).unwrap();
+        writeln!(list, "<Piece Source=\"piece_{number}.vtp\"/>").unwrap();
+    }
+    fs::write(&path, list + "</PPolyData></VTKFile>\n").unwrap();
+    path
+}
+
+fn piece(folder: &Path, number: usize) -> PathBuf {
+    folder.join(format!("piece_{number}.vtp"))
+}
+
+fn asked() -> Reconstruction {
+    Reconstruction::new().spacing(0.5).cell(0.5).threads(2)
+}
+
+/// Changes some of a file's bytes, so that neither its size nor its time tells.
+fn change_unseen(path: &Path, change: impl FnOnce(&mut [u8])) {
+    let modified = fs::metadata(path).unwrap().modified().unwrap();
+    let mut bytes = fs::read(path).unwrap();
+    change(&mut bytes);
+    fs::write(path, bytes).unwrap();
+    File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
+}
+
+/// The bytes of a part that is made anew, and how many particles were read for it.
+fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
+    let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
+    let made = parts.part(part).unwrap();
+    assert!(!made.was_there);
+    (fs::read(made.path).unwrap(), made.read)
+}
+
+#[track_caller]
+fn is_refused(parts: &Parts, part: u32) {
+    let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
+    let error = parts.part(part).expect_err("a part of other particles");
+    assert!(matches!(error, Error::Parts(PartsError::Changed { .. })), "{error}");
+}
+
+#[test]
+fn a_part_reads_the_chunks_of_a_file_that_touch_it_and_no_others() {
+    let folder = TempDir::new().unwrap();
+    let particles = pool();
+    let input = folder.path().join("pool.xyz");
+    fs::write(&input, raw(&particles)).unwrap();
+    let parts = asked().parts(&input, folder.path().join("m.ply"), 8);
+    let planned = parts.plan().unwrap();
+    let whole: Vec<_> = (0..8).map(|part| made(&parts, part)).collect();
+    for (part, (_, read)) in planned.parts.iter().zip(&whole) {
+        assert!(*read as u64 >= part.kept && *read <= part.kept as usize + 2 * 4096, "{read} for {part:?}");
+    }
+    let least = whole.iter().map(|(_, read)| read).min().unwrap();
+    assert!(4 * least < particles.len(), "{least} of {}", particles.len());
+
+    // All that a part has to know is near it: what is at the other end may be anything, and not even a number.
+    change_unseen(&input, |bytes| bytes[..12 * 8192].fill(0xff));
+    assert_eq!(made(&parts, 7), whole[7]);
+    // A part that has to know particles of those is none.
+    is_refused(&parts, 0);
+    change_unseen(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
+    assert_eq!(made(&parts, 0), whole[0]);
+    // Of particles at its end one has moved to the other.
+    change_unseen(&input, |bytes| bytes.copy_within(..12, 12 * (particles.len() - 1)));
+    is_refused(&parts, 7);
+}
+
+#[test]
+fn a_part_opens_the_pieces_that_touch_it_and_no_others() {
+    let folder = TempDir::new().unwrap();
+    let particles = pool();
+    let input = in_pieces(folder.path(), &particles, 13);
+    let parts = asked().parts(&input, folder.path().join("m.ply"), 5);
+    assert_eq!(parts.plan().unwrap().particles, particles.len());
+    let whole: Vec<_> = (0..5).map(|part| made(&parts, part)).collect();
+    for number in 0..7 {
+        change_unseen(&piece(folder.path(), number), |bytes| bytes.fill(b'x'));
+    }
+    assert_eq!(made(&parts, 4), whole[4]);
+    fs::remove_file(parts.folder().join("part_0")).unwrap();
+    assert!(parts.part(0).unwrap_err().to_string().contains("piece_0.vtp: "));
+    // A piece that is gone is known by the stamp, wherever it is.
+    fs::remove_file(piece(folder.path(), 0)).unwrap();
+    is_refused(&parts, 4);
+}
+
+#[test]
+fn the_mesh_of_parts_is_that_of_a_single_run_however_particles_are_ordered_and_divided() {
+    let folder = TempDir::new().unwrap();
+    let mut particles = pool();
+    let single = asked().run(&particles[..].iter().map(|p| p.map(|x| x as f32)).collect::<Vec<_>>());
+    let expected = single.unwrap().to_mesh().unwrap();
+    let file = |name: &str, particles: &[[f64; 3]]| {
+        let path = folder.path().join(name);
+        fs::write(&path, raw(particles)).unwrap();
+        path
+    };
+    let ordered = file("ordered.xyz", &particles);
+    let pieces = in_pieces(folder.path(), &particles, 7);
+    shuffle(&mut particles, &mut Random::new(9));
+    let shuffled = file("shuffled.xyz", &particles);
+    for input in [ordered, pieces, shuffled] {
+        let parts = asked().parts(&input, folder.path().join("m.ply"), 6).overwrite();
+        parts.plan().unwrap();
+        let read: usize = (0..6).map(|part| made(&parts, part).1).sum();
+        assert!(parts.merge().unwrap().to_mesh().unwrap() == expected, "{}", input.display());
+        let times = read as f64 / particles.len() as f64;
+        let is_shuffled = input.ends_with("shuffled.xyz");
+        assert!(if is_shuffled { times == 6.0 } else { times < 3.5 }, "{}: {times}", input.display());
+    }
+}
+
+/// Water in a periodic box along x and z, which is as long as some number of cells and a bit, up to a calm level: x by x.
+fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
+    let (edge, mut random) = ([200.2, 0.0, 13.7], Random::new(5));
+    let particle = |i: usize| {
+        let at = [i / 224, i / 28 % 8, i % 28].map(|c| c as f64 + 0.5);
+        let at = [at[0] * edge[0] / 403.0, 0.5 * at[1], at[2] * edge[2] / 28.0];
+        at.map(|x| x + 0.1 * random.unit())
+    };
+    let mut particles: Vec<_> = (0..403 * 224).map(particle).collect();
+    // On a face each, as single precision has it, where nothing else is.
+    particles.extend((0..20).map(|i| [200.2, 14.0, 0.4 * f64::from(i)]));
+    particles.extend((0..50).map(|i| [f64::from(i), 18.0, 13.7]));
+    (edge, particles)
+}
+
+#[test]
+fn the_parts_of_a_periodic_box_make_the_mesh_of_a_single_run() {
+    let folder = TempDir::new().unwrap();
+    let (edge, mut particles) = channel();
+    let faces = [Some([0.0, edge[0]]), None, Some([0.0, edge[2]])];
+    let input = folder.path().join("channel.xyz");
+    for (ordered, periodic_mesh) in
+        [(true, PeriodicMesh::Cut), (true, PeriodicMesh::Overlap), (false, PeriodicMesh::Cut)]
+    {
+        if !ordered {
+            shuffle(&mut particles, &mut Random::new(9));
+        }
+        fs::write(&input, raw(&particles)).unwrap();
+        let asked = asked().periodic(faces).periodic_mesh(periodic_mesh);
+        let in_single: Vec<_> = particles.iter().map(|p| p.map(|x| x as f32)).collect();
+        let expected = asked.run(&in_single[..]).unwrap().to_mesh().unwrap();
+        let parts = asked.parts(&input, folder.path().join("m.ply"), 9).overwrite();
+        let planned = parts.plan().unwrap();
+        let read: Vec<usize> = (0..9).map(|part| made(&parts, part).1).collect();
+        let merged = parts.merge().unwrap();
+        assert_eq!(merged.report().facts.census.binned, particles.len());
+        assert!(merged.to_mesh().unwrap() == expected, "{ordered} {periodic_mesh:?}");
+        for (part, &read) in planned.parts.iter().zip(&read) {
+            let enough = if ordered { part.kept as usize + particles.len() / 4 } else { particles.len() };
+            assert!(read <= enough && (ordered || read == enough), "{read} for {part:?}");
+        }
+        let least = read.iter().min().unwrap();
+        assert!(!ordered || 2 * least < particles.len(), "{least} of {}", particles.len());
+    }
+}

@@ -1,0 +1,427 @@
+//! Simulations by the library: the program's bytes, events, an early end, frames from memory, and frames that are sampled once.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use meniscus::error::Conflict;
+use meniscus::files::Replace;
+use meniscus::{
+    Cancel, Cause, Error, Event, IndicatorKind, LiveSimulation, MemoryBudget, Progress, Reconstruction,
+    Simulation, Stage, Summary, Warning,
+};
+use tempfile::TempDir;
+
+use crate::common::files::{bytes_of, raw, tree};
+use crate::common::fill;
+use crate::common::program::command;
+
+/// A way to ask for more than what is usual.
+type Ask = fn(Reconstruction) -> Reconstruction;
+
+/// A drop of particles at spacing 0.5 that falls, from one frame to the next.
+fn falling(frame: u64) -> Vec<[f32; 3]> {
+    let drop = fill(10.0, 2.0, 0.2, 3 + frame, |p| p.length() < 5.0);
+    drop.iter().map(|&[x, y, z]| [x as f32, (y - 0.3 * frame as f64) as f32, z as f32]).collect()
+}
+
+fn write(path: &Path, particles: &[[f32; 3]]) {
+    fs::write(path, raw(particles)).unwrap();
+}
+
+/// A folder with so many frames.
+fn simulated(frames: u64) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("sim")).unwrap();
+    (1..=frames)
+        .for_each(|frame| write(&folder.path().join(format!("sim/drop_{frame}.xyz")), &falling(frame)));
+    folder
+}
+
+fn simulation(folder: &Path, meshes: &str) -> Simulation {
+    let request = Reconstruction::new().spacing(0.5).threads(2).memory(MemoryBudget(1 << 30));
+    Simulation::new(folder.join("sim/drop_{}.xyz"), folder.join(meshes).join("drop_{}.ply"))
+        .reconstruction(request)
+}
+
+#[test]
+fn the_library_and_the_program_write_the_same_files() {
+    let folder = simulated(4);
+    let asked: [(&[&str], Ask); 4] = [
+        (&[], |request| request),
+        (&["--indicator", "counting", "--normals", "--up", "z"], |request| {
+            request.indicator(IndicatorKind::Counting).normals(true).up(meniscus::UpAxis::Z)
+        }),
+        (&["--simplify", "1", "--smallest-drop", "4", "--attributes", "none"], |request| {
+            request.simplify(1.0).smallest_drop(4).attributes([""; 0])
+        }),
+        (&["--indicator", "symmetry", "--iso", "0.3", "--domain", "-4,-9,-9,9,9,9"], |request| {
+            request.indicator(IndicatorKind::Symmetry).iso(0.3).domain([-4.0, -9.0, -9.0], [9.0; 3])
+        }),
+    ];
+    for (number, (options, ask)) in asked.into_iter().enumerate() {
+        let [program, library] = ["program", "library"].map(|by| format!("{by}_{number}"));
+        let mut command = command(folder.path(), &["reconstruct", "sim/drop_{}.xyz", "--spacing", "0.5"]);
+        command.arg("-o").arg(format!("{program}/drop_{{}}.ply")).args(["--quiet", "--backend", "cpu"]);
+        assert!(command.args(options).status().unwrap().success(), "{options:?}");
+        let request = ask(Reconstruction::new().spacing(0.5));
+        let summaries = simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
+        assert!(matches!(&summaries[..], [Summary { made: 4, failed: 0, .. }]), "{summaries:?}");
+        let [program, library] = [program, library].map(|by| tree(&folder.path().join(by)));
+        assert_eq!(program.len(), 8, "{:?}", program.keys());
+        assert!(program.keys().eq(library.keys()), "{:?} {:?}", program.keys(), library.keys());
+        for (file, bytes) in &program {
+            assert!(library[file] == *bytes, "{file} by {options:?}");
+        }
+    }
+}
+
+#[test]
+fn events_tell_what_is_measured_begun_done_and_failed() {
+    let folder = simulated(5);
+    fs::write(folder.path().join("sim/drop_3.xyz"), "seven").unwrap();
+    fs::remove_file(folder.path().join("sim/drop_4.xyz")).unwrap();
+    let told = Mutex::new(Vec::new());
+    let tell = |event: Event<'_>| {
+        let line = match event {
+            Event::Measured { .. } => "measured".to_owned(),
+            Event::Begins { frames, done, lanes, .. } => {
+                assert!(lanes >= 1);
+                format!("begins {done} of {frames}")
+            }
+            Event::Stage { stage: Some(stage), frame, .. } => format!("{frame} {stage}"),
+            Event::Done(done) => {
+                assert!(done.output.exists() && done.report.is_some());
+                assert!(event.to_string().contains(" vertices, "), "{event}");
+                format!("done {}", done.mesh.frame)
+            }
+            Event::Failed(failed) => {
+                assert_eq!(failed.error.cause(), Cause::Input);
+                format!("failed {}", failed.frame)
+            }
+            Event::Ended(_) => "ended".to_owned(),
+            _ => return,
+        };
+        told.lock().unwrap().push(line);
+    };
+    let summaries = simulation(folder.path(), "mesh").run(tell).unwrap();
+    let told = told.into_inner().unwrap();
+    let place =
+        |line: &str| told.iter().position(|told| told == line).unwrap_or_else(|| panic!("{line}: {told:?}"));
+    assert!(place("begins 0 of 4") < place("done 1"));
+    for frame in [1, 2, 5] {
+        for stage in ["reading", "counting", "sampling", "meshing", "writing"] {
+            assert!(place(&format!("{frame} {stage}")) < place(&format!("done {frame}")));
+        }
+    }
+    assert!(place("failed 3") < place("ended") && place("measured") < place("ended"));
+    let [summary] = &summaries[..] else { panic!("{summaries:?}") };
+    assert_eq!((summary.made, summary.failed, summary.lacking()), (3, 1, 2));
+    assert_eq!((summary.missing[0].first, summary.missing[0].last), (4, 4));
+    assert!(!summary.is_complete());
+}
+
+#[test]
+fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with() {
+    let folder = simulated(12);
+    let cancel = Cancel::new();
+    let request = Reconstruction::new().spacing(0.5).threads(1).memory(MemoryBudget(1 << 30));
+    let all = simulation(folder.path(), "mesh").reconstruction(request.clone().cancel(cancel.clone()));
+    let [done, failed] = [(); 2].map(|()| AtomicUsize::new(0));
+    let error = all
+        .run(|event| match event {
+            Event::Done(_) if done.fetch_add(1, Ordering::Relaxed) == 2 => cancel.cancel(),
+            Event::Failed(_) => drop(failed.fetch_add(1, Ordering::Relaxed)),
+            _ => {}
+        })
+        .unwrap_err();
+    assert!(matches!(error, Error::Cancelled), "{error}");
+    let [done, failed] = [done, failed].map(AtomicUsize::into_inner);
+    assert!((3..12).contains(&done) && failed == 0, "{done} done, {failed} failed");
+    let meshes = |folder: &str, root: &Path| {
+        let files = tree(&root.join(folder));
+        assert!(files.keys().all(|name| !name.contains(".tmp")), "{:?}", files.keys());
+        files.into_iter().filter(|(name, _)| name.ends_with(".ply")).collect::<BTreeMap<_, _>>()
+    };
+    assert_eq!(meshes("mesh", folder.path()).len(), done);
+
+    let again = simulation(folder.path(), "mesh").reconstruction(request.clone()).resume();
+    let skipped = AtomicUsize::new(0);
+    again
+        .run(|event| {
+            if let Event::Begins { done, .. } = event {
+                skipped.store(done, Ordering::Relaxed);
+            }
+        })
+        .unwrap();
+    assert_eq!(skipped.into_inner(), done);
+    simulation(folder.path(), "whole").reconstruction(request).run(|_| {}).unwrap();
+    assert!(meshes("mesh", folder.path()) == meshes("whole", folder.path()));
+}
+
+#[test]
+fn a_frame_can_be_cancelled_between_two_batches_of_blocks() {
+    let water = fill(36.0, 1.0, 0.3, 5, |_| true);
+    let cancel = Cancel::new();
+    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+    let request = Reconstruction::new().spacing(1.0).cell(0.15).threads(1).memory(MemoryBudget(64 << 20));
+    let error = request
+        .cancel(cancel)
+        .progress(move |progress| {
+            hear.lock().unwrap().push(progress);
+            if progress.stage == Stage::Meshing && progress.done > 0.0 {
+                stop.cancel();
+            }
+        })
+        .run(&water[..])
+        .unwrap_err();
+    assert_eq!(error.cause(), Cause::Cancelled, "{error}");
+    let told = told.lock().unwrap();
+    let last = told.last().unwrap();
+    assert!(last.stage == Stage::Meshing && last.done > 0.0 && last.done < 1.0, "{told:?}");
+    let stages: Vec<Stage> = told.iter().map(|progress| progress.stage).collect();
+    assert!(stages.is_sorted() && stages.contains(&Stage::Sampling), "{stages:?}");
+    assert_eq!(
+        told.iter().filter(|progress| progress.stage == Stage::Meshing && progress.done > 0.0).count(),
+        1
+    );
+}
+
+#[test]
+fn a_frame_of_ordinary_size_is_cancelled_while_its_blocks_are_meshed() {
+    let water = fill(30.0, 1.0, 0.3, 5, |_| true);
+    assert!(water.len() > 200_000);
+    for (threads, kind) in
+        [(1, IndicatorKind::Cloud), (2, IndicatorKind::Cloud), (2, IndicatorKind::Counting)]
+    {
+        let cancel = Cancel::new();
+        let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+        let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+        let request = Reconstruction::new().spacing(1.0).indicator(kind).threads(threads).cancel(cancel);
+        let error = request
+            .progress(move |progress| {
+                hear.lock().unwrap().push(progress);
+                if progress.stage == Stage::Meshing && progress.done > 0.0 {
+                    stop.cancel();
+                }
+            })
+            .run(&water)
+            .unwrap_err();
+        assert!(matches!(error, Error::Cancelled), "{error}");
+        let last = *told.lock().unwrap().last().unwrap();
+        assert!(last.stage == Stage::Meshing && last.done < 0.5, "{last:?}");
+    }
+}
+
+#[test]
+fn a_frame_is_cancelled_in_the_middle_of_whatever_stage_it_is_in() {
+    let folder = TempDir::new().unwrap();
+    let input = folder.path().join("water.xyz");
+    fs::write(&input, raw(&fill(30.0, 1.0, 0.3, 5, |_| true))).unwrap();
+    for last in [Stage::Counting, Stage::Sampling, Stage::Meshing, Stage::Simplifying, Stage::Writing] {
+        for format in ["ply", "glb", "obj"] {
+            let cancel = Cancel::new();
+            let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+            let (stop, hear) = (cancel.clone(), std::sync::Arc::clone(&told));
+            let request = Reconstruction::new().spacing(1.0).simplify(0.5).cancel(cancel);
+            let request = request.progress(move |progress| {
+                hear.lock().unwrap().push(progress);
+                if progress.stage == last && progress.done > 0.0 {
+                    stop.cancel();
+                }
+            });
+            let mesh = folder.path().join("mesh").with_extension(format);
+            let made = request.run_file(&input).and_then(|surface| surface.write(&mesh));
+            let error = made.unwrap_err();
+            assert_eq!(error.cause(), Cause::Cancelled, "{error}");
+            let told = told.lock().unwrap();
+            let end = told.last().unwrap();
+            assert!(end.stage == last && end.done > 0.0 && end.done < 0.5, "{last} of .{format}: {told:?}");
+            assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "{last} of .{format} left a file");
+        }
+    }
+}
+
+#[test]
+fn every_stage_is_told_of_from_its_begin_to_its_end_and_can_be_the_last() {
+    let folder = simulated(1);
+    let input = folder.path().join("sim/drop_1.xyz");
+    let told = std::sync::Arc::new(Mutex::new(Vec::<Progress>::new()));
+    let hear = std::sync::Arc::clone(&told);
+    let asked = || Reconstruction::new().spacing(0.5).simplify(0.5);
+    let surface =
+        asked().progress(move |progress| hear.lock().unwrap().push(progress)).run_file(&input).unwrap();
+    surface.write(folder.path().join("mesh.ply")).unwrap();
+    // Nobody holds it when the last file is written.
+    let told = std::mem::take(&mut *told.lock().unwrap());
+    let stages: Vec<_> = told.chunk_by(|a, b| a.stage == b.stage).collect();
+    let names: Vec<_> = stages.iter().map(|stage| stage[0].stage).collect();
+    use Stage::{Counting, Meshing, Reading, Sampling, Simplifying, Writing};
+    assert_eq!(names, [Reading, Counting, Sampling, Meshing, Simplifying, Writing]);
+    for stage in stages {
+        assert!(stage[0].done == 0.0 && stage[stage.len() - 1].done == 1.0, "{stage:?}");
+        assert!(stage.is_sorted_by(|a, b| a.done <= b.done), "{stage:?}");
+    }
+    for last in [Reading, Counting, Sampling, Meshing, Simplifying] {
+        let cancel = Cancel::new();
+        let stop = cancel.clone();
+        let request = asked().cancel(cancel).progress(move |progress| {
+            if progress.stage == last && progress.done == 1.0 {
+                stop.cancel();
+            }
+        });
+        assert!(matches!(request.run_file(&input), Err(Error::Cancelled)), "{last}");
+    }
+    // A file that is being written does not get its name.
+    let cancel = Cancel::new();
+    let output =
+        asked().cancel(cancel.clone()).output(folder.path().join("late.ply"), Replace::Refuse).unwrap();
+    cancel.cancel();
+    assert!(matches!(surface.write_to(output), Err(Error::Cancelled)));
+    assert!(!folder.path().join("late.ply").exists());
+}
+
+#[test]
+fn what_is_cancelled_before_it_begins_writes_nothing() {
+    let folder = simulated(2);
+    let cancel = Cancel::new();
+    cancel.cancel();
+    let request = Reconstruction::new().spacing(0.5).cancel(cancel);
+    assert!(matches!(request.run(&falling(1)[..]).unwrap_err(), Error::Cancelled));
+    let input = folder.path().join("sim/drop_1.xyz");
+    assert!(matches!(request.run_file(&input).unwrap_err(), Error::Cancelled));
+    let error = simulation(folder.path(), "mesh").reconstruction(request).run(|_| {}).unwrap_err();
+    assert!(matches!(error, Error::Cancelled), "{error}");
+    let left = fs::read_dir(folder.path().join("mesh")).map_or(0, Iterator::count);
+    assert_eq!(left, 0);
+}
+
+#[test]
+fn frames_from_memory_are_those_from_files() {
+    for kind in [IndicatorKind::Cloud, IndicatorKind::Counting, IndicatorKind::Symmetry] {
+        let folder = simulated(3);
+        let request = Reconstruction::new().spacing(0.5).indicator(kind).cell(0.8);
+        simulation(folder.path(), "mesh").reconstruction(request.clone()).run(|_| {}).unwrap();
+        let mut live = LiveSimulation::new(&request).unwrap();
+        for frame in 1..=3 {
+            let surface = live.frame(&falling(frame)[..]).unwrap();
+            let file = folder.path().join(format!("mesh/drop_{frame}.ply"));
+            assert!(
+                live.is_settled() && bytes_of(&surface) == fs::read(file).unwrap(),
+                "frame {frame} by {kind:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_a_live_simulation_has_measured_holds_for_all_later_frames() {
+    // A sheet tells nothing of the fluid's inside.
+    let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));
+    let mut live = LiveSimulation::new(&Reconstruction::new().spacing(0.5)).unwrap();
+    live.frame(&sheet[..]).unwrap();
+    assert!(!live.is_settled());
+    live.frame(&falling(1)[..]).unwrap();
+    assert!(live.is_settled());
+
+    let mut live = LiveSimulation::new(&Reconstruction::new()).unwrap();
+    let first = live.frame(&falling(1)[..]).unwrap();
+    assert!(live.is_settled());
+    // Half of the particles would be another spacing and another plateau.
+    let thinned: Vec<[f32; 3]> = falling(2).into_iter().step_by(2).collect();
+    let second = live.frame(&thinned[..]).unwrap();
+    let [one, other] = [&first, &second].map(|surface| surface.report());
+    assert_eq!(one.facts.grid, other.facts.grid);
+    assert_eq!(one.calibration, other.calibration);
+    let alone = Reconstruction::new().run(&thinned[..]).unwrap();
+    assert_ne!(alone.report().facts.grid, other.facts.grid);
+    assert_ne!(alone.report().calibration, other.calibration);
+}
+
+#[test]
+fn a_frame_that_is_sampled_once_is_drawn_as_often_as_one_likes() {
+    let water = falling(1);
+    let request = Reconstruction::new().spacing(0.5);
+    let frame = request.sample(&water[..]).unwrap();
+    for smooth in [1.2, 1.6, 2.2] {
+        let other = request.clone().smooth(smooth);
+        let drawn = frame.surface_by(&other).unwrap();
+        assert!(bytes_of(&drawn) == bytes_of(&other.run(&water[..]).unwrap()), "{smooth}");
+    }
+    assert!(bytes_of(&frame.surface().unwrap()) == bytes_of(&request.run(&water[..]).unwrap()));
+
+    let folder = TempDir::new().unwrap();
+    let packed = folder.path().join("frame.mnf");
+    frame.pack(request.packed_output(&packed, Replace::Refuse).unwrap()).unwrap();
+    let drawn = Reconstruction::new().smooth(2.2).run_file(&packed).unwrap();
+    assert!(bytes_of(&drawn) == bytes_of(&request.clone().smooth(2.2).run(&water[..]).unwrap()));
+    let none = request.packed_output(folder.path().join("frame.ply"), Replace::Refuse).unwrap_err();
+    assert_eq!(none.cause(), Cause::Request);
+}
+
+#[test]
+fn settings_that_have_no_meaning_are_refused_with_what_they_do_not_go_with() {
+    let asked = Reconstruction::new;
+    let counting = || asked().indicator(IndicatorKind::Counting);
+    let mueller = || asked().method(meniscus::Method::Mueller { iso: 0.5 });
+    let folder = TempDir::new().unwrap();
+    for (setting, request) in [
+        ("sigma", asked().sigma(1.0)),
+        ("iso", asked().iso(0.5)),
+        ("detail", asked().detail(true)),
+        ("mu0", asked().mu0(3.0)),
+        ("smooth", counting().smooth(1.6)),
+        ("smooth", mueller().smooth(1.6)),
+        ("sigma", mueller().sigma(1.6)),
+        ("iso", asked().method(meniscus::Method::ZhuBridson).iso(0.5)),
+        ("indicator", mueller().indicator(IndicatorKind::Cloud)),
+    ] {
+        let refused = |error: Error| matches!(error, Error::Unfit(unfit) if unfit.setting.name() == setting);
+        assert!(refused(request.check("none.bgeo").unwrap_err()), "{setting}");
+        assert!(refused(request.run(&falling(1)[..]).unwrap_err()), "{setting}");
+        assert!(refused(request.run_file("there/is/none.bgeo").unwrap_err()), "{setting}");
+        let simulation = Simulation::new("none_{}.bgeo", folder.path().join("mesh_{}.ply"));
+        assert!(refused(simulation.reconstruction(request).check().unwrap_err()), "{setting}");
+    }
+    for (setting, request, name) in [
+        ("normals", asked().normals(true), "m.stl"),
+        ("attributes", asked().attributes(["heat"]), "m.obj"),
+        ("compress", asked().compress(true), "m.ply"),
+        ("up", asked().up(meniscus::UpAxis::Z), "m.glb"),
+    ] {
+        let error = request.output(folder.path().join(name), Replace::Refuse).unwrap_err();
+        assert!(
+            matches!(&error, Error::Unfit(unfit)
+                if unfit.setting.name() == setting && matches!(unfit.with, Conflict::Format { .. })),
+            "{setting}: {error}"
+        );
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
+    let folder = simulated(1);
+    // Particles eight times as far apart have an eighth of the plateau and less.
+    let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
+    write(&folder.path().join("sim/drop_2.xyz"), &far);
+    let found = Mutex::new(Vec::new());
+    let request = Reconstruction::new().spacing(0.5).indicator(IndicatorKind::Counting);
+    let tell = |event: Event<'_>| {
+        if let Event::Done(done) = event {
+            found.lock().unwrap().extend(done.warnings.iter().cloned());
+        }
+    };
+    simulation(folder.path(), "mesh").reconstruction(request).run(tell).unwrap();
+    let found = found.into_inner().unwrap();
+    let measured_on = found.iter().find_map(|warning| match warning {
+        Warning::Shortfall { measured_on, clouds: false, .. } => Some(*measured_on),
+        Warning::Empty { measured_on, clouds: false, .. } => Some(*measured_on),
+        _ => None,
+    });
+    assert_eq!(measured_on, Some(Some(1)), "{found:?}");
+    assert!(found.iter().all(|warning| !warning.to_string().contains("--")), "{found:?}");
+}

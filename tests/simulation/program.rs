@@ -1,0 +1,934 @@
+//! What the program promises for the frames of a simulation: the same bytes however they are made, every frame that can
+//! be, and nothing left behind.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use glam::{DQuat, DVec3, EulerRot};
+use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::surface::mesh::Mesh;
+use meniscus::internals::surface::mesh::check::check;
+use meniscus::internals::surface::mesh::measure::measure;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::common::files::{data, raw, tree};
+use crate::common::scene::Random;
+use crate::common::{fill, program};
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    program::command(folder, &[&["reconstruct"], arguments].concat())
+}
+
+#[track_caller]
+fn run(folder: &Path, arguments: &[&str], code: i32) -> String {
+    program::run(folder, &[&["reconstruct"], arguments].concat(), code)
+}
+
+/// A ball that falls, in `in/f_N.xyz`, with particles in disorder.
+fn falling(frames: std::ops::RangeInclusive<u64>) -> TempDir {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("in")).unwrap();
+    for frame in frames {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), raw(&ball(frame))).unwrap();
+    }
+    folder
+}
+
+fn ball(frame: u64) -> Vec<[f64; 3]> {
+    let fall = DVec3::new(0.0, -0.07 * frame as f64, 0.0);
+    let ball = fill(10.0, 2.0, 0.4, frame, |p| p.length() < 5.0);
+    ball.into_iter().map(|p| (DVec3::from(p) + fall).to_array()).collect()
+}
+
+const ALL: [&str; 3] = ["in/f_{}.xyz", "-o", "out/m_{}.ply"];
+
+fn with<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    [&ALL[..], more].concat()
+}
+
+#[test]
+fn the_bytes_depend_on_neither_threads_nor_jobs_nor_their_order_nor_memory() {
+    let folder = falling(1..=9);
+    let bytes = |runs: &[&[&str]]| {
+        let out = folder.path().join("out");
+        let _ = fs::remove_dir_all(&out);
+        runs.iter().for_each(|options| drop(run(folder.path(), &with(options), 0)));
+        tree(&out)
+    };
+    let first = bytes(&[&["--threads", "1"]]);
+    assert_eq!(first.len(), 9 + 4, "meshes, their records, the state and two listings");
+    assert!(first == bytes(&[&["--threads", "3"]]));
+    assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
+    // The last job sees the frames of all others.
+    assert!(first == bytes(&[&["--frames", "6..9"], &["--frames", "1..2"], &["--frames", "3..5"]]));
+    assert!(first == bytes(&[&["--plan"], &["--frames", "4..9"], &["--resume"]]));
+}
+
+#[test]
+fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_nothing_else() {
+    let folder = falling(1..=8);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let whole = tree(&out);
+    let times = || -> Vec<_> {
+        (1..=8).map(|i| out.join(format!("m_{i}.ply")).metadata().unwrap().modified().unwrap()).collect()
+    };
+    let before = times();
+
+    fs::remove_file(out.join("m_2.ply")).unwrap();
+    fs::write(out.join("m_3.ply"), "ply").unwrap();
+    let records = out.join("m.ply.meniscus/frames.jsonl");
+    let text = fs::read_to_string(&records).unwrap();
+    let mut lines: Vec<&str> = text.lines().collect();
+    lines[4] = "{";
+    lines.remove(3);
+    fs::write(&records, lines.join("\n")).unwrap();
+    fs::write(out.join(".meniscus-dead.tmp"), "left behind").unwrap();
+    fs::write(out.join("m.ply.meniscus/.meniscus-dead.tmp"), "left behind").unwrap();
+    let alive = fs::File::create(out.join(".meniscus-alive.tmp")).unwrap();
+    alive.lock_shared().unwrap();
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("4 of 8 frames are done already"), "{errors}");
+    fs::remove_file(out.join(".meniscus-alive.tmp")).expect("what another process writes stays");
+    assert!(tree(&out) == whole);
+    let again: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
+    assert_eq!(again, [2, 3, 4, 5]);
+
+    // An input that has changed is another frame.
+    fs::write(folder.path().join("in/f_7.xyz"), raw(&ball(11))).unwrap();
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("7 of 8 frames"), "{errors}");
+    let other = tree(&out);
+    assert!(other["m_7.ply"] != whole["m_7.ply"] && other["m_6.ply"] == whole["m_6.ply"]);
+
+    // Other settings are refused, unless all may be made again.
+    let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
+    assert!(errors.contains("smooth") && errors.contains("--resume"), "{errors}");
+    assert!(tree(&out) == other);
+    run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 0);
+    let wide = tree(&out);
+    run(folder.path(), &with(&["--smooth", "1.3", "--overwrite"]), 0);
+    assert!(tree(&out) == wide && wide["m_1.ply"] != other["m_1.ply"]);
+}
+
+#[test]
+fn bad_frames_are_named_with_their_causes_and_all_others_are_made() {
+    let folder = falling(1..=20);
+    run(folder.path(), &ALL, 0);
+    let whole = tree(&folder.path().join("out"));
+    fs::remove_dir_all(folder.path().join("out")).unwrap();
+
+    let input = |frame: u64| folder.path().join(format!("in/f_{frame}.xyz"));
+    let bytes = fs::read(input(5)).unwrap();
+    fs::write(input(5), &bytes[..bytes.len() - 5]).unwrap();
+    fs::remove_file(input(11)).unwrap();
+    let mut bytes = fs::read(input(17)).unwrap();
+    bytes[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
+    fs::write(input(17), bytes).unwrap();
+
+    let errors = run(folder.path(), &with(&["--stats", "stats.jsonl"]), 1);
+    assert!(errors.contains("3 frames failed"), "{errors}");
+    for cause in
+        ["frame 5: in/f_5.xyz: ", "frame 11: in/f_11.xyz: missing", "frame 17: in/f_17.xyz: particle 0"]
+    {
+        assert!(errors.contains(cause), "{cause}: {errors}");
+    }
+    let out = tree(&folder.path().join("out"));
+    let meshes = |files: &BTreeMap<String, Vec<u8>>| -> Vec<String> {
+        files.keys().filter(|name| name.starts_with("m_")).cloned().collect()
+    };
+    assert_eq!(meshes(&out).len(), 17);
+    assert!(meshes(&out).iter().all(|name| out[name] == whole[name]));
+    let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
+    let lines: Vec<Value> = stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 19);
+    assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
+    assert!(lines.iter().all(|line| line["frame"].is_u64()));
+
+    // A bad first frame does not keep the others from being measured.
+    fs::write(input(1), "").unwrap();
+    let errors = run(folder.path(), &["in", "-o", "other/"], 1);
+    assert!(errors.contains("frame 1: in/f_1.xyz: the file is empty"), "{errors}");
+    assert_eq!(tree(&folder.path().join("other")).keys().filter(|name| name.starts_with("f_")).count(), 16);
+}
+
+#[test]
+fn a_run_that_no_frame_can_be_measured_in_ends_and_leaves_nothing() {
+    let folder = falling(1..=12);
+    for frame in 1..=12 {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "?").unwrap();
+    }
+    let errors = run(folder.path(), &with(&["--threads", "2"]), 3);
+    assert!(errors.contains("in/f_1.xyz: "), "{errors}");
+    assert!(tree(&folder.path().join("out")).is_empty());
+}
+
+#[test]
+fn a_file_where_the_folder_of_the_meshes_would_be_is_named_before_any_work_and_left() {
+    let folder = falling(1..=2);
+    fs::write(folder.path().join("taken"), "mine").unwrap();
+    for out in ["taken/", "taken/m_{}.ply", "taken/further/m_{}.ply"] {
+        let errors = run(folder.path(), &["in", "-o", out], 4);
+        assert!(errors.contains("taken: is a file, and no folder"), "{out}: {errors}");
+        assert!(!errors.contains("measured"), "{out}: {errors}");
+    }
+    assert_eq!(fs::read(folder.path().join("taken")).unwrap(), b"mine");
+}
+
+#[test]
+fn frames_are_found_by_pattern_folder_glob_or_name_and_come_out_the_same() {
+    let folder = falling(8..=11);
+    fs::write(folder.path().join("in/notes.md"), "no frame").unwrap();
+    fs::write(folder.path().join("in/scene.json"), "{}").unwrap();
+    let inputs: [&[&str]; 4] = [
+        &["in/f_{}.xyz"],
+        &["in"],
+        &["in/f_*.xyz"],
+        &["in/f_10.xyz", "in/f_9.xyz", "in/f_11.xyz", "in/f_8.xyz"],
+    ];
+    let outputs: Vec<_> = inputs
+        .iter()
+        .enumerate()
+        .map(|(i, inputs)| {
+            let out = format!("out{i}/m_{{:03}}.ply");
+            run(folder.path(), &[inputs, &["-o", &out][..]].concat(), 0);
+            tree(&folder.path().join(format!("out{i}")))
+        })
+        .collect();
+    assert!(outputs.iter().all(|out| *out == outputs[0]));
+    assert!(outputs[0].contains_key("m_008.ply") && outputs[0].contains_key("m_011.ply"));
+    let manifest: Value = serde_json::from_slice(&outputs[0]["m.ply.json"]).unwrap();
+    let files: Vec<_> =
+        manifest["frames"].as_array().unwrap().iter().map(|f| f["file"].as_str().unwrap()).collect();
+    assert_eq!(files, ["m_008.ply", "m_009.ply", "m_010.ply", "m_011.ply"]);
+
+    run(folder.path(), &["in", "-o", "some/", "--start", "9", "--step", "2", "--fps", "25"], 0);
+    let some = tree(&folder.path().join("some"));
+    let manifest: Value = serde_json::from_slice(&some["f.ply.json"]).unwrap();
+    let times: Vec<_> =
+        manifest["frames"].as_array().unwrap().iter().map(|f| f["time"].as_f64().unwrap()).collect();
+    assert_eq!(times, [9.0 / 25.0, 11.0 / 25.0]);
+}
+
+#[test]
+fn bars_are_drawn_where_they_are_asked_for_and_lines_elsewhere() {
+    let folder = falling(1..=3);
+    let lines = run(folder.path(), &ALL, 0);
+    assert_eq!(lines.matches("vertices").count(), 3, "{lines}");
+    assert!(!lines.contains('\x1b'), "{lines}");
+    let bars = run(folder.path(), &with(&["--overwrite", "--progress", "always"]), 0);
+    assert!(bars.contains('\x1b') && bars.contains("of 3 frames") && bars.contains(" left"), "{bars}");
+    assert_eq!(run(folder.path(), &with(&["--overwrite", "--progress", "always", "--quiet"]), 0), "");
+}
+
+#[test]
+fn what_cannot_be_a_sequence_is_refused_before_any_work() {
+    let folder = falling(1..=3);
+    fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("in/g_1.xyz")).unwrap();
+    fs::create_dir(folder.path().join("none")).unwrap();
+    let before = tree(folder.path());
+    for (arguments, code, says) in [
+        (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
+        (vec!["in", "-o", "out_{}.ply"], 2, "several simulations: f_{}.xyz (3), g_{}.xyz (1); name one"),
+        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "several simulations"),
+        (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
+        (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--compress"], 2, "--compress goes with .glb"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "9"], 2, "--simplify"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--simplify", "1", "--memory", "20MiB"], 2, "--simplify"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.glb", "--up", "z"], 2, "--particles-up"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.abc"], 2, "unknown extension"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.stl", "--normals"], 2, "normals"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}_{}.ply"], 2, "one {}"),
+        (vec!["in/f_{}.xyz", "-o", "out_{:4}.ply"], 2, "{:04}"),
+        (vec!["in/f_{}.xyz", "-o", "in/f_{}.xyz"], 2, "unknown extension"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--frames", "7..9"], 2, "--frames"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--frames", "9..7"], 2, "--frames"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--step", "0"], 2, "--step"),
+        (vec!["in/f_{}.xyz", "-o", "out_{}.ply", "--fps", "0"], 2, "--fps"),
+        (vec!["in/f_1.xyz", "-o", "out.ply", "--resume"], 2, "--resume"),
+        (vec!["none", "-o", "out_{}.ply"], 3, "no frames"),
+        (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no frames"),
+    ] {
+        let errors = run(folder.path(), &arguments, code);
+        assert!(errors.contains(says), "{arguments:?}: {errors}");
+        assert!(tree(folder.path()) == before, "{arguments:?} left something");
+    }
+    fs::create_dir(folder.path().join("out")).unwrap();
+    fs::write(folder.path().join("out/m_2.ply"), "precious").unwrap();
+    let before = tree(folder.path());
+    let errors = run(folder.path(), &ALL, 2);
+    assert!(errors.contains("m_2.ply") && errors.contains("--resume"), "{errors}");
+    assert!(tree(folder.path()) == before);
+}
+
+#[test]
+fn a_dry_run_of_a_sequence_tells_what_it_would_do_and_writes_nothing() {
+    let folder = falling(1..=4);
+    fs::remove_file(folder.path().join("in/f_3.xyz")).unwrap();
+    let before = tree(folder.path());
+    let output = command(folder.path(), &with(&["--dry-run"])).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success());
+    for word in [
+        "3 of 3 frames",
+        "missing: 3",
+        "particles per cubed spacing",
+        "in memory of",
+        "disk: about",
+        "time: about",
+    ] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    assert!(tree(folder.path()) == before);
+}
+
+#[test]
+fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them_anew() {
+    let folder = falling(1..=3);
+    let made = |more: &[&str]| {
+        let notes = run(folder.path(), &with(more), 0);
+        (tree(&folder.path().join("out")), notes)
+    };
+    let (first, _) = made(&["--method", "zhu-bridson"]);
+    let state: Value = serde_json::from_slice(&first["m.ply.meniscus/state.json"]).unwrap();
+    let frozen = &state["frozen"];
+    assert!(["mu0", "isovalue", "plateau"].iter().all(|key| frozen[key].is_null()), "{frozen}");
+    let spacing = frozen["spacing"].to_string();
+    for frame in 1..=3 {
+        let input = format!("in/f_{frame}.xyz");
+        let single =
+            [&input, "-o", "one.ply", "--overwrite", "--method", "zhu-bridson", "--spacing", &spacing];
+        run(folder.path(), &single, 0);
+        assert!(
+            fs::read(folder.path().join("one.ply")).unwrap() == first[&format!("m_{frame}.ply")],
+            "{frame}"
+        );
+    }
+    let small = ["--method", "zhu-bridson", "--overwrite", "--threads", "1", "--memory", "16MiB"];
+    assert!(made(&small).0 == first, "whatever the threads and the memory");
+
+    let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
+    assert!(errors.contains("other settings (method)"), "{errors}");
+    let (other, notes) = made(&["--method", "yu-turk", "--resume"]);
+    assert!((1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]), "{notes}");
+    let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
+    assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
+    let (_, notes) = made(&["--resume"]);
+    assert!(notes.contains("other settings (method), made anew"), "{notes}");
+}
+
+#[test]
+fn every_frame_is_sampled_and_drawn_by_the_calibration_of_the_state_and_not_by_its_own() {
+    let folder = falling(1..=1);
+    // Twice as dense, which alone has another mu0 and another isovalue.
+    let dense: Vec<_> = ball(2).into_iter().chain(ball(3)).collect();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
+    for indicator in ["counting", "symmetry"] {
+        let more = ["--indicator", indicator, "--cell-size", "0.6", "--spacing", "0.5", "--origin", "0,0,0"];
+        run(folder.path(), &with(&[&more[..], &["--overwrite"]].concat()), 0);
+        let made = tree(&folder.path().join("out"));
+        let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
+        let frozen = &state["frozen"];
+        assert!(frozen["frame"] == 1 && frozen["mu0"].is_null() == (indicator == "symmetry"), "{frozen}");
+        let [mu0, iso] = ["mu0", "isovalue"].map(|key| frozen[key].to_string());
+        let single = |known: &[&str]| {
+            let alone = ["in/f_2.xyz", "-o", "one.ply", "--overwrite"];
+            run(folder.path(), &[&alone[..], &more, known].concat(), 0);
+            fs::read(folder.path().join("one.ply")).unwrap()
+        };
+        let mu0 = if indicator == "symmetry" { vec![] } else { vec!["--mu0", &mu0] };
+        assert!(
+            single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
+            "{indicator}: not by {frozen}"
+        );
+        assert!(single(&[]) != made["m_2.ply"], "{indicator}: by its own");
+        assert!(single(&mu0) != made["m_2.ply"], "{indicator}: by its own isovalue");
+    }
+}
+
+#[test]
+fn every_frame_of_clouds_is_drawn_by_the_plateau_of_the_state_whatever_its_own() {
+    let folder = falling(1..=3);
+    let dense: Vec<_> = [ball(2), ball(3), ball(4)].concat();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&dense)).unwrap();
+    let more = ["--cell-size", "0.3", "--spacing", "0.5", "--origin", "0,0,0", "--overwrite"];
+    let frozen = |more: &[&str]| {
+        run(folder.path(), &with(more), 0);
+        let made = tree(&folder.path().join("out"));
+        let state: Value = serde_json::from_slice(&made["m.ply.meniscus/state.json"]).unwrap();
+        (made, state["frozen"].clone())
+    };
+    let (made, thin) = frozen(&more);
+    assert!(thin["frame"] == 1 && thin["mu0"].is_null() && thin["isovalue"].is_null(), "{thin}");
+    let single = |frame: u32| {
+        let input = format!("in/f_{frame}.xyz");
+        run(folder.path(), &[&[&input, "-o", "one.ply"], &more[..]].concat(), 0);
+        fs::read(folder.path().join("one.ply")).unwrap()
+    };
+    assert!(single(1) == made["m_1.ply"], "by its own");
+    assert!(single(2) != made["m_2.ply"], "by that of another");
+    // The plateau alone tells the others apart: by a third of it there is more fluid than by all.
+    fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&ball(1))).unwrap();
+    let (by_dense, dense) = frozen(&more);
+    let plateau = |frozen: &Value| frozen["plateau"].as_f64().unwrap();
+    let ratio = plateau(&dense) / plateau(&thin);
+    assert!((2.5..3.5).contains(&ratio), "{dense} and {thin}");
+    assert!(by_dense["m_3.ply"] != made["m_3.ply"]);
+}
+
+#[test]
+fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_resume_too() {
+    let folder = falling(1..=2);
+    run(folder.path(), &ALL, 0);
+    let path = folder.path().join("out/m.ply.meniscus/state.json");
+    let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    // Clouds had a mu0 and an isovalue.
+    let frozen = state["frozen"].as_object_mut().unwrap();
+    frozen.remove("plateau").unwrap();
+    frozen.insert("mu0".into(), 2.5.into());
+    frozen.insert("isovalue".into(), 0.1.into());
+    fs::write(&path, state.to_string()).unwrap();
+    fs::write(folder.path().join("in/f_3.xyz"), raw(&ball(3))).unwrap();
+    let before = tree(folder.path());
+    for more in [&[][..], &["--resume"], &["--frames", "3..3"], &["--plan"]] {
+        let errors = run(folder.path(), &with(more), 2);
+        assert!(
+            ["state.json", "of another surface", "--overwrite"].iter().all(|word| errors.contains(word)),
+            "{more:?}: {errors}"
+        );
+        assert!(tree(folder.path()) == before, "{more:?}");
+    }
+    // As the program before wrote it, with an option that is gone: other settings, which --resume makes anew.
+    let settings = state["settings"].as_object_mut().unwrap();
+    settings.insert("smooth".into(), 2.0.into());
+    settings.insert("adaptive".into(), false.into());
+    fs::write(&path, state.to_string()).unwrap();
+    let errors = run(folder.path(), &ALL, 2);
+    assert!(errors.contains("adaptive") && errors.contains("smooth"), "{errors}");
+    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(errors.contains("made anew"), "{errors}");
+}
+
+#[test]
+fn a_first_frame_without_an_interior_leaves_the_plateau_to_one_that_has_it_and_a_lattice_tells_the_same() {
+    let ball: Vec<_> = ball(1);
+    let single = vec![[0.3, 0.2, 0.1]];
+    let mut random = Random::new(4);
+    let spray: Vec<[f64; 3]> = (0..400).map(|_| [(); 3].map(|()| 60.0 * random.unit())).collect();
+    let lattice = fill(4.0, 2.0, 0.0, 1, |p| p.y < 0.0);
+    let empty = Vec::new();
+    let plateau = |frames: &[&Vec<[f64; 3]>]| {
+        let folder = TempDir::new().unwrap();
+        for (number, frame) in (1..).zip(frames) {
+            let rows = frame.iter().map(|[x, y, z]| format!("{x},{y},{z}\n"));
+            let rows = ["x,y,z\n".to_owned()].into_iter().chain(rows);
+            fs::write(folder.path().join(format!("f_{number}.csv")), rows.collect::<String>()).unwrap();
+        }
+        // The spacing says more than a third too many particles, so that it would tell another plateau.
+        run(folder.path(), &["f_{}.csv", "-o", "m_{}.ply", "--spacing", "0.45", "--origin", "0,0,0"], 0);
+        let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
+        let state: Value = serde_json::from_slice(&state).unwrap();
+        let last = read_mesh(&folder.path().join(format!("m_{}.ply", frames.len()))).unwrap();
+        (state["frozen"]["plateau"].as_f64().unwrap(), measure(&last).volume.unwrap())
+    };
+    let (alone, volume) = plateau(&[&ball]);
+    for (name, first, within) in
+        [("spray", &spray, 0.0), ("one", &single, 0.0), ("none", &empty, 0.0), ("a lattice", &lattice, 0.015)]
+    {
+        let (found, with) = plateau(&[first, &ball]);
+        assert!((found / alone - 1.0).abs() <= within, "{name}: {found} and {alone}");
+        assert!((with / volume - 1.0).abs() <= 0.5 * within, "{name}: {with} and {volume}");
+    }
+}
+
+#[test]
+fn frames_of_spray_before_all_others_leave_the_plateau_to_the_spacing_with_a_warning() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=65 {
+        let spray: Vec<[f64; 3]> = (0..3).map(|i| [3.0 * f64::from(i), f64::from(frame), 0.0]).collect();
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&spray)).unwrap();
+    }
+    fs::write(folder.path().join("f_66.xyz"), raw(&ball(1))).unwrap();
+    let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5"], 0);
+    assert!(notes.contains("warning: next to no fluid is deeper than the filters reach"), "{notes}");
+    assert!(notes.contains("density 1.000 particles per cubed spacing"), "{notes}");
+    let mesh = read_mesh(&folder.path().join("m_66.ply")).unwrap();
+    let volume = measure(&mesh).volume.unwrap() / (ball(1).len() as f64 * 0.125);
+    assert!((volume - 1.0).abs() < 0.02, "{volume}");
+}
+
+#[test]
+fn the_spacing_is_estimated_on_fluid_however_many_frames_of_spray_come_first() {
+    let mut random = Random::new(4);
+    for (spray, frames, radius) in [(2, 3, 6.0), (70, 90, 6.0), (2, 3, 9.0), (70, 90, 9.0)] {
+        let folder = TempDir::new().unwrap();
+        let fluid = fill(2.0 * radius, 1.0, 0.2, 1, |p| p.length() < radius);
+        for frame in 1..=frames {
+            let particles = if frame > spray {
+                fluid.clone()
+            } else {
+                (0..400).map(|_| [(); 3].map(|()| 60.0 * random.unit())).collect()
+            };
+            fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
+        }
+        let notes = run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--plan"], 0);
+        let state = fs::read(folder.path().join("m.ply.meniscus/state.json")).unwrap();
+        let state: Value = serde_json::from_slice(&state).unwrap();
+        let spacing = state["frozen"]["spacing"].as_f64().unwrap();
+        assert!((spacing - 1.0).abs() < 0.1, "{spray} of {frames}, ball of {radius}: {spacing}: {notes}");
+    }
+}
+
+#[test]
+fn a_state_without_a_calibration_that_can_have_been_measured_is_refused_and_made_anew_on_request() {
+    let folder = falling(1..=2);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let (whole, path) = (tree(&out), out.join("m.ply.meniscus/state.json"));
+    for (key, value) in [
+        ("plateau", "null"),
+        ("plateau", "0"),
+        ("plateau", "65536"),
+        ("isovalue", "0.2"),
+        ("plateau", "\"two\""),
+    ] {
+        let mut state: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        state["frozen"][key] = value.parse().unwrap();
+        fs::write(&path, state.to_string()).unwrap();
+        let errors = run(folder.path(), &with(&["--resume"]), 2);
+        assert!(errors.contains("state.json") && errors.contains("--overwrite"), "{key} {value}: {errors}");
+        assert!(
+            (1..=2)
+                .all(|i| fs::read(out.join(format!("m_{i}.ply"))).unwrap() == whole[&format!("m_{i}.ply")])
+        );
+        run(folder.path(), &with(&["--overwrite"]), 0);
+        assert!(tree(&out) == whole, "{key} {value}");
+    }
+}
+
+#[test]
+fn a_frame_whose_kernels_reach_no_cell_s_centre_is_an_empty_mesh() {
+    let folder = falling(1..=1);
+    fs::write(folder.path().join("in/f_2.xyz"), raw(&[[0.0; 3]])).unwrap();
+    let coarse = ["--method", "mueller", "--spacing", "0.5", "--cell", "2"];
+    let notes = run(folder.path(), &with(&coarse), 0);
+    assert!(notes.contains("f_2.xyz: no cell's centre is inside"), "{notes}");
+    let [ball, nothing] =
+        ["out/m_1.ply", "out/m_2.ply"].map(|name| read_mesh(&folder.path().join(name)).unwrap());
+    assert!(ball.triangles.len() > 100 && nothing.triangles.is_empty());
+}
+
+#[test]
+fn a_frame_without_particles_or_without_a_surface_is_an_empty_mesh_that_can_be_read() {
+    let folder = TempDir::new().unwrap();
+    let header = "x,y,z,vx,vy,vz\n";
+    let rows = |particles: &[[f64; 3]]| -> String {
+        particles.iter().map(|[x, y, z]| format!("{x},{y},{z},1,2,3\n")).collect()
+    };
+    fs::write(folder.path().join("f_0.csv"), format!("{header}{}", rows(&ball(0)))).unwrap();
+    fs::write(folder.path().join("f_1.csv"), format!("{header}{}", rows(&[[0.0; 3]]))).unwrap();
+    fs::write(folder.path().join("f_2.csv"), header).unwrap();
+    for extension in ["ply", "obj", "vtk", "vtp", "stl"] {
+        let out = format!("m_{{}}.{extension}");
+        run(folder.path(), &["f_{}.csv", "-o", &out, "--indicator", "counting"], 0);
+        let whole = read_mesh(&folder.path().join(format!("m_0.{extension}"))).unwrap();
+        assert!(whole.triangles.len() > 1000);
+        for frame in [1, 2] {
+            let mesh = read_mesh(&folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
+            assert_eq!((mesh.positions.len(), mesh.triangles.len()), (0, 0), "{extension}");
+            // Not by reading: what has no vertices has no values to tell an attribute by.
+            let bytes = fs::read(folder.path().join(format!("m_{frame}.{extension}"))).unwrap();
+            let names = |word: &[u8]| bytes.windows(word.len()).any(|window| window == word);
+            assert_eq!(names(b"velocity") || names(b"float vx"), !whole.attributes.is_empty(), "{extension}");
+        }
+    }
+}
+
+#[test]
+fn a_frame_that_the_frozen_isovalue_leaves_next_to_nothing_of_is_named() {
+    let folder = TempDir::new().unwrap();
+    // All is measured on a fluid four times as dense as the next.
+    let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
+    let thin = fill(20.0, 1.26, 0.3, 1, |p| p.length() < 6.0);
+    fs::write(folder.path().join("f_1.xyz"), raw(&dense)).unwrap();
+    fs::write(folder.path().join("f_2.xyz"), raw(&thin)).unwrap();
+    let notes =
+        run(folder.path(), &["f_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.5", "--indicator", "counting"], 0);
+    let warnings: Vec<&str> = notes.lines().filter(|line| line.contains("warning")).collect();
+    let [warning, lost] = warnings[..] else { panic!("{notes}") };
+    assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
+    let all = dense.len() + thin.len();
+    assert!(lost.contains(&format!("{} of {all} particles are in no surface", thin.len())), "{notes}");
+    assert!(folder.path().join("m_2.ply").exists());
+}
+
+#[test]
+fn a_first_frame_that_is_a_lattice_on_cell_corners_is_measured_as_the_fluid_will_be() {
+    let data = data("dambreak_small");
+    let folder = TempDir::new().unwrap();
+    for name in [
+        "ParticleData_Fluid_1.bgeo",
+        "ParticleData_Fluid_10.bgeo",
+        "ParticleData_Fluid_20.bgeo",
+        "scene.json",
+    ] {
+        fs::copy(data.join(name), folder.path().join(name)).unwrap();
+    }
+    let frozen = |simulation: &str| -> Value {
+        let text = fs::read(folder.path().join(simulation).join("state.json")).unwrap();
+        serde_json::from_slice::<Value>(&text).unwrap()["frozen"].clone()
+    };
+    let number = |value: &Value| value.as_f64().unwrap();
+    // Its own isovalue is 0.0003; that of the last frame alone 0.2093.
+    let symmetry = ["ParticleData_Fluid_{}.bgeo", "-o", "s_{}.ply", "--cell", "1", "--indicator", "symmetry"];
+    run(folder.path(), &symmetry, 0);
+    let symmetry = frozen("s.ply.meniscus");
+    assert_eq!(symmetry["frame"], 1);
+    assert!((number(&symmetry["isovalue"]) - 0.2093).abs() < 0.01, "{symmetry}");
+    // Counts on a lattice are all 1, and its plateau too: a share of that would thin the splash by a third.
+    let counting = ["ParticleData_Fluid_{}.bgeo", "-o", "c_{}.ply", "--cell", "1", "--indicator", "counting"];
+    run(folder.path(), &counting, 0);
+    let counting = frozen("c.ply.meniscus");
+    assert_ne!(counting["frame"], 1);
+    assert_eq!(number(&counting["mu0"]), 1.0);
+    assert!(number(&counting["isovalue"]) < 0.4, "{counting}");
+
+    // Clouds are the same wherever they fall.
+    run(folder.path(), &["ParticleData_Fluid_{}.bgeo", "-o", "d_{}.ply", "--cell", "1"], 0);
+    let clouds = frozen("d.ply.meniscus");
+    assert_eq!(clouds["frame"], 1);
+    assert_eq!(clouds["origin"], serde_json::json!([0.0, 0.0, 0.0]));
+
+    let volume = 8664.0 * 0.05_f64.powi(3);
+    for name in ["s_1", "s_10", "s_20", "c_1", "c_10", "d_1", "d_10", "d_20"] {
+        let mesh = read_mesh(&folder.path().join(format!("{name}.ply"))).unwrap();
+        assert!(check(&mesh).is_closed_oriented_manifold());
+        let share = measure(&mesh).volume.unwrap() / volume;
+        assert!((0.8..1.15).contains(&share), "{name}: {share}");
+    }
+}
+
+/// A settled pool, level or on a slope, its particles so many spacings from their places.
+fn pool(slope: DQuat, jitter: f64, shift: [f64; 3]) -> Vec<[f64; 3]> {
+    let mut random = Random::new(9);
+    let mut particles = Vec::new();
+    for z in 0..24 {
+        for y in 0..12 {
+            for x in 0..24 {
+                let jitter = [0; 3].map(|_| 2.0 * jitter * (random.unit() - 0.5));
+                let place = DVec3::new(f64::from(x), f64::from(y), f64::from(z));
+                let at = slope * (place + DVec3::from(jitter));
+                particles.push((0.1 * (at + DVec3::from(shift))).to_array());
+            }
+        }
+    }
+    particles
+}
+
+#[test]
+fn a_fluid_at_rest_does_not_flicker() {
+    let slope = DQuat::from_euler(EulerRot::XYZ, 0.6, 0.1, 0.4);
+    let shifts =
+        [[0.0; 3], [0.0; 3], [0.25, 0.0, 0.0], [0.25, 0.5, 0.0], [0.4, 0.6, 0.8], [1.4, 0.6, -0.2], [0.5; 3]];
+    for (name, slope, jitter) in
+        [("level", DQuat::IDENTITY, 0.0), ("in disorder", DQuat::IDENTITY, 0.3), ("on a slope", slope, 0.3)]
+    {
+        let folder = TempDir::new().unwrap();
+        for (frame, shift) in shifts.into_iter().enumerate() {
+            let particles = raw(&pool(slope, jitter, shift));
+            fs::write(folder.path().join(format!("p_{frame}.xyz")), particles).unwrap();
+        }
+        run(folder.path(), &["p_{}.xyz", "-o", "m_{}.ply", "--spacing", "0.1"], 0);
+        let mesh = |frame: usize| read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        assert_eq!(mesh(0), mesh(1), "nothing moves, nothing changes");
+        // Where the surface is against the particles, its rounded ghost layer with it, in spacings.
+        let level = |frame: usize| {
+            let up = slope * DVec3::Y;
+            level(&mesh(frame), up) / 0.1 - up.dot(shifts[frame].into())
+        };
+        let levels: Vec<f64> = (0..shifts.len()).map(level).collect();
+        for pair in levels.windows(2) {
+            assert!((pair[1] - pair[0]).abs() < 0.02, "{name}: {levels:?}");
+        }
+    }
+}
+
+/// How high the upper side of a mesh lies on average, along `up`.
+fn level(mesh: &Mesh, up: DVec3) -> f64 {
+    let (mut area, mut sum) = (0.0, 0.0);
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+        let seen = (b - a).cross(c - a).dot(up);
+        if seen > 0.0 {
+            area += seen;
+            sum += seen * (a + b + c).dot(up) / 3.0;
+        }
+    }
+    sum / area
+}
+
+#[test]
+fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
+    let folder = TempDir::new().unwrap();
+    let frame = raw(&fill(46.0, 1.0, 0.4, 1, |p| p.length() < 46.0));
+    for i in 0..6 {
+        fs::write(folder.path().join(format!("f_{i}.xyz")), &frame).unwrap();
+    }
+    for (memory, output, options) in [
+        ("64MiB", "m_{}.ply", &[][..]),
+        ("192MiB", "m_{}.ply", &[]),
+        ("192MiB", "m_{}.ply", &["--simplify", "0.1"]),
+        ("400MiB", "m_{}.glb", &["--simplify", "0.1", "--compress"]),
+    ] {
+        let stats = format!("{memory}{}.jsonl", options.len());
+        let arguments =
+            ["f_{}.xyz", "-o", output, "--spacing", "1", "--memory", memory, "--threads", "2", "--overwrite"];
+        run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
+        let text = fs::read_to_string(folder.path().join(stats)).unwrap();
+        let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        // Resident pages of mapped inputs count too: four megabytes each, in as many lanes as there are.
+        let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
+        assert!(last["peak_resident_bytes"].as_u64().unwrap() <= budget, "{memory}: {last}");
+    }
+}
+
+#[test]
+fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
+    let folder = falling(1..=12);
+    run(folder.path(), &ALL, 0);
+    let out = folder.path().join("out");
+    let whole = tree(&out);
+    for i in 0..6 {
+        fs::remove_dir_all(&out).unwrap();
+        let mut child = command(folder.path(), &ALL).stderr(Stdio::null()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(15 + 23 * i));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        fs::create_dir_all(&out).unwrap();
+        run(folder.path(), &with(&["--resume"]), 0);
+        assert!(tree(&out) == whole, "killed after {} ms", 15 + 23 * i);
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
+    let folder = falling(1..=200);
+    let mut child = command(folder.path(), &ALL).stderr(Stdio::piped()).spawn().unwrap();
+    let out = folder.path().join("out");
+    while !out.join("m_3.ply").exists() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let left = tree(&out);
+    assert!(left.keys().all(|name| !name.contains(".tmp")), "{:?}", left.keys());
+    assert!(left.keys().filter(|name| name.starts_with("m_")).count() < 200);
+    run(folder.path(), &with(&["--resume", "-q"]), 0);
+    assert_eq!(tree(&out).keys().filter(|name| name.starts_with("m_")).count(), 200);
+}
+
+#[test]
+fn a_running_simulation_is_followed_and_no_half_of_a_file_is_taken_for_a_frame() {
+    let folder = falling(1..=2);
+    let plain = falling(1..=5);
+    run(plain.path(), &ALL, 0);
+    let child =
+        command(folder.path(), &with(&["--watch=20", "--end", "5"])).stderr(Stdio::piped()).spawn().unwrap();
+    let path = |frame: u64| -> PathBuf { folder.path().join(format!("in/f_{frame}.xyz")) };
+    for frame in 3..=5 {
+        // A writer that pauses for longer than a file has to rest.
+        let bytes = raw(&ball(frame));
+        let half = bytes.len() / 2 / 12 * 12 + 5;
+        fs::write(path(frame), &bytes[..half]).unwrap();
+        std::thread::sleep(Duration::from_millis(if frame == 4 { 2000 } else { 300 }));
+        fs::write(path(frame), &bytes).unwrap();
+    }
+    let output = child.wait_with_output().unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    let meshes = |folder: &TempDir| -> BTreeMap<String, Vec<u8>> {
+        tree(&folder.path().join("out")).into_iter().filter(|(name, _)| name.starts_with("m_")).collect()
+    };
+    assert!(meshes(&folder) == meshes(&plain), "{errors}");
+}
+
+/// The listings of a simulation, by their names.
+fn listings(out: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut files = tree(out);
+    files.retain(|name, _| !name.contains('_') && !name.contains('/'));
+    files
+}
+
+#[test]
+fn listings_are_the_same_whoever_made_the_frames_and_name_them_all_with_their_boxes() {
+    let folder = falling(8..=12);
+    let out = folder.path().join("out");
+    for (extension, names) in [
+        ("vtp", &["m.pvd", "m.vtp.json", "m.vtp.series"][..]),
+        ("usdc", &["m.manifest.usda", "m.usda", "m.usdc.json"]),
+        ("stl", &["m.stl.json", "m.stl.series"]),
+        ("glb", &["m.glb.json"]),
+    ] {
+        let _ = fs::remove_dir_all(&out);
+        let pattern = format!("out/m_{{}}.{extension}");
+        let convert = |more: &[&str]| {
+            run(folder.path(), &[&["in/f_{}.xyz", "-o", &pattern, "--fps", "25"], more].concat(), 0)
+        };
+        convert(&[]);
+        let whole = listings(&out);
+        assert_eq!(whole.keys().collect::<Vec<_>>(), names);
+        let text = String::from_utf8(whole[names[names.len() / 2]].clone()).unwrap();
+        let places = [8, 9, 10, 11, 12].map(|i| text.find(&format!("m_{i}.{extension}")).unwrap());
+        assert!(places.is_sorted(), "{text}");
+        let json: Value = serde_json::from_slice(&whole[&format!("m.{extension}.json")]).unwrap();
+        let last = &json["frames"][4];
+        assert_eq!((&last["frame"], &last["time"]), (&12.into(), &(12.0 / 25.0).into()));
+        let coordinate = |corner: usize, axis: usize| last["bounds"][corner][axis].as_f64().unwrap();
+        // A ball of radius 5 in cells of 1, 0.84 below the origin.
+        for (axis, middle) in [0.0, -0.84, 0.0].into_iter().enumerate() {
+            assert!((coordinate(0, axis) + 5.0 - middle).abs() < 0.6, "{last}");
+            assert!((coordinate(1, axis) - 5.0 - middle).abs() < 0.6, "{last}");
+        }
+
+        names.iter().for_each(|name| fs::remove_file(out.join(name)).unwrap());
+        let said = convert(&["--resume"]);
+        assert!(said.contains("5 of 5 frames are done already"), "{said}");
+        assert!(listings(&out) == whole, "{extension}: after a run that had nothing to do");
+        fs::remove_dir_all(&out).unwrap();
+        convert(&["--frames", "11..12"]);
+        assert!(listings(&out) != whole);
+        convert(&["--frames", "8..10"]);
+        assert!(listings(&out) == whole, "{extension}: by two jobs");
+    }
+}
+
+#[test]
+fn what_is_left_out_packed_or_turned_in_a_single_frame_is_so_in_each_of_a_sequence() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=3 {
+        let drop = ball(frame).into_iter().map(|[x, y, z]| [0.3 * x, 0.3 * y + 12.0, 0.3 * z]);
+        let particles: Vec<_> = ball(frame).into_iter().chain(drop).collect();
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), raw(&particles)).unwrap();
+    }
+    let frozen =
+        ["--indicator", "counting", "--cell-size", "1", "--iso", "0.2", "--mu0", "1", "--origin", "0,0,0"];
+    let mut sizes = Vec::new();
+    for (extension, options) in [
+        ("ply", &[][..]),
+        ("ply", &["--simplify", "0.25"]),
+        ("ply", &["--smallest-component", "150"]),
+        ("ply", &["--simplify", "0.25", "--smallest-component", "150", "--up", "z", "--normals"]),
+        ("glb", &["--simplify", "0.1", "--compress", "--particles-up", "z"]),
+        ("usdc", &["--up", "z"]),
+    ] {
+        let (many, one) = (format!("m_{{}}.{extension}"), format!("one.{extension}"));
+        let more = [&frozen[..], options, &["--overwrite"]].concat();
+        run(folder.path(), &[&["f_{}.xyz", "-o", &many], &more[..]].concat(), 0);
+        for frame in 1..=3 {
+            let input = format!("f_{frame}.xyz");
+            run(folder.path(), &[&[&input, "-o", &one], &more[..]].concat(), 0);
+            let name = format!("m_{frame}.{extension}");
+            let [many, one] = [&name, &one].map(|name| fs::read(folder.path().join(name)).unwrap());
+            assert!(many == one, "{options:?}: {name}");
+            sizes.push(one.len());
+        }
+        // Each is one of the settings that a simulation keeps to.
+        let refused = [&["f_{}.xyz", "-o", &many], &frozen[..], &["--simplify", "0.3"]].concat();
+        let errors = run(folder.path(), &refused, 2);
+        assert!(errors.contains("simplify"), "{errors}");
+    }
+    assert!(sizes[3] < sizes[0] / 2 && sizes[6] < sizes[0], "{sizes:?}");
+
+    let all = ["f_{}.xyz", "-o", "none_{}.ply", "--smallest-component", "1e9"];
+    let said = run(folder.path(), &all, 0);
+    assert!(said.contains("all components are below --smallest-component"), "{said}");
+    assert_eq!(read_mesh(&folder.path().join("none_2.ply")).unwrap().triangles.len(), 0);
+}
+
+#[test]
+fn up_turns_places_normals_and_directions_and_back() {
+    let folder = TempDir::new().unwrap();
+    let rows: String = ball(3).iter().map(|[x, y, z]| format!("{x},{y},{z},1,2,3,5\n")).collect();
+    let table = format!("x,y,z,vx,vy,vz,mass\n{rows}");
+    fs::write(folder.path().join("f.csv"), table).unwrap();
+    let mesh = |name: &str, options: &[&str]| {
+        let common = ["f.csv", "-o", name, "--normals", "--attributes", "velocity,mass", "--spacing", "0.5"];
+        run(folder.path(), &[&common[..], options].concat(), 0);
+        read_mesh(&folder.path().join(name)).unwrap()
+    };
+    let y = mesh("y.vtk", &[]);
+    let z = mesh("z.vtk", &["--up", "z"]);
+    let values =
+        |mesh: &Mesh, name: &str| mesh.attributes.iter().find(|a| a.name == name).unwrap().values.clone();
+    assert_eq!(y.positions.len(), z.positions.len());
+    assert!(y.positions.iter().zip(&z.positions).all(|(a, b)| [a[0], -a[2], a[1]] == *b));
+    let normals = y.normals.iter().flatten().zip(z.normals.iter().flatten());
+    assert!(normals.map(|(a, b)| assert_eq!([a[0], -a[2], a[1]], *b)).count() > 1000);
+    assert_eq!(values(&y, "velocity")[..3], [1.0, 2.0, 3.0]);
+    assert_eq!(values(&z, "velocity")[..3], [1.0, -3.0, 2.0]);
+    assert_eq!(values(&y, "mass"), values(&z, "mass"));
+    assert_eq!(y.triangles, z.triangles);
+    // What has z up already stays, or turns the other way.
+    assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
+    let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
+    assert_eq!(y.positions.len(), back.positions.len());
+    assert!(y.positions.iter().zip(&back.positions).all(|(a, b)| [a[0], a[2], -a[1]] == *b));
+    assert!(check(&back).is_closed_oriented_manifold() && measure(&back).volume.unwrap() > 0.0);
+}
+
+#[test]
+fn the_times_of_the_files_are_the_times_of_the_listings() {
+    let folder = TempDir::new().unwrap();
+    for (frame, time) in [(1, "0.125"), (2, "0.5")] {
+        let particles = ball(frame);
+        let rows: String = particles.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let text = format!(
+            "# vtk DataFile Version 3.0\nparticles\nASCII\nDATASET POLYDATA\nFIELD FieldData 2\n\
+             CYCLE 1 1 int\n{frame}\nTIME 1 1 double\n{time}\nPOINTS {} double\n{rows}",
+            particles.len()
+        );
+        fs::write(folder.path().join(format!("f_{frame}.vtk")), text).unwrap();
+    }
+    run(folder.path(), &["f_{}.vtk", "-o", "m_{}.vtp", "--fps", "7"], 0);
+    let pvd = fs::read_to_string(folder.path().join("m.pvd")).unwrap();
+    assert!(pvd.contains("timestep=\"0.125\"") && pvd.contains("timestep=\"0.5\""), "{pvd}");
+}
+
+#[test]
+fn each_fluid_of_a_scene_in_a_folder_becomes_a_sequence_of_its_own() {
+    let folder = falling(1..=3);
+    for frame in 2..=5 {
+        fs::write(folder.path().join(format!("in/oil_{frame}.xyz")), raw(&ball(frame + 10))).unwrap();
+    }
+    run(folder.path(), &["in", "-o", "out/"], 0);
+    let out = tree(&folder.path().join("out"));
+    let meshes: Vec<_> = out.keys().filter(|name| name.ends_with(".ply")).collect();
+    assert_eq!(meshes, ["f_1.ply", "f_2.ply", "f_3.ply", "oil_2.ply", "oil_3.ply", "oil_4.ply", "oil_5.ply"]);
+    for (prefix, frames) in [("f", 3), ("oil", 4)] {
+        let json: Value = serde_json::from_slice(&out[&format!("{prefix}.ply.json")]).unwrap();
+        assert_eq!(json["frames"].as_array().unwrap().len(), frames);
+        let pattern = format!("in/{prefix}_{{}}.xyz");
+        run(folder.path(), &[&pattern, "-o", &format!("{prefix}/{prefix}_{{}}.ply")], 0);
+        let alone = tree(&folder.path().join(prefix));
+        assert!(alone.len() > frames, "{:?}", alone.keys());
+        assert!(alone.iter().all(|(name, bytes)| out[name] == *bytes), "{prefix}");
+    }
+    // Bad files of one fluid are no matter to the other.
+    for frame in 1..=3 {
+        fs::write(folder.path().join(format!("in/f_{frame}.xyz")), "no").unwrap();
+    }
+    run(folder.path(), &["in", "-o", "again/"], 1);
+    let again = tree(&folder.path().join("again"));
+    assert!(again["oil_4.ply"] == out["oil_4.ply"] && !again.contains_key("f_1.ply"));
+    // The same fluid in two formats would be two simulations of one name.
+    fs::write(folder.path().join("in/oil_2.csv"), "x,y,z\n1,2,3\n").unwrap();
+    let errors = run(folder.path(), &["in", "-o", "other/"], 2);
+    assert!(errors.contains("oil_{}.csv (1), oil_{}.xyz (4)"), "{errors}");
+}

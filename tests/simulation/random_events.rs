@@ -1,0 +1,238 @@
+//! Random events in the life of a conversion: jobs side by side, killed and interrupted, inputs that come, grow and are written again,
+//! outputs that are damaged. Whatever they were, a last run with `--resume` leaves what one run alone makes by the same state, and nothing else.
+//!
+//! `MENISCUS_SEQUENCES=500` tries so many, and `MENISCUS_SEQUENCE=77` one of them again.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+use crate::common::files::{raw, tree};
+use crate::common::scene::Random;
+use crate::common::{fill, program};
+
+/// Sequences in a run that nobody asked for more of.
+const SEQUENCES: u64 = 10;
+
+/// A conversion that things happen to.
+struct Sequence {
+    folder: TempDir,
+    random: Random,
+    frames: u64,
+    /// How often an input was written: no two are alike.
+    written: u64,
+    format: &'static str,
+    told: String,
+}
+
+impl Sequence {
+    fn new(seed: u64) -> Self {
+        let mut random = Random::new(seed.wrapping_mul(0x9e37_79b9).wrapping_add(1));
+        let format = ["ply", "vtp", "ply", "pvtp", "obj", "usdc"][(random.bits() % 6) as usize];
+        let folder = tempfile::tempdir().unwrap();
+        ["in", "out", "alone"].iter().for_each(|name| fs::create_dir(folder.path().join(name)).unwrap());
+        let mut sequence =
+            Self { folder, random, frames: 0, written: 0, format, told: format!("{seed}, .{format}:") };
+        for _ in 0..2 + sequence.pick(4) {
+            sequence.grow();
+        }
+        sequence
+    }
+
+    fn pick(&mut self, below: u64) -> u64 {
+        self.random.bits() % below
+    }
+
+    fn note(&mut self, what: impl std::fmt::Display) {
+        write!(self.told, " {what}").unwrap();
+    }
+
+    fn input(&self, frame: u64) -> PathBuf {
+        self.folder.path().join(format!("in/f_{frame}.xyz"))
+    }
+
+    /// Writes a frame of a ball, another each time; halfway, or at once.
+    fn write(&mut self, frame: u64) {
+        self.written += 1;
+        let (seed, radius) = (self.written, 3.0 + 0.1 * (self.written % 10) as f64);
+        let ball = fill(10.0, 1.0, 0.3, seed, |p| p.length() < radius);
+        let bytes = raw(&ball);
+        let path = self.input(frame);
+        if self.pick(3) == 0 {
+            fs::write(&path, &bytes[..bytes.len() / 24 * 12]).unwrap();
+            std::thread::sleep(Duration::from_millis(self.pick(10)));
+            fs::write(&path, &bytes).unwrap();
+        } else {
+            let whole = self.folder.path().join("being_written");
+            fs::write(&whole, bytes).unwrap();
+            fs::rename(whole, path).unwrap();
+        }
+    }
+
+    fn grow(&mut self) {
+        self.frames += 1;
+        self.write(self.frames);
+    }
+
+    fn command(&self, out: &str, more: &[&str]) -> Command {
+        let output = format!("{out}/m_{{}}.{}", self.format);
+        let usual = ["reconstruct", "in/f_{}.xyz", "-o", &output, "-q"];
+        let mut command = program::command(self.folder.path(), &usual);
+        command.args(["--spacing", "1", "--cell", "1", "--threads", "1", "--backend", "cpu"]).args(more);
+        command.stderr(Stdio::piped());
+        command
+    }
+
+    /// A job, of all frames or of some.
+    fn job(&mut self) -> Child {
+        let some = self.pick(2) == 0;
+        let first = 1 + self.pick(self.frames);
+        let frames = format!("{first}..{}", first + self.pick(self.frames + 1 - first));
+        let more = if some { &["--resume", "--frames", &frames][..] } else { &["--resume"] };
+        self.note(if some { format!("job {frames}") } else { "job".into() });
+        self.command("out", more).spawn().unwrap()
+    }
+
+    /// Waits for a job, or ends it at some moment; nothing makes it panic.
+    fn end(&mut self, mut job: Child) {
+        let how = self.pick(4);
+        if how < 3 {
+            std::thread::sleep(Duration::from_millis(self.pick(60)));
+        }
+        match how {
+            0 => job.kill().unwrap(),
+            1 => drop(Command::new("kill").args(["-INT", &job.id().to_string()]).status()),
+            _ => {}
+        }
+        self.note(["killed", "interrupted", "ended", "ended"][how as usize]);
+        let output = job.wait_with_output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(!errors.contains("panicked"), "{}: {errors}", self.told);
+        let code = output.status.code();
+        assert!(matches!(code, None | Some(0 | 1 | 3 | 130)), "{}: {code:?}: {errors}", self.told);
+    }
+
+    /// Damages an output, or what is known of it.
+    fn damage(&mut self) {
+        let out = self.folder.path().join("out");
+        let files: Vec<PathBuf> = tree(&out)
+            .into_keys()
+            .map(|name| out.join(name))
+            .filter(|path| !path.ends_with("state.json"))
+            .collect();
+        if files.is_empty() {
+            return;
+        }
+        let path = &files[self.pick(files.len() as u64) as usize];
+        let mut bytes = fs::read(path).unwrap();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        self.note(format!("damage {name}"));
+        // A record says what it says; it can be cut off, or gone.
+        match self.pick(if name.ends_with(".jsonl") { 2 } else { 3 }) {
+            0 => return fs::remove_file(path).unwrap(),
+            1 => bytes.truncate(bytes.len() / 2),
+            _ => {
+                if let Some(byte) = bytes.get_mut(self.random.bits() as usize % 100) {
+                    *byte ^= 1;
+                }
+            }
+        }
+        fs::write(path, bytes).unwrap();
+    }
+
+    fn event(&mut self) {
+        match self.pick(8) {
+            0 | 1 => {
+                let job = self.job();
+                self.end(job);
+            }
+            2 | 3 => {
+                let jobs = [self.job(), self.job()];
+                jobs.into_iter().for_each(|job| self.end(job));
+            }
+            4 => {
+                let job = self.job();
+                let frame = 1 + self.pick(self.frames);
+                self.note(format!("write {frame}"));
+                self.write(frame);
+                self.end(job);
+            }
+            5 => {
+                let frame = 1 + self.pick(self.frames);
+                self.note(format!("write {frame}"));
+                self.write(frame);
+            }
+            6 => {
+                self.note("grow");
+                self.grow();
+            }
+            _ => self.damage(),
+        }
+    }
+
+    /// Makes all that is not there.
+    fn whole(&self, out: &str) {
+        let output = self.command(out, &["--resume"]).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{} {out}: {errors}", self.told);
+    }
+
+    /// Lets things happen, and compares what comes of it.
+    fn live(mut self) {
+        for _ in 0..3 + self.pick(6) {
+            self.event();
+        }
+        self.whole("out");
+        // A state is measured once, on what could be read then: a frame that was just being written is passed over.
+        let state = format!("m.{}.meniscus/state.json", self.format);
+        let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        fs::copy(from, to).unwrap();
+        self.whole("alone");
+        let [out, alone] = ["out", "alone"].map(|name| tree(&self.folder.path().join(name)));
+        let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+        assert_eq!(names(&out), names(&alone), "{}", self.told);
+        let differing: Vec<String> = alone
+            .iter()
+            .filter(|(name, bytes)| out[*name] != **bytes)
+            .map(|(name, bytes)| {
+                let [found, expected] =
+                    [&out[name], bytes].map(|bytes| String::from_utf8_lossy(&bytes[..bytes.len().min(3000)]));
+                format!("{name}: {found}\nin place of {expected}")
+            })
+            .collect();
+        assert!(differing.is_empty(), "{}: {}", self.told, differing.join("\n"));
+        let extension = format!(".{}", self.format);
+        let meshes = out.keys().filter(|name| name.starts_with("m_") && name.ends_with(&extension));
+        let frames = meshes.filter(|name| !name.contains('/')).count();
+        assert_eq!(frames as u64, self.frames, "{}", self.told);
+    }
+}
+
+#[test]
+fn whatever_happens_to_a_conversion_resuming_it_leaves_what_one_run_makes() {
+    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
+    if let Some(seed) = number("MENISCUS_SEQUENCE") {
+        return Sequence::new(seed).live();
+    }
+    let first = number("MENISCUS_SEQUENCES_FROM").unwrap_or(0);
+    let (begun, next) = (Instant::now(), AtomicU64::new(first));
+    let all = number("MENISCUS_SEQUENCES").unwrap_or(SEQUENCES);
+    let worker = || {
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= first + all {
+                return;
+            }
+            Sequence::new(seed).live();
+        }
+    };
+    std::thread::scope(|scope| (0..2).for_each(|_| drop(scope.spawn(worker))));
+    println!("{all} sequences; {:.0} s", begun.elapsed().as_secs_f64());
+}

@@ -1,0 +1,95 @@
+//! Frames in pieces while a simulation writes them: a piece whose frame is to come is none.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use crate::common::program::command;
+use crate::common::{files, fill};
+
+/// Half a ball, that is the first or the second piece of a frame.
+fn piece(half: usize) -> Vec<u8> {
+    let inside = |p: glam::DVec3| p.length() < 4.0 && (p.x < 0.0) == (half == 0);
+    let particles = fill(8.0, 2.0, 0.2, 3, inside);
+    let numbers: Vec<String> = particles.iter().flatten().map(f64::to_string).collect();
+    let text = format!(
+        "<VTKFile type=\"PolyData\"><PolyData><Piece NumberOfPoints=\"{}\"><Points>\
+         <DataArray type=\"Float64\" NumberOfComponents=\"3\" format=\"ascii\">{}</DataArray>\
+         </Points></Piece></PolyData></VTKFile>\n",
+        particles.len(),
+        numbers.join(" ")
+    );
+    text.into_bytes()
+}
+
+fn write_pieces(folder: &Path, frame: u64) {
+    (0..2).for_each(|half| fs::write(folder.join(format!("f_{frame}_{half}.vtp")), piece(half)).unwrap());
+}
+
+fn write_index(folder: &Path, frame: u64) {
+    let pieces = [0, 1].map(|half| format!("<Piece Source=\"f_{frame}_{half}.vtp\"/>")).concat();
+    let text = format!("<VTKFile type=\"PPolyData\"><PPolyData>{pieces}</PPolyData></VTKFile>\n");
+    fs::write(folder.join(format!("f_{frame}.pvtp")), text).unwrap();
+}
+
+fn start(folder: &Path, input: &str, more: &[&str]) -> Child {
+    let usual = ["reconstruct", input, "-o", "out/m_{}.ply", "--spacing", "0.5", "-q"];
+    command(folder, &usual).args(["--backend", "cpu"]).args(more).stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// The meshes that are there when it ends.
+#[track_caller]
+fn meshes(child: Child, folder: &Path) -> Vec<String> {
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    files::names(&folder.join("out")).into_iter().filter(|name| name.starts_with("m_")).collect()
+}
+
+#[test]
+fn pieces_that_are_there_before_their_frame_are_no_frames_of_their_own() {
+    // At the beginning, where no frame tells how pieces are called; of a folder and of a glob.
+    for input in ["in", "in/f*"] {
+        let folder = TempDir::new().unwrap();
+        let sim = folder.path().join("in");
+        fs::create_dir(&sim).unwrap();
+        (1..=2).for_each(|frame| write_pieces(&sim, frame));
+        let child = start(folder.path(), input, &["--watch=30", "--end", "3"]);
+        // Longer than a file has to rest.
+        sleep(Duration::from_millis(1800));
+        (1..=2).for_each(|frame| write_index(&sim, frame));
+        write_pieces(&sim, 3);
+        sleep(Duration::from_millis(1800));
+        write_index(&sim, 3);
+        assert_eq!(meshes(child, folder.path()), ["m_1.ply", "m_2.ply", "m_3.ply"], "{input}");
+    }
+}
+
+#[test]
+fn pieces_without_their_frame_are_known_by_those_of_another() {
+    let folder = TempDir::new().unwrap();
+    (1..=2).for_each(|frame| write_pieces(folder.path(), frame));
+    write_index(folder.path(), 1);
+    for (input, more) in [(".", &[][..]), (".", &["--watch=2", "--overwrite"]), ("f*", &["--overwrite"])] {
+        assert_eq!(meshes(start(folder.path(), input, more), folder.path()), ["m_1.ply"], "{input} {more:?}");
+    }
+}
+
+#[test]
+fn files_that_are_called_like_pieces_are_frames_where_nothing_names_them() {
+    let folder = TempDir::new().unwrap();
+    write_pieces(folder.path(), 7);
+    // After as long as anything is waited for, and by a pattern at once.
+    for (input, more) in
+        [(".", &["--watch=3"][..]), ("f_7_{}.vtp", &["--watch=30", "--end", "1", "--overwrite"])]
+    {
+        assert_eq!(
+            meshes(start(folder.path(), input, more), folder.path()),
+            ["m_0.ply", "m_1.ply"],
+            "{input}"
+        );
+    }
+}
