@@ -1,5 +1,6 @@
 //! Every target of `tests/fuzz`, on stable Rust: mutations of its seeds, the same each time. What libFuzzer does for hours this does for
 //! seconds; `MENISCUS_FUZZ_RUNS=100` does a hundred times as much, of the targets whose names contain `MENISCUS_FUZZ`.
+#![cfg(feature = "cli")]
 #![allow(
     dead_code,
     clippy::unwrap_used,

@@ -1,4 +1,5 @@
 //! Pictures of meshes: what is seen is what is there, whatever draws it; and files of pictures, whole or not at all.
+#![cfg(feature = "pictures")]
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -8,8 +9,9 @@ use std::f64::consts::PI;
 use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
+use common::program::{self, command};
 use common::scene::Random;
 use common::shapes::{cuboid, sphere, torus};
 use meniscus::files::Replace;
@@ -524,8 +526,7 @@ fn frames() -> TempDir {
 }
 
 fn render(folder: &Path, arguments: &[&str]) -> Output {
-    let program = env!("CARGO_BIN_EXE_meniscus");
-    Command::new(program).current_dir(folder).arg("render").args(arguments).output().unwrap()
+    command(folder, &["render"]).args(arguments).output().unwrap()
 }
 
 fn png_size(path: &Path) -> [u32; 2] {
@@ -631,17 +632,8 @@ fn a_preview_stands_beside_the_mesh_and_changes_none_of_its_bytes() {
     let folder = TempDir::new().unwrap();
     let at = |name: &str| folder.path().join(name);
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/dambreak_small");
-    let run = |arguments: &[&str], code: i32| {
-        let program = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-            .current_dir(folder.path())
-            .arg("reconstruct")
-            .args(arguments)
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&program.stderr).into_owned();
-        assert_eq!(program.status.code(), Some(code), "{arguments:?}: {said}");
-        said
-    };
+    let run =
+        |arguments: &[&str], code| program::run(folder.path(), &[&["reconstruct"], arguments].concat(), code);
     let frame = data.join("ParticleData_Fluid_10.bgeo");
     let frame = frame.to_str().unwrap();
     run(&[frame, "-o", "plain.ply"], 0);
