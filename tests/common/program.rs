@@ -1,7 +1,9 @@
 //! The program, run in a folder: its command, what it says where its exit code is known, and by a shell.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
+use std::thread::sleep;
+use std::time::Duration;
 
 /// The program; tests of a device alone are built without it.
 const MENISCUS: Option<&str> = option_env!("CARGO_BIN_EXE_meniscus");
@@ -28,4 +30,21 @@ pub fn in_shell(folder: &Path, before: &str, arguments: &str) -> Output {
     let script = format!("{before}\nexec \"$0\" {arguments}");
     let mut command = Command::new("bash");
     command.current_dir(folder).args(["-c", &script, MENISCUS.unwrap()]).output().unwrap()
+}
+
+/// Waits until `reached` returns true, which is before `child` ends.
+#[track_caller]
+pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child) -> bool) {
+    while !reached(child) {
+        assert!(child.try_wait().unwrap().is_none(), "the run ends before {what}");
+        sleep(Duration::from_millis(1));
+    }
+}
+
+/// Kills `child` as soon as `reached` returns true, which is while it works.
+#[track_caller]
+pub fn kill_when(mut child: Child, what: &str, reached: impl FnMut(&Child) -> bool) {
+    wait_until(&mut child, what, reached);
+    child.kill().unwrap();
+    assert!(!child.wait().unwrap().success(), "the run ends at {what}, before it is killed");
 }

@@ -11,7 +11,7 @@ use meniscus::internals::surface::mesh::measure::measure;
 use tempfile::TempDir;
 
 use crate::common::files::{data, names, raw};
-use crate::common::program::{command, in_shell};
+use crate::common::program::{command, in_shell, wait_until};
 use crate::common::scene::Random;
 use crate::common::{device, fill, splashes};
 
@@ -490,15 +490,14 @@ fn an_interrupt_is_exit_130_and_leaves_nothing() {
     let folder = TempDir::new().unwrap();
     let pipe = folder.path().join("pipe.xyz");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-    // Nobody writes to the pipe, so the run waits for its particles.
+    // Nothing is written to the pipe, so the run waits for its particles.
     let mut child = command(folder.path(), &["reconstruct", "pipe.xyz", "-o", "out.ply"])
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
-    while names(folder.path()).len() < 2 {
-        std::thread::sleep(std::time::Duration::from_millis(5));
-    }
-    std::thread::sleep(std::time::Duration::from_millis(100));
+    wait_until(&mut child, "its temporary file", |_| names(folder.path()).len() == 2);
+    // This returns when the run opens the pipe for reading.
+    let _writer = fs::File::options().write(true).open(&pipe).unwrap();
     let interrupt = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     assert_eq!(child.wait().unwrap().code(), Some(130));

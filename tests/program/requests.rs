@@ -6,7 +6,6 @@ use std::fs::{self, File};
 use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
-use std::time::Duration;
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::io::output::read_mesh;
@@ -17,7 +16,7 @@ use zip::{CompressionMethod, ZipWriter};
 
 use crate::common::files::{raw, tree};
 use crate::common::fill;
-use crate::common::program::{command, run};
+use crate::common::program::{command, run, wait_until};
 use crate::common::scene::Random;
 
 /// A run that is refused with code 2, and leaves all as it was.
@@ -99,9 +98,10 @@ fn meshes_in_the_folder_of_the_particles_are_never_taken_for_frames() {
     // A simulation that runs, into its own folder.
     let watching = frames(&["f_1.xyz"]);
     let arguments = ["reconstruct", ".", "-o", "m_{}.vtk", "--spacing", "1", "--watch=30", "--end", "3"];
-    let child = command(watching.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child = command(watching.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
     for frame in 2..=3 {
-        std::thread::sleep(Duration::from_millis(1500));
+        let made = format!("m_{}.vtk", frame - 1);
+        wait_until(&mut child, &made, |_| watching.path().join(&made).exists());
         fs::copy(at("f_1.xyz"), watching.path().join(format!("f_{frame}.xyz"))).unwrap();
     }
     let output = child.wait_with_output().unwrap();
@@ -263,11 +263,9 @@ fn a_frame_that_grows_after_it_was_made_is_made_again() {
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() / 24 * 12]).unwrap();
     let arguments = ["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--spacing", "1", "--watch=6"];
-    let child = command(folder.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child = command(folder.path(), &arguments).stderr(Stdio::piped()).spawn().unwrap();
     let made = folder.path().join("m_1.ply");
-    while !made.exists() {
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    wait_until(&mut child, "m_1.ply", |_| made.exists());
     let of_part = fs::read(&made).unwrap();
     fs::write(&path, &whole).unwrap();
     let output = child.wait_with_output().unwrap();

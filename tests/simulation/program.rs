@@ -700,19 +700,16 @@ fn frames_side_by_side_keep_to_the_memory_that_one_would_have() {
 
 #[test]
 fn a_killed_run_resumes_to_the_same_bytes_with_nothing_left_behind() {
-    let folder = falling(1..=12);
+    let folder = falling(1..=40);
     run(folder.path(), &ALL, 0);
     let out = folder.path().join("out");
     let whole = tree(&out);
-    for i in 0..6 {
+    for made in ["", "m.ply.meniscus", "m.ply.meniscus/state.json", "m_1.ply", "m_4.ply", "m_12.ply"] {
         fs::remove_dir_all(&out).unwrap();
-        let mut child = command(folder.path(), &ALL).stderr(Stdio::null()).spawn().unwrap();
-        std::thread::sleep(Duration::from_millis(15 + 23 * i));
-        child.kill().unwrap();
-        child.wait().unwrap();
-        fs::create_dir_all(&out).unwrap();
+        let child = command(folder.path(), &ALL).stderr(Stdio::null()).spawn().unwrap();
+        program::kill_when(child, made, |_| out.join(made).exists());
         run(folder.path(), &with(&["--resume"]), 0);
-        assert!(tree(&out) == whole, "killed after {} ms", 15 + 23 * i);
+        assert!(tree(&out) == whole, "killed when {made:?} appeared");
     }
 }
 
@@ -722,9 +719,7 @@ fn an_interrupted_sequence_keeps_what_is_done_and_goes_on() {
     let folder = falling(1..=200);
     let mut child = command(folder.path(), &ALL).stderr(Stdio::piped()).spawn().unwrap();
     let out = folder.path().join("out");
-    while !out.join("m_3.ply").exists() {
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    program::wait_until(&mut child, "m_3.ply", |_| out.join("m_3.ply").exists());
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     assert_eq!(child.wait().unwrap().code(), Some(130));
     let left = tree(&out);
