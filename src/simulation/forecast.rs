@@ -113,17 +113,17 @@ impl Setup<'_> {
         let records = Records::read(store.folder());
         let fingerprint = kept.as_ref().filter(|_| self.simulation.resume).map(State::fingerprint);
         let done = |frame: &&&FrameFile| {
-            let output = self.naming.path(frame);
+            let output = self.output(frame);
             let current = |fingerprint| records.current(frame.number, &frame.path, &output, fingerprint);
             fingerprint.and_then(current).is_some_and(|record| record.is_whole(&output))
         };
         let done = wanted.par_iter().filter(done).count();
         Ok(Forecast {
-            inputs: self.inputs.describe(),
+            inputs: self.sequence.describe(),
             frames: frames.len(),
             wanted: wanted.len() - done,
             done,
-            output: self.naming.path(&frames[0]),
+            output: self.output(&frames[0]),
             missing: gaps(frames),
             largest: self.largest(&frozen, wanted, done, begun)?,
             frozen,

@@ -110,7 +110,7 @@ impl Setup<'_> {
                 Ok((found.frozen, None))
             }
             (None, Some(error)) => Err(error),
-            (None, None) => Err(SimulationError::NoFrames(self.inputs.describe()).into()),
+            (None, None) => Err(SimulationError::NoFrames(self.sequence.describe()).into()),
         }
     }
 

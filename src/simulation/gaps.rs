@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::inputs::{FrameFile, neighbours};
+use super::pattern::Pattern;
 
 /// The numbers that are missing between others, by the greatest step that leads to all that are there.
 #[must_use]
@@ -23,14 +24,15 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// The name that the file of a missing number would have, going by the one before it.
+/// The name that the file of a missing number would have, going by the one before it. `pattern` is that of the names; where there is
+/// none, names end with their numbers.
 #[must_use]
-pub fn missing_path(frames: &[FrameFile], number: u64) -> PathBuf {
+pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: u64) -> PathBuf {
     let before = frames.partition_point(|frame| frame.number < number).saturating_sub(1);
     let Some(FrameFile { digits, path, .. }) = frames.get(before) else { return PathBuf::new() };
     let width = if digits.starts_with('0') { digits.len() } else { 1 };
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let at = name.rfind(&**digits).unwrap_or(0);
+    let at = pattern.map_or(name.len() - digits.len(), |pattern| pattern.prefix.len());
     path.with_file_name(format!("{}{number:0width$}{}", &name[..at], &name[at + digits.len()..]))
 }
 

@@ -1,7 +1,6 @@
 //! The files that are the frames of a simulation, and their order.
 //!
-//! A frame has a number. `{}` in a name says where it stands, padded or not; otherwise it is the last digits of the
-//! name before its extensions. Order is that of the numbers.
+//! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern) says where the number is in a name.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,15 +8,15 @@ use std::time::Duration;
 
 use glob::MatchOptions;
 
-use crate::io::frame_files::{files_of, snapshot_piece};
+use crate::io::frame_files::files_of;
 use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError};
 
-use super::numbers::{Family, Pattern, split_number};
-use super::pieces::{Whole, may_be_piece, whole_frames};
+use super::pattern::{Candidate, Pattern, infer};
+use super::pieces::{may_be_piece, whole_frames};
 
-/// How long it may be from a piece of a frame to the file that names it.
+/// The longest wait for a file that tells what another file is.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// One frame, as found.
@@ -31,34 +30,29 @@ pub struct FrameFile {
     pub path: PathBuf,
 }
 
-/// A way to find the frames, which can be asked again as they come.
+/// A request for frames: of one simulation or several.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Inputs {
     /// A name with `{}` for the number.
     Pattern(Pattern),
     /// All that we read in a folder.
     Folder(PathBuf),
-    /// Files of a folder or a glob whose names differ in their numbers alone.
-    Part {
-        /// All of them.
-        of: Box<Self>,
-        /// The names that tell them from other files.
-        family: Family,
-    },
-    /// Frames of a folder or a glob that come while a simulation runs: what may be a piece of one that is not there yet is none, until it
-    /// has not changed for so long.
-    Followed {
-        /// All of them.
-        of: Box<Self>,
-        /// How long.
-        patience: Duration,
-    },
-    /// Frames in one file.
-    Steps(PathBuf),
     /// A pattern that a shell would expand.
     Glob(String),
     /// Files that are named one by one.
     Files(Vec<PathBuf>),
+    /// Frames in one file.
+    Steps(PathBuf),
+}
+
+/// The frames of one simulation, which can be listed again as they come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sequence {
+    source: Inputs,
+    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers, which are counted.
+    pattern: Option<Pattern>,
+    /// How long an undecided file is waited for, where frames are still to come.
+    patience: Option<Duration>,
 }
 
 impl Inputs {
@@ -83,51 +77,188 @@ impl Inputs {
         Ok(text.contains(['*', '?', '[']).then(|| Self::Glob(text.into_owned())))
     }
 
-    /// Looks at the frames as they come, for so many seconds without news.
-    #[must_use]
-    pub fn followed(self, idle: f64) -> Self {
-        let patience = Duration::try_from_secs_f64(idle).unwrap_or(PATIENCE).min(PATIENCE);
-        match self {
-            Self::Folder(_) | Self::Glob(_) => Self::Followed { of: Box::new(self), patience },
-            other => other,
-        }
-    }
-
     /// Returns the inputs in the words of the request.
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
-            Self::Pattern(Pattern { folder, prefix, suffix, .. }) => {
-                folder.join(format!("{prefix}{{}}{suffix}")).display().to_string()
-            }
-            Self::Folder(folder) => folder.display().to_string(),
-            Self::Part { of, family } => match &**of {
-                Self::Folder(folder) => folder.join(family.to_string()).display().to_string(),
-                all => all.describe(),
-            },
-            Self::Followed { of, .. } => of.describe(),
-            Self::Steps(file) => file.display().to_string(),
+            Self::Pattern(pattern) => pattern.to_string(),
+            Self::Folder(path) | Self::Steps(path) => path.display().to_string(),
             Self::Glob(pattern) => pattern.clone(),
             Self::Files(files) => files.first().map_or(String::new(), |file| file.display().to_string()),
         }
     }
 
+    /// The simulations whose frames are there now. Of a folder that holds particles, meshes are none, whoever made them.
+    ///
+    /// Where frames are still to come, `idle` is the number of seconds without news after which the simulation is over. A file of a
+    /// folder or a glob waits as long, and 5 minutes at most, if another file will tell whether it is a piece, or which of its
+    /// numbers is the frame's.
+    ///
+    /// # Errors
+    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where the names do not say which number is
+    /// the frame's.
+    pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
+        let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
+        let patience = idle
+            .filter(|_| grows)
+            .map(|idle| Duration::try_from_secs_f64(idle).unwrap_or(PATIENCE).min(PATIENCE));
+        let sequence = |pattern| Sequence { source: self.clone(), pattern, patience };
+        let mut files = match self {
+            Self::Pattern(pattern) => return Ok(vec![sequence(Some(pattern.clone()))]),
+            Self::Steps(_) => return Ok(vec![sequence(None)]),
+            _ => self.candidates()?,
+        };
+        files.retain(|file| {
+            patience.is_none_or(|patience| !may_be_piece(&file.path) || rests(file, patience))
+        });
+        if let Some(odd) = files.iter().find(|file| file.runs.is_empty()) {
+            if files.iter().all(|file| file.runs.is_empty()) {
+                return Ok(vec![sequence(None)]);
+            }
+            return Err(SimulationError::Names(format!(
+                "{}: its name has no number, those of other frames have",
+                odd.path.display()
+            )));
+        }
+        if matches!(self, Self::Folder(_)) && !files.is_empty() {
+            files = without_meshes(files);
+            if files.is_empty() {
+                let what = format!("{}: holds meshes and no particles", self.describe());
+                return Err(SimulationError::Names(what));
+            }
+        }
+        if let ([file], Some(patience)) = (&*files, patience)
+            && file.runs.len() > 1
+            && !rests(file, patience)
+        {
+            return Ok(Vec::new());
+        }
+        Ok(infer(&files)?.into_iter().map(|pattern| sequence(Some(pattern))).collect())
+    }
+
+    /// The only simulation that is there, and its frames in order.
+    ///
+    /// # Errors
+    /// As [`simulations`](Self::simulations) and [`Sequence::list`], [`SimulationError::Several`] for several simulations, and
+    /// [`SimulationError::NoFrames`] where there is no frame.
+    pub fn only(&self) -> Result<(Sequence, Vec<FrameFile>), SimulationError> {
+        let mut found = self.simulations(None)?;
+        if found.len() > 1 {
+            return Err(self.several(&found));
+        }
+        let no_frames = || SimulationError::NoFrames(self.describe());
+        let sequence = found.pop().ok_or_else(no_frames)?;
+        let frames = sequence.list()?;
+        if frames.is_empty() { Err(no_frames()) } else { Ok((sequence, frames)) }
+    }
+
+    /// The refusal of several simulations, with the names of all.
+    #[must_use]
+    pub fn several(&self, simulations: &[Sequence]) -> SimulationError {
+        let each = simulations.iter().filter_map(|sequence| {
+            let Pattern { prefix, suffix, .. } = sequence.pattern.as_ref()?;
+            Some(format!("{prefix}{{}}{suffix} ({})", sequence.list().map_or(0, |frames| frames.len())))
+        });
+        SimulationError::Several { from: self.describe(), families: each.collect::<Vec<_>>().join(", ") }
+    }
+
+    /// Whether a file would be found if it were there.
+    fn takes(&self, path: &Path) -> bool {
+        let is_in = |folder: &Path| {
+            let whole = |folder: &Path| match folder.as_os_str().is_empty() {
+                true => Path::new(".").canonicalize(),
+                false => folder.canonicalize(),
+            };
+            path.parent()
+                .and_then(|parent| whole(parent).ok())
+                .is_some_and(|own| whole(folder).is_ok_and(|f| f == own))
+        };
+        match self {
+            Self::Pattern(pattern) => is_in(&pattern.folder),
+            Self::Folder(folder) => is_in(folder) && is_known(path),
+            Self::Glob(pattern) => {
+                // What stands for several letters stands for no folder, as where files are looked for.
+                let in_one_folder = MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
+                glob::Pattern::new(pattern)
+                    .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
+            }
+            Self::Steps(_) | Self::Files(_) => false,
+        }
+    }
+
+    /// The files that may be frames and are there now.
+    fn candidates(&self) -> Result<Vec<Candidate>, SimulationError> {
+        Ok(match self {
+            Self::Pattern(pattern) => {
+                let named = |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
+                files_in(pattern.folder())?.into_iter().map(|path| Candidate::from(named(path))).collect()
+            }
+            Self::Folder(folder) => {
+                let known = files_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
+                // A folder holds other things too: what has no number is no frame.
+                let mut files = whole_frames(known);
+                files.retain(|file| !file.runs.is_empty());
+                files
+            }
+            Self::Glob(pattern) => {
+                let fail = |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
+                glob::Pattern::new(pattern).map_err(fail)?;
+                let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
+                whole_frames(paths.filter(|path| path.is_file()).collect())
+            }
+            Self::Files(files) => whole_frames(files.clone()),
+            Self::Steps(_) => Vec::new(),
+        })
+    }
+}
+
+impl Sequence {
+    /// Returns the frames' pattern, else the inputs in the words of the request.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
+    }
+
+    /// The request that names the frames.
+    pub(super) fn source(&self) -> &Inputs {
+        &self.source
+    }
+
+    /// The pattern of the files' names; `None` for steps of a file, and for files without numbers, which are counted.
+    #[must_use]
+    pub fn pattern(&self) -> Option<&Pattern> {
+        self.pattern.as_ref()
+    }
+
     /// The frames that are there now, in order.
     ///
     /// # Errors
-    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same
-    /// frame, [`SimulationError::Several`] where the files are of several simulations.
+    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same frame, or where
+    /// a file that came later shows that the frames are numbered otherwise.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
-        let mut frames = self.found()?;
-        let families = self.families(&frames);
-        if families.len() > 1 {
-            let each = families.iter().map(|(family, files)| format!("{family} ({})", files.len()));
-            let families = each.collect::<Vec<_>>().join(", ");
-            return Err(SimulationError::Several { from: self.describe(), families });
-        }
+        let counted = |number: u64, path| FrameFile { number, digits: number.to_string(), path };
+        let mut frames: Vec<_> = match (&self.source, &self.pattern) {
+            (Inputs::Steps(file), _) => {
+                let steps = steps(file).map_err(|e| SimulationError::Names(e.to_string()))?;
+                let path = |number| PathBuf::from(format!("{}#{number}", file.display()));
+                steps.into_iter().map(|number| counted(number, path(number))).collect()
+            }
+            (source, None) => {
+                (0..).zip(source.candidates()?).map(|(number, file)| counted(number, file.path)).collect()
+            }
+            (source, Some(pattern)) => {
+                let files = source.candidates()?;
+                self.confirm(pattern, &files)?;
+                let numbered = |file: Candidate| {
+                    let digits = self.digits(pattern, &file)?.to_owned();
+                    Some(frame(digits, file.path))
+                };
+                files.into_iter().filter_map(numbered).collect::<Result<_, _>>()?
+            }
+        };
         frames.sort_by(|a: &FrameFile, b| (a.number, &a.path).cmp(&(b.number, &b.path)));
-        if let Some(family) = families.keys().next() {
-            refuse_decimals(family, &frames)?;
+        if let Some(pattern) = self.pattern.as_ref().filter(|_| !matches!(self.source, Inputs::Pattern(_))) {
+            refuse_decimals(pattern, &frames)?;
         }
         if let Some((a, b)) = neighbours(&frames).find(|(a, b)| a.number == b.number) {
             return Err(SimulationError::Names(format!(
@@ -140,140 +271,48 @@ impl Inputs {
         Ok(frames)
     }
 
-    /// The simulations that the files belong to, told by their names: of a scene with several fluids each is one. Of a folder that
-    /// holds particles, meshes are none, whoever made them.
-    ///
-    /// # Errors
-    /// As [`list`](Self::list), but for several.
-    pub fn simulations(&self) -> Result<Vec<Self>, SimulationError> {
-        let mut families = self.families(&self.found()?);
-        let all = families.len();
-        let own = if let Self::Followed { of, .. } = self { &**of } else { self };
-        if let Self::Folder(folder) = own {
-            // What cannot be read is told of when its turn comes.
-            let is_mesh = |file: &PathBuf| holds_mesh(file).unwrap_or(false);
-            families.retain(|_, files| !files.first().is_some_and(is_mesh));
-            if families.len() < all.min(1) {
-                return Err(SimulationError::Names(format!(
-                    "{}: holds meshes and no particles",
-                    folder.display()
-                )));
-            }
+    /// The frame's number in the name of a file. A pattern that was typed is exact; one that was inferred includes `.gz`.
+    fn digits<'a>(&self, pattern: &Pattern, file: &'a Candidate) -> Option<&'a str> {
+        match self.source {
+            Inputs::Pattern(_) => pattern.digits(file.path.file_name()?.to_str()?),
+            _ => pattern.digits(&file.name),
         }
-        if all < 2 {
-            return Ok(vec![self.clone()]);
-        }
-        let part = |(family, files): (Family, Vec<PathBuf>)| match own {
-            Self::Folder(_) => Self::Part { of: Box::new(self.clone()), family },
-            _ => Self::Files(files),
-        };
-        Ok(families.into_iter().map(part).collect())
     }
 
-    /// Leaves out whatever comes to be in its folder and is named otherwise than `first`, such as the meshes that are made.
-    #[must_use]
-    pub fn like(&self, first: &FrameFile) -> Self {
-        match self {
-            Self::Folder(_) | Self::Glob(_) => {
-                Self::Part { of: Box::new(self.clone()), family: first.family() }
-            }
-            // What belongs to the first frame's simulation is a frame at once.
-            Self::Followed { of, .. } => of.like(first),
-            _ => self.clone(),
+    /// Infers the pattern again where files have come that differ from the frames in other numbers.
+    fn confirm(&self, pattern: &Pattern, files: &[Candidate]) -> Result<(), SimulationError> {
+        let Some(patience) = self.patience else { return Ok(()) };
+        let is_frame = |file: &Candidate| pattern.digits(&file.name).is_some();
+        let Some(first) = files.iter().find(|file| is_frame(file)) else { return Ok(()) };
+        let kind = first.skeleton();
+        let is_alike = |file: &&Candidate| {
+            file.skeleton() == kind && (is_frame(file) || !may_be_piece(&file.path) || rests(file, patience))
+        };
+        let (mut alike, others): (Vec<_>, Vec<_>) =
+            files.iter().filter(is_alike).cloned().partition(is_frame);
+        // Such as those that this conversion writes.
+        let others = without_meshes(others);
+        if others.is_empty() {
+            return Ok(());
         }
+        alike.extend(others);
+        let patterns = infer(&alike)?;
+        if patterns.iter().any(|new| (&new.prefix, &new.suffix) == (&pattern.prefix, &pattern.suffix)) {
+            return Ok(());
+        }
+        let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
+        Err(SimulationError::Names(format!(
+            "the frames began as \"{pattern}\", but files that came later differ in another number; name the frames with {}",
+            patterns.join(" or ")
+        )))
     }
 
     /// Whether a file would be taken for a frame if it were there.
     #[must_use]
     pub fn takes(&self, path: &Path) -> bool {
-        let named = |path: &Path| {
-            path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-        };
-        let is_in = |folder: &Path| {
-            let whole = |folder: &Path| match folder.as_os_str().is_empty() {
-                true => Path::new(".").canonicalize(),
-                false => folder.canonicalize(),
-            };
-            path.parent()
-                .and_then(|parent| whole(parent).ok())
-                .is_some_and(|own| whole(folder).is_ok_and(|f| f == own))
-        };
-        match self {
-            Self::Pattern(pattern) => is_in(&pattern.folder) && pattern.digits(&named(path)).is_some(),
-            Self::Folder(folder) => is_in(folder) && is_known(path),
-            Self::Glob(pattern) => {
-                // What stands for several letters stands for no folder, as where files are looked for.
-                let in_one_folder = MatchOptions { require_literal_separator: true, ..MatchOptions::new() };
-                glob::Pattern::new(pattern)
-                    .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
-            }
-            Self::Part { of, family } => {
-                of.takes(path)
-                    && by_last_digits(path.to_owned().into())
-                        .is_some_and(|frame| frame.is_ok_and(|f| f.family() == *family))
-            }
-            Self::Followed { of, .. } => of.takes(path),
-            Self::Steps(_) | Self::Files(_) => false,
-        }
-    }
-
-    /// The files of each simulation. A pattern, or a file of steps, says itself what belongs together.
-    fn families(&self, frames: &[FrameFile]) -> BTreeMap<Family, Vec<PathBuf>> {
-        let mut families: BTreeMap<Family, Vec<PathBuf>> = BTreeMap::new();
-        for frame in frames.iter().filter(|_| !matches!(self, Self::Pattern(_) | Self::Steps(_))) {
-            families.entry(frame.family()).or_default().push(frame.path.clone());
-        }
-        families
-    }
-
-    /// The frames that are there now, in any order.
-    fn found(&self) -> Result<Vec<FrameFile>, SimulationError> {
-        Ok(match self {
-            Self::Pattern(pattern) => {
-                let number = |path: PathBuf| {
-                    let digits = pattern.digits(path.file_name()?.to_str()?)?.to_owned();
-                    Some(frame(digits, path))
-                };
-                let folder = Some(&*pattern.folder).filter(|folder| !folder.as_os_str().is_empty());
-                let here = folder.is_none();
-                let files = files_in(folder.unwrap_or(Path::new(".")))?.into_iter();
-                let named = |path: PathBuf| {
-                    if here { path.file_name().map_or_else(PathBuf::new, Into::into) } else { path }
-                };
-                files.map(named).filter_map(number).collect::<Result<_, _>>()?
-            }
-            Self::Folder(folder) => {
-                // A folder holds other things too: what has no number is no frame.
-                let known = files_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
-                whole_frames(known).into_iter().filter_map(by_last_digits).collect::<Result<_, _>>()?
-            }
-            Self::Part { of, family } => {
-                let mut frames = of.found()?;
-                frames.retain(|frame| frame.family() == *family);
-                frames
-            }
-            Self::Followed { of, patience } => {
-                let mut frames = of.found()?;
-                frames.retain(|frame| !may_be_piece(&frame.path) || rests(&frame.path, *patience));
-                frames
-            }
-            Self::Steps(file) => {
-                let frame = |number: u64| FrameFile {
-                    number,
-                    digits: number.to_string(),
-                    path: PathBuf::from(format!("{}#{number}", file.display())),
-                };
-                let steps = steps(file).map_err(|e| SimulationError::Names(e.to_string()))?;
-                steps.into_iter().map(frame).collect()
-            }
-            Self::Glob(pattern) => {
-                let fail = |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
-                glob::Pattern::new(pattern).map_err(fail)?;
-                let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
-                numbered(whole_frames(paths.filter(|path| path.is_file()).collect()))?
-            }
-            Self::Files(files) => numbered(whole_frames(files.clone()))?,
-        })
+        let file = Candidate::from(path.to_owned());
+        self.source.takes(path)
+            && self.pattern.as_ref().is_none_or(|pattern| self.digits(pattern, &file).is_some())
     }
 }
 
@@ -295,16 +334,7 @@ fn below(pattern: &str) -> String {
 /// there is no frame.
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     let inputs = Inputs::of(inputs)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
-    // Meshes in a folder of particles are none of them.
-    let simulations = inputs.simulations()?;
-    let frames = match &*simulations {
-        [one] => one.list()?,
-        _ => inputs.list()?,
-    };
-    if frames.is_empty() {
-        return Err(SimulationError::NoFrames(inputs.describe()).into());
-    }
-    Ok(frames)
+    Ok(inputs.only()?.1)
 }
 
 impl FrameFile {
@@ -314,26 +344,23 @@ impl FrameFile {
         let bytes = |file: &PathBuf| file.metadata().map_or(0, |metadata| metadata.len());
         files_of(&self.path).iter().map(bytes).sum()
     }
-
-    /// The part of its name that it shares with the others of its simulation; nothing where it has no number.
-    pub(super) fn family(&self) -> Family {
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        // The first of a snapshot's files is numbered by what stands before the piece's own number.
-        let base = snapshot_piece(&self.path).filter(|(_, number)| *number == 0).map(|(base, _)| base);
-        let base = base.as_deref().and_then(Path::file_name).map(|base| base.to_string_lossy());
-        let cuts = [base.as_deref(), Some(&*name)].into_iter().flatten().filter_map(split_number);
-        let cut = cuts.into_iter().find(|(_, digits, _)| *digits == self.digits);
-        cut.map_or_else(Family::default, |(prefix, digits, _)| {
-            let suffix = &name[prefix.len() + digits.len()..];
-            let suffix = suffix.strip_suffix(".gz").unwrap_or(suffix).to_owned();
-            Family { prefix: prefix.to_owned(), suffix }
-        })
-    }
 }
 
-/// Whether a file has not changed for so long.
-fn rests(path: &Path, patience: Duration) -> bool {
-    let modified = path.metadata().and_then(|metadata| metadata.modified());
+/// Leaves out meshes. Files that differ in their last number are all meshes, or none is.
+fn without_meshes(files: Vec<Candidate>) -> Vec<Candidate> {
+    let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for file in files {
+        let last = file.pattern(file.runs.len() - 1);
+        by_last.entry((last.prefix, last.suffix)).or_default().push(file);
+    }
+    // A file that cannot be read is reported when its turn comes.
+    by_last.retain(|_, files| !holds_mesh(&files[0].path).unwrap_or(false));
+    by_last.into_values().flatten().collect()
+}
+
+/// Whether a file has not changed for this long.
+fn rests(file: &Candidate, patience: Duration) -> bool {
+    let modified = file.path.metadata().and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }
 
@@ -351,16 +378,9 @@ fn frame(digits: String, path: PathBuf) -> Result<FrameFile, SimulationError> {
     }
 }
 
-/// The frame that a file is by its name; nothing where that has no number.
-fn by_last_digits(Whole { path, named }: Whole) -> Option<Result<FrameFile, SimulationError>> {
-    let name = named.file_name()?.to_string_lossy().into_owned();
-    let (_, digits, _) = split_number(&name)?;
-    Some(frame(digits.to_owned(), path))
-}
-
 /// Refuses numbers that may be decimals, `f_0.15` before `f_0.2`: read as whole ones they are in another order.
-fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), SimulationError> {
-    let before = family.prefix.strip_suffix('.').and_then(|before| before.chars().last());
+fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
+    let before = pattern.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
         return Ok(());
     }
@@ -368,32 +388,11 @@ fn refuse_decimals(family: &Family, frames: &[FrameFile]) -> Result<(), Simulati
     match neighbours(frames).find(|(a, b)| fraction(a) > fraction(b)) {
         None => Ok(()),
         Some((a, b)) => Err(SimulationError::Names(format!(
-            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by {family}",
+            "{} and {}: their numbers may be decimals; where {} and {} are the frames' numbers, say so by {pattern}",
             a.path.display(),
             b.path.display(),
             a.number,
             b.number,
-        ))),
-    }
-}
-
-/// Each has a number in its name, or none has and they are counted.
-fn numbered(whole: Vec<Whole>) -> Result<Vec<FrameFile>, SimulationError> {
-    let files: Vec<PathBuf> = whole.iter().map(|file| file.path.clone()).collect();
-    let frames: Vec<_> = whole.into_iter().map(by_last_digits).collect();
-    match frames.iter().position(Option::is_none) {
-        None => frames.into_iter().flatten().collect(),
-        Some(_) if frames.iter().all(Option::is_none) => {
-            let count = |(number, path): (usize, PathBuf)| FrameFile {
-                number: number as u64,
-                digits: number.to_string(),
-                path,
-            };
-            Ok(files.into_iter().enumerate().map(count).collect())
-        }
-        Some(odd) => Err(SimulationError::Names(format!(
-            "{}: its name has no number, those of other frames have",
-            files[odd].display()
         ))),
     }
 }
@@ -485,7 +484,7 @@ mod tests {
         }
         let found = |glob: &str| {
             let inputs = Inputs::Glob(folder.path().join(glob).to_str().unwrap().to_owned());
-            inputs.found().unwrap().into_iter().map(|frame| frame.path).collect::<Vec<_>>()
+            inputs.candidates().unwrap().into_iter().map(|file| file.path).collect::<Vec<_>>()
         };
         assert_eq!(found(".*/f_*.xyz"), [names[1].clone()]);
         assert_eq!(found(".a/.?*/f_*.xyz"), [names[2].clone()]);

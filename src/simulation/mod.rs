@@ -20,8 +20,8 @@ pub mod inputs;
 mod lanes;
 mod live;
 pub mod naming;
-pub mod numbers;
 mod one_frame;
+pub mod pattern;
 #[cfg(feature = "pictures")]
 mod pictures;
 mod pieces;

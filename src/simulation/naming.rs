@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::io::input::file_and_step;
+use crate::error::SimulationError;
+use crate::io::frame_files::snapshot_piece;
 use crate::io::output::MeshFormat;
 
-use super::inputs::FrameFile;
-use super::numbers::Pattern;
-use crate::error::SimulationError;
+use super::inputs::{Inputs, Sequence};
+use super::pattern::{Pattern, stem};
 
 /// How outputs are called.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,33 +39,36 @@ impl Naming {
     #[must_use]
     pub fn folder(&self) -> &Path {
         match self {
-            Self::Pattern(pattern) if pattern.folder.as_os_str().is_empty() => Path::new("."),
-            Self::Pattern(pattern) => &pattern.folder,
+            Self::Pattern(pattern) => pattern.folder(),
             Self::Folder(folder) => folder,
         }
     }
 
-    /// The output of a frame: its number padded as it is in the input's name, unless the pattern says how.
+    /// The pattern of the outputs of a simulation. In a folder they keep the names of the inputs, but for the extension.
     #[must_use]
-    pub fn path(&self, frame: &FrameFile) -> PathBuf {
-        match self {
-            Self::Pattern(pattern) => pattern.path(frame.number, &frame.digits),
-            Self::Folder(folder) => {
-                let stem = stem(frame);
-                folder.join(format!("{stem}{}{IN_FOLDER}", frame.digits))
-            }
-        }
-    }
-
-    /// Beside the outputs, without any number: what state and series of the simulation are called by.
-    #[must_use]
-    pub fn simulation(&self, first: &FrameFile) -> PathBuf {
-        let (stem, suffix) = match self {
-            Self::Pattern(pattern) => (pattern.prefix.clone(), &*pattern.suffix),
-            Self::Folder(_) => (stem(first), IN_FOLDER),
+    pub fn outputs(&self, inputs: &Sequence) -> Pattern {
+        let folder = match self {
+            Self::Pattern(pattern) => return pattern.clone(),
+            Self::Folder(folder) => folder.clone(),
         };
-        self.folder().join(format!("{}{suffix}", without_number(&stem)))
+        let (prefix, tail) = match (inputs.source(), inputs.pattern()) {
+            (Inputs::Steps(file), _) => {
+                (format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy()), String::new())
+            }
+            // Frames that are counted have only their number.
+            (_, None) => Default::default(),
+            (_, Some(Pattern { prefix, suffix, .. })) => (prefix.clone(), tail(suffix)),
+        };
+        Pattern { folder, prefix, suffix: tail + IN_FOLDER, width: None }
     }
+}
+
+/// The text between a frame's number and its extension; the number of a snapshot's piece is none of it.
+fn tail(suffix: &str) -> String {
+    // The stem of a name whose number is 0.
+    let name = format!("0{suffix}");
+    let whole = snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());
+    stem(&whole.unwrap_or(name))[1..].to_owned()
 }
 
 /// The name of all frames, by what stands before their number.
@@ -76,35 +79,47 @@ pub(super) fn without_number(stem: &str) -> &str {
     }
 }
 
-/// The name of a frame before its number.
-fn stem(frame: &FrameFile) -> String {
-    if let (file, Some(_)) = file_and_step(&frame.path) {
-        return format!("{}_", file.file_stem().unwrap_or_default().to_string_lossy());
-    }
-    // Empty where it is numbered by its place among the others.
-    frame.family().prefix
+/// The name of the simulation whose meshes have these names, without any number: its state and series are called by it.
+#[must_use]
+pub fn simulation(outputs: &Pattern) -> PathBuf {
+    outputs.folder().join(format!("{}{}", without_number(&outputs.prefix), outputs.suffix))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn frame(name: &str, digits: &str) -> FrameFile {
-        FrameFile { number: digits.parse().unwrap(), digits: digits.into(), path: name.into() }
+    fn outputs(naming: &str, input: &str) -> Pattern {
+        let inputs = Inputs::of(&[input.into()]).unwrap().unwrap();
+        Naming::of(Path::new(naming)).unwrap().unwrap().outputs(&inputs.simulations(None).unwrap()[0])
     }
 
     #[test]
     fn outputs_keep_the_inputs_padding_and_the_sequence_has_no_number() {
-        let input = frame("sim/Fluid_007.bgeo.gz", "007");
-        let folder = Naming::of(Path::new("mesh/")).unwrap().unwrap();
-        assert_eq!(folder.path(&input), Path::new("mesh/Fluid_007.ply"));
-        assert_eq!(folder.simulation(&input), Path::new("mesh/Fluid.ply"));
-        let pattern = Naming::of(Path::new("mesh/a_{}.obj")).unwrap().unwrap();
-        assert_eq!(pattern.path(&input), Path::new("mesh/a_007.obj"));
-        assert_eq!(pattern.simulation(&input), Path::new("mesh/a.obj"));
-        let bare = Naming::of(Path::new("{:02}.vtk")).unwrap().unwrap();
-        assert_eq!(bare.path(&input), Path::new("07.vtk"));
-        assert_eq!(bare.simulation(&input), Path::new("./frames.vtk"));
+        let folder = outputs("mesh/", "sim/Fluid_{}.bgeo.gz");
+        assert_eq!(folder.path(7, "007"), Path::new("mesh/Fluid_007.ply"));
+        assert_eq!(simulation(&folder), Path::new("mesh/Fluid.ply"));
+        let pattern = outputs("mesh/a_{}.obj", "sim/Fluid_{}.bgeo.gz");
+        assert_eq!(pattern.path(7, "007"), Path::new("mesh/a_007.obj"));
+        assert_eq!(simulation(&pattern), Path::new("mesh/a.obj"));
+        let bare = outputs("{:02}.vtk", "sim/Fluid_{}.bgeo.gz");
+        assert_eq!(bare.path(7, "007"), Path::new("07.vtk"));
+        assert_eq!(simulation(&bare), Path::new("./frames.vtk"));
         assert_eq!(Naming::of(Path::new("mesh/a.ply")).unwrap(), None);
+    }
+
+    #[test]
+    fn outputs_in_a_folder_keep_the_text_behind_the_number() {
+        for (input, output, series) in [
+            ("frame_{}_v2.xyz", "frame_01_v2.ply", "frame_v2.ply"),
+            ("{}_oil.csv", "01_oil.ply", "frames_oil.ply"),
+            ("fluid.{}", "fluid.01.ply", "fluid.ply"),
+            ("f_{}.final.vtu.gz", "f_01.final.ply", "f.final.ply"),
+            ("snap_{}.0.hdf5", "snap_01.ply", "snap.ply"),
+        ] {
+            let outputs = outputs("m/", input);
+            assert_eq!(outputs.path(1, "01"), Path::new("m").join(output));
+            assert_eq!(simulation(&outputs), Path::new("m").join(series));
+        }
     }
 }

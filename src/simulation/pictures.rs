@@ -12,7 +12,7 @@ use crate::reconstruction::Threads;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
 use crate::system::cancel::Cancel;
 
-use super::inputs::{FrameFile, Inputs};
+use super::inputs::{FrameFile, Inputs, Sequence};
 use super::naming::Naming;
 
 const PNG: &str = "png";
@@ -178,8 +178,8 @@ impl Pictures {
         }
         let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         let pool = Threads::start(threads).map_err(Error::Threads)?;
-        let mut frames = self.frames()?;
-        let target = self.target(&frames)?;
+        let (sequence, mut frames) = self.frames()?;
+        let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
             Target::Sheet(_) => {
                 let all = frames.len();
@@ -198,11 +198,10 @@ impl Pictures {
         pool.install(|| self.draw(&frames, target, tell))
     }
 
-    /// The meshes in order.
-    fn frames(&self) -> Result<Vec<FrameFile>, Error> {
-        if let [mesh] = &self.meshes[..]
+    /// The meshes in order, and their sequence where they are one.
+    fn frames(&self) -> Result<(Option<Sequence>, Vec<FrameFile>), Error> {
+        let inputs = if let [mesh] = &self.meshes[..]
             && mesh.is_dir()
-            && MeshFormat::of(mesh).is_none()
         {
             // Beside meshes lie other files.
             let fail = |fault| SimulationError::Io { path: mesh.clone(), fault };
@@ -213,27 +212,29 @@ impl Pictures {
                 .map_err(fail)?;
             files.retain(|file| MeshFormat::of(file).is_some());
             files.sort();
-            return Ok(match &files[..] {
+            match &files[..] {
                 [] => return Err(SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()),
-                [file] => vec![alone(file)],
-                _ => Inputs::Files(files).list()?,
-            });
-        }
-        let frames = match Inputs::of(&self.meshes)? {
-            Some(inputs) => inputs.list()?,
-            None => self.meshes.iter().map(|mesh| alone(mesh)).collect(),
-        };
-        match frames.is_empty() {
-            true => {
-                let given = self.meshes.first().map_or(String::new(), |mesh| format!("{}: ", mesh.display()));
-                Err(SimulationError::NoFrames(format!("{given}no mesh")).into())
+                [file] => return Ok((None, vec![alone(file)])),
+                _ => Inputs::Files(files),
             }
-            false => Ok(frames),
+        } else {
+            match (Inputs::of(&self.meshes)?, &self.meshes[..]) {
+                (Some(inputs), [_, ..]) => inputs,
+                (_, [mesh]) => return Ok((None, vec![alone(mesh)])),
+                _ => return Err(SimulationError::NoFrames("no mesh".into()).into()),
+            }
+        };
+        match inputs.only() {
+            Ok((sequence, frames)) => Ok((Some(sequence), frames)),
+            Err(SimulationError::NoFrames(given)) => {
+                Err(SimulationError::NoFrames(format!("{given}: no mesh")).into())
+            }
+            Err(error) => Err(error.into()),
         }
     }
 
     /// Makes sure that the pictures can be written.
-    fn target(&self, frames: &[FrameFile]) -> Result<Target, Error> {
+    fn target(&self, sequence: Option<&Sequence>, frames: &[FrameFile]) -> Result<Target, Error> {
         let fail = |path: &Path, fault| Error::from(WriteError::new(path, fault));
         let output = &self.output;
         if let Some(naming) = Naming::of(output)? {
@@ -242,12 +243,13 @@ impl Pictures {
             {
                 return Err(fail(output, WriteFault::UnknownExtension { known: ".png" }));
             }
-            let single = matches!(frames, [frame] if frame.digits.is_empty());
-            let named = |frame: &FrameFile| match (&naming, single) {
-                (Naming::Folder(folder), true) => {
-                    folder.join(frame.path.file_name().unwrap_or_default()).with_extension(PNG)
-                }
-                _ => naming.path(frame).with_extension(PNG),
+            let named = |frame: &FrameFile| {
+                let picture = match (&naming, sequence) {
+                    (_, Some(sequence)) => naming.outputs(sequence).path(frame.number, &frame.digits),
+                    (Naming::Pattern(pattern), None) => pattern.path(frame.number, &frame.digits),
+                    (Naming::Folder(folder), None) => folder.join(frame.path.file_name().unwrap_or_default()),
+                };
+                picture.with_extension(PNG)
             };
             let files: Vec<PathBuf> = frames.iter().map(named).collect();
             for file in &files {

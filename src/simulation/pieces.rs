@@ -12,26 +12,15 @@ use std::path::{Path, PathBuf};
 use crate::io::bi4::is_later_piece;
 use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
-/// A file that stands for a frame.
-pub(super) struct Whole {
-    pub path: PathBuf,
-    /// The name that the frame's number is in.
-    pub named: PathBuf,
-}
-
-impl From<PathBuf> for Whole {
-    fn from(path: PathBuf) -> Self {
-        Self { named: path.clone(), path }
-    }
-}
+use super::pattern::{Candidate, all_digits, digit_runs, skeleton};
 
 /// Keeps those of `paths` that stand for frames, in their order.
-pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Whole> {
+pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Candidate> {
     // What cannot be read names no pieces, and is told of when its turn comes.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
     for index in &paths {
         for piece in pieces_named(index).unwrap_or_default() {
-            to_come.extend(Naming::of(index, &piece));
+            to_come.extend(naming(index, &piece));
             named.insert(piece);
         }
     }
@@ -47,14 +36,15 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Whole> {
         }
     }
     let whole = |path: PathBuf| {
-        let is_to_come = || to_come.iter().any(|naming| naming.fits(&path));
+        let is_to_come = || named_like(&path).is_some_and(|naming| to_come.contains(&naming));
         if named.contains(&path) || is_later_piece(&path) || is_to_come() {
             return None;
         }
         match snapshot_piece(&path).and_then(|(base, number)| Some((number, snapshots.get(&base)?, base))) {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let stands = !snapshot.has_base && number == snapshot.first;
-                stands.then_some(Whole { path, named: base })
+                // The frame's number is in the name of the snapshot, and that begins the names of its pieces.
+                stands.then(|| Candidate { runs: Candidate::from(base).runs, ..path.into() })
             }
             _ => Some(path.into()),
         }
@@ -62,75 +52,31 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<Whole> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// How the pieces of a frame are called: like it, and then something with numbers.
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct Naming {
-    folder: PathBuf,
-    /// Before the frame's number and behind it.
-    around: [String; 2],
-    /// Behind the frame's name, [`masked`].
-    rest: String,
+/// The names of a frame's pieces, whatever their numbers: the folder, and the skeleton of a name. `None` where the pieces are not named
+/// like the frame, with a number of their own.
+fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
+    let stem = index.file_stem()?.to_str()?;
+    let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;
+    let have_numbers = [stem, own].iter().all(|part| !digit_runs(part).is_empty());
+    (have_numbers && piece.parent() == index.parent()).then(|| named_like(piece))?
 }
 
-impl Naming {
-    /// By a frame and one of its pieces; `None` where that is called otherwise, or has no number of its own.
-    fn of(index: &Path, piece: &Path) -> Option<Self> {
-        let (stem, folder) = (index.file_stem()?.to_str()?, index.parent()?);
-        let rest = masked(piece.file_name()?.to_str()?.strip_prefix(stem)?);
-        let is_like_it = piece.parent() == Some(folder) && rest.contains(NUMBER);
-        let (before, _, behind) = last_number(stem).filter(|_| is_like_it)?;
-        Some(Self { folder: folder.to_owned(), around: [before, behind].map(str::to_owned), rest })
-    }
-
-    /// Whether a file is called like a piece of a frame of any number.
-    fn fits(&self, path: &Path) -> bool {
-        let [before, behind] = &self.around;
-        let rest = |name: &str| {
-            let name = name.strip_prefix(&**before)?;
-            let number = name.len() - name.trim_start_matches(|c: char| c.is_ascii_digit()).len();
-            let rest = name[number..].strip_prefix(&**behind).filter(|_| number > 0)?;
-            Some(masked(rest))
-        };
-        let name = path.file_name().and_then(|name| name.to_str());
-        path.parent() == Some(&self.folder) && name.and_then(rest).as_ref() == Some(&self.rest)
-    }
-}
-
-/// Mark of a number, whatever it is.
-const NUMBER: char = '#';
-
-/// A text in which every number is [`NUMBER`].
-fn masked(text: &str) -> String {
-    let mut masked = String::new();
-    for c in text.chars() {
-        match c {
-            '0'..='9' if masked.ends_with(NUMBER) => {}
-            '0'..='9' => masked.push(NUMBER),
-            other => masked.push(other),
-        }
-    }
-    masked
-}
-
-/// Cuts a text around its last number.
-fn last_number(text: &str) -> Option<(&str, &str, &str)> {
-    let is_digit = |c: char| c.is_ascii_digit();
-    let end = text.rfind(is_digit)? + 1;
-    let start = text[..end].trim_end_matches(is_digit).len();
-    Some((&text[..start], &text[start..end], &text[end..]))
+/// The folder of a file, and its name without any digits.
+fn named_like(path: &Path) -> Option<(PathBuf, String)> {
+    let name = path.file_name()?.to_str()?;
+    Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
 
 /// Whether a file may be a piece of a frame that is not there yet: VTK's writers call that `pool_1_0.vtp` or `pool_1_0.vtu` whose frame
 /// is going to be `pool_1.pvtp` or `pool_1.pvtu`.
 pub(super) fn may_be_piece(path: &Path) -> bool {
     let is_vtk = path.extension().is_some_and(|extension| extension == "vtp" || extension == "vtu");
-    let numbers = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk).and_then(|stem| {
-        let (frame, number, behind) = last_number(stem)?;
-        let ends_with_number = frame.strip_suffix('_')?.ends_with(|c: char| c.is_ascii_digit());
-        Some((number, behind.is_empty() && ends_with_number))
-    });
-    // Pieces are counted from 0, and not padded.
-    numbers.is_some_and(|(number, fits)| fits && (number == "0" || !number.starts_with('0')))
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).filter(|_| is_vtk);
+    stem.and_then(|stem| stem.rsplit_once('_')).is_some_and(|(frame, number)| {
+        // Pieces are counted from 0, and not padded.
+        let is_count = all_digits(number) && (number == "0" || !number.starts_with('0'));
+        is_count && frame.ends_with(|c: char| c.is_ascii_digit())
+    })
 }
 
 /// A snapshot, by the names of its files and the header of one.
@@ -155,10 +101,11 @@ mod tests {
 
     #[test]
     fn a_piece_whose_frame_is_to_come_is_told_by_those_of_another_frame() {
-        let naming = |index: &str, piece: &str| Naming::of(Path::new(index), Path::new(piece));
-        let pool = naming("sim/pool_0001.pvtp", "sim/pool_0001_0.vtp").unwrap();
+        let naming = |index: &str, piece: &str| naming(Path::new(index), Path::new(piece));
+        let like = |name: &str| named_like(Path::new(name));
+        let pool = naming("sim/pool_0001.pvtp", "sim/pool_0001_0.vtp");
         for name in ["sim/pool_0002_0.vtp", "sim/pool_0002_17.vtp", "sim/pool_1_0.vtp"] {
-            assert!(pool.fits(Path::new(name)), "{name}");
+            assert_eq!(pool, like(name), "{name}");
         }
         for name in [
             "sim/pool_0002.pvtp",
@@ -167,9 +114,10 @@ mod tests {
             "pool_0002_0.vtp",
             "sim/pool_2_0.vtu",
         ] {
-            assert!(!pool.fits(Path::new(name)), "{name}");
+            assert_ne!(pool, like(name), "{name}");
         }
-        assert!(naming("run3.final.pvtu", "run3.final.p1.vtu").unwrap().fits(Path::new("run4.final.p0.vtu")));
+        assert_eq!(naming("run3.final.pvtu", "run3.final.p1.vtu"), like("run4.final.p0.vtu"));
+        assert_eq!(naming("a_1_v2.pvtu", "a_1_v2_0.vtu"), like("a_2_v2_1.vtu"));
         for (index, piece) in [
             ("a_1.pvtp", "b_1_0.vtp"),
             ("a.pvtp", "a_0.vtp"),

@@ -2,7 +2,6 @@
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::sync::OnceLock;
 use std::thread::sleep;
 use std::time::Instant;
 
@@ -18,8 +17,8 @@ use super::builder::Simulation;
 use super::conversion::convert;
 use super::event::{Event, Summary};
 use super::forecast::Forecast;
-use super::inputs::{FrameFile, Inputs};
-use super::naming::Naming;
+use super::inputs::{FrameFile, Inputs, Sequence};
+use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
 use super::shared::Conversion;
 use super::state::{State, Store};
@@ -97,8 +96,8 @@ impl Simulation {
             return None;
         }
         let mut frames = Vec::new();
-        for inputs in self.names().ok()?.0.simulations().ok()? {
-            frames.extend(inputs.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
+        for sequence in self.names().ok()?.0.simulations(None).ok()? {
+            frames.extend(sequence.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
         }
         let files: HashSet<&Path> = frames.iter().map(|frame| frame.path.as_path()).collect();
         crate::backend::choice::bytes_of(files)
@@ -119,10 +118,6 @@ impl Simulation {
         if matches!(inputs, Inputs::Steps(_)) && self.watch.is_some() {
             return Err(SimulationError::Steps(inputs.describe()).into());
         }
-        let inputs = match self.watch {
-            Some(idle) => inputs.followed(idle),
-            None => inputs,
-        };
         let mut request = self.request.clone();
         request.scratch.get_or_insert_with(|| naming.folder().to_owned());
         // Frames side by side would each tell of their own.
@@ -135,6 +130,34 @@ impl Simulation {
         Ok((inputs, naming, checked))
     }
 
+    /// The simulations that are there, and the selected frames of each; once there are some where a simulation is followed.
+    fn found(
+        &self,
+        inputs: &Inputs,
+        checked: &Checked,
+        tell: &Tell<'_>,
+    ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
+        let look = || {
+            let simulations = inputs.simulations(self.watch)?;
+            let frames = simulations.iter().map(|sequence| Ok(self.selection.of(sequence.list()?)));
+            let frames = frames.collect::<Result<Vec<_>, SimulationError>>()?;
+            Ok::<_, Error>((simulations, frames))
+        };
+        let (begun, mut found) = (Instant::now(), look()?);
+        let is_early = |(simulations, frames): &(Vec<Sequence>, Vec<Vec<FrameFile>>)| {
+            simulations.len() < 2 && frames.iter().all(Vec::is_empty)
+        };
+        if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
+            tell(Event::Waiting { inputs: &inputs.describe() });
+            while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
+                checked.go_on()?;
+                sleep(POLL);
+                found = look()?;
+            }
+        }
+        Ok(found)
+    }
+
     /// Does something with each simulation that is there, on threads of its own.
     fn each<T: Send>(
         &self,
@@ -142,26 +165,22 @@ impl Simulation {
         act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
     ) -> Result<Vec<T>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
-        let simulations = inputs.simulations()?;
+        let (simulations, frames) = self.found(&inputs, &checked, tell)?;
+        if simulations.is_empty() {
+            return Err(SimulationError::NoFrames(inputs.describe()).into());
+        }
         if simulations.len() > 1
-            && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming)?)
+            && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming))
         {
-            // Says which there are.
-            inputs.list()?;
+            return Err(inputs.several(&simulations).into());
         }
         let ready = checked.on_threads()?;
         ready.threads.install(|| {
             let mut results = Vec::new();
-            for inputs in &simulations {
-                let setup = Setup {
-                    simulation: self,
-                    inputs,
-                    naming: &naming,
-                    checked: &ready.checked,
-                    tell,
-                    begun: OnceLock::new(),
-                };
-                match self.begin(&setup).and_then(&act) {
+            for (sequence, frames) in simulations.iter().zip(frames) {
+                let outputs = naming.outputs(sequence);
+                let setup = Setup { simulation: self, sequence, outputs, checked: &ready.checked, tell };
+                match self.begin(&setup, frames).and_then(&act) {
                     Ok(result) => results.push(result),
                     // What is wrong with one fluid's files does not concern the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
@@ -175,14 +194,12 @@ impl Simulation {
     }
 
     /// Refuses what a simulation's frames and outputs do not allow.
-    fn begin<'a>(&self, setup: &'a Setup<'a>) -> Result<Begun<'a>, Error> {
-        let frames = first_frames(setup)?;
+    fn begin<'a>(&self, setup: &'a Setup<'a>, frames: Vec<FrameFile>) -> Result<Begun<'a>, Error> {
         let Some(first) = frames.first() else {
-            return Err(SimulationError::NoFrames(setup.inputs.describe()).into());
+            return Err(SimulationError::NoFrames(setup.sequence.describe()).into());
         };
-        let naming = setup.naming;
         let format = setup.format(first)?;
-        let simulation = naming.simulation(first);
+        let simulation = naming::simulation(&setup.outputs);
         let store = Store::beside(&simulation);
         let up = {
             let settings = &setup.checked.settings;
@@ -192,11 +209,11 @@ impl Simulation {
         setup.refuse_own_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
-            return Err(SimulationError::NoneWanted(setup.inputs.describe()).into());
+            return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
         }
         let kept = setup.kept_state(&store, &frames)?;
         if !self.resume && !self.overwrite && !self.planned {
-            let taken = wanted.iter().map(|frame| naming.path(frame)).find(|path| path.exists());
+            let taken = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
             if let Some(path) = taken {
                 return Err(WriteError::new(&path, WriteFault::ExistsInSimulation).into());
             }
@@ -205,25 +222,9 @@ impl Simulation {
     }
 }
 
-/// The frames that are there, once there are some where a simulation is followed.
-fn first_frames(setup: &Setup<'_>) -> Result<Vec<FrameFile>, Error> {
-    let frames = setup.frames()?;
-    let Some(idle) = setup.simulation.watch.filter(|_| frames.is_empty()) else { return Ok(frames) };
-    let begun = Instant::now();
-    setup.tell(Event::Waiting { inputs: &setup.inputs.describe() });
-    loop {
-        setup.go_on()?;
-        sleep(POLL);
-        let frames = setup.frames()?;
-        if !frames.is_empty() || begun.elapsed().as_secs_f64() > idle {
-            return Ok(frames);
-        }
-    }
-}
-
 /// Makes the folder of the outputs ready, and removes what killed processes have left there.
 fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
-    let folder = setup.naming.folder();
+    let folder = setup.outputs.folder();
     make_folder(folder).map_err(|fault| WriteError::new(folder, fault))?;
     sweep(folder);
     sweep(store.folder());
@@ -231,11 +232,8 @@ fn prepare_folder(setup: &Setup<'_>, store: &Store) -> Result<(), Error> {
 }
 
 /// Whether the outputs of each simulation have names of their own.
-fn told_apart(simulations: &[Inputs], naming: &Naming) -> Result<bool, Error> {
-    let mut names = Vec::new();
-    for inputs in simulations {
-        names.extend(inputs.list()?.first().map(|first| naming.simulation(first)));
-    }
-    names.sort();
-    Ok(names.windows(2).all(|pair| pair[0] != pair[1]))
+fn told_apart(simulations: &[Sequence], naming: &Naming) -> bool {
+    let names: HashSet<_> =
+        simulations.iter().map(|sequence| naming::simulation(&naming.outputs(sequence))).collect();
+    names.len() == simulations.len()
 }

@@ -2,8 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt::Write;
-use std::path::Path;
-use std::sync::OnceLock;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::error::{Error, SimulationError};
@@ -23,9 +22,9 @@ use crate::surface::simplify::BYTES_A_THREAD;
 use super::builder::Simulation;
 use super::event::Event;
 use super::frozen::{Frozen, Stamp};
-use super::inputs::{FrameFile, Inputs};
+use super::inputs::{FrameFile, Sequence};
 use super::lanes::Division;
-use super::naming::Naming;
+use super::pattern::Pattern;
 use super::state::{State, Store};
 
 /// Between two looks at a simulation that runs.
@@ -34,12 +33,11 @@ pub(super) const POLL: Duration = Duration::from_millis(250);
 /// A simulation before any of its frames is read.
 pub(super) struct Setup<'a> {
     pub(super) simulation: &'a Simulation,
-    pub(super) inputs: &'a Inputs,
-    pub(super) naming: &'a Naming,
+    pub(super) sequence: &'a Sequence,
+    /// The names of the meshes.
+    pub(super) outputs: Pattern,
     pub(super) checked: &'a Checked,
     pub(super) tell: &'a (dyn Fn(Event<'_>) + Sync),
-    /// The inputs as they are from the first frame on: what else comes is none.
-    pub(super) begun: OnceLock<Inputs>,
 }
 
 impl Setup<'_> {
@@ -55,11 +53,12 @@ impl Setup<'_> {
 
     /// All frames that are there now.
     pub(super) fn all_frames(&self) -> Result<Vec<FrameFile>, Error> {
-        let frames = self.begun.get().unwrap_or(self.inputs).list()?;
-        if let Some(first) = frames.first() {
-            self.begun.get_or_init(|| self.inputs.like(first));
-        }
-        Ok(frames)
+        Ok(self.sequence.list()?)
+    }
+
+    /// The mesh's file of a frame: its number padded as it is in the input's name, unless the pattern says how.
+    pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
+        self.outputs.path(frame.number, &frame.digits)
     }
 
     /// The frames of the simulation that are there now.
@@ -92,7 +91,7 @@ impl Setup<'_> {
 
     /// The format that the outputs' names say, able to hold what is asked for.
     pub(super) fn format(&self, first: &FrameFile) -> Result<MeshFormat, Error> {
-        let path = self.naming.path(first);
+        let path = self.output(first);
         let unknown = || WriteError::new(&path, WriteFault::UnknownExtension { known: MeshFormat::KNOWN });
         let format = MeshFormat::of(&path).ok_or_else(unknown)?;
         self.checked.settings.refuse_of_format(&self.simulation.output, format)?;
@@ -110,23 +109,22 @@ impl Setup<'_> {
             |path: &Path, other: &Path| Error::TwoPurposes { path: path.to_owned(), other: other.to_owned() };
         let inputs: HashMap<Identity, &Path> =
             frames.iter().map(|frame| (Identity::of(file_and_step(&frame.path).0), &*frame.path)).collect();
-        let begun = self.begun.get().unwrap_or(self.inputs);
         for frame in frames {
-            let output = self.naming.path(frame);
+            let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
                 return Err(two_purposes(&output, input));
             }
-            if begun.takes(&output) {
+            if self.sequence.takes(&output) {
                 return Err(Error::Request(format!(
                     "{}: would be taken for a frame of {}; name the meshes otherwise, or write them into another folder",
                     output.display(),
-                    self.inputs.describe()
+                    self.sequence.describe()
                 )));
             }
         }
         for beside in &self.simulation.beside {
             let own = Identity::of(beside);
-            let outputs = frames.iter().map(|frame| self.naming.path(frame));
+            let outputs = frames.iter().map(|frame| self.output(frame));
             let others = outputs.chain(series.files()).chain([store.state_path()]);
             let taken = inputs.get(&own).map(|input| input.to_path_buf());
             if let Some(other) = taken.or_else(|| others.into_iter().find(|other| Identity::of(other) == own))

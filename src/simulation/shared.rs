@@ -50,7 +50,7 @@ impl<'a> Conversion<'a> {
 
     /// The mesh's file of a frame.
     pub(super) fn output(&self, frame: &FrameFile) -> PathBuf {
-        self.setup.naming.path(frame)
+        self.setup.output(frame)
     }
 
     /// The record of a frame that need not be made again, as far as is known.

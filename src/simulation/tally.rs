@@ -130,7 +130,7 @@ impl<'a> Tally<'a> {
 
     /// Lists all frames that are there, moves the records of ended jobs together, and sums up.
     pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
-        let Setup { simulation, inputs, naming, checked, .. } = self.conversion.setup;
+        let Setup { simulation, sequence, outputs, checked, .. } = self.conversion.setup;
         // Other jobs may have done frames meanwhile, and the last of them lists all.
         let alone = self.conversion.store.locked();
         self.list(&self.conversion.setup.all_frames()?, |_| false);
@@ -149,13 +149,13 @@ impl<'a> Tally<'a> {
         let missing = gaps(frames).within(first, last);
         let chosen = Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
         let each = |&(first, last): &(u64, u64)| {
-            let paths = [first, last].map(|number| missing_path(frames, number));
+            let paths = [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
             Missing { first, last, step: missing.step, paths }
         };
         let indicator = checked.sampling.field.indicator();
         let summary = Summary {
-            inputs: inputs.describe(),
-            folder: naming.folder().to_owned(),
+            inputs: sequence.describe(),
+            folder: outputs.folder().to_owned(),
             made: self.done - self.failed.len().min(self.done),
             failed: self.failed.len(),
             missing: if chosen.is_some() { Vec::new() } else { missing.ranges.iter().map(each).collect() },

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use meniscus::Simulation;
 use meniscus::internals::simulation::inputs::Inputs;
-use meniscus::internals::simulation::naming::Naming;
-use meniscus::internals::simulation::numbers::Pattern;
+use meniscus::internals::simulation::naming::{Naming, simulation};
+use meniscus::internals::simulation::pattern::Pattern;
 
 use super::{Target, folder};
 
@@ -95,16 +95,15 @@ fn frames(data: &[u8]) {
     let _ = Simulation::if_several(&inputs, &folder.join("m_{}.ply"));
     let Ok(Some(inputs)) = Inputs::of(&inputs) else { return };
     assert!(!inputs.describe().is_empty());
-    let simulations = inputs.simulations().unwrap_or_default();
-    for inputs in simulations.iter().chain([&inputs]) {
+    for inputs in inputs.simulations(None).unwrap_or_default() {
         let Ok(found) = inputs.list() else { continue };
         assert!(found.is_sorted_by(|a, b| a.number < b.number), "frames are out of order");
         assert!(found.iter().all(|frame| fs::metadata(&frame.path).is_ok()), "a frame is not there");
         for naming in ["m_{}.ply", "m_{:03}.vtp", "made/"] {
-            let naming = Naming::of(&folder.join(naming)).unwrap().unwrap();
-            let outputs: Vec<_> = found.iter().map(|frame| naming.path(frame)).collect();
-            assert!((1..outputs.len()).all(|i| outputs[i - 1] != outputs[i]), "two frames have one output");
-            found.iter().for_each(|frame| drop(naming.simulation(frame)));
+            let outputs = Naming::of(&folder.join(naming)).unwrap().unwrap().outputs(&inputs);
+            let made: Vec<_> = found.iter().map(|frame| outputs.path(frame.number, &frame.digits)).collect();
+            assert!((1..made.len()).all(|i| made[i - 1] != made[i]), "two frames have one output");
+            assert!(!made.contains(&simulation(&outputs)), "a simulation is named as a frame");
         }
     }
 }
