@@ -45,7 +45,8 @@ impl Ready {
         let mut timings = Timings::default();
         checked.refuse_of_indicator()?;
         let sampled = self.threads.install(|| {
-            let chosen = checked.choose_and_plan(particles, Source::default())?;
+            let choose = || checked.choose_and_plan(particles, Source::default());
+            let chosen = checked.resources.control.during(Stage::Reading, choose)?;
             timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
         })?;

@@ -29,12 +29,6 @@ pub struct Opened {
     timings: Timings,
 }
 
-/// An input of which no more is known than its file tells.
-enum Read {
-    Particles(Box<ParticleFile>),
-    Packed(Box<SampledDif>),
-}
-
 #[derive(Debug)]
 enum Input {
     Particles { file: Box<ParticleFile>, chosen: Box<ChosenSampling> },
@@ -69,33 +63,26 @@ impl Ready {
     pub(super) fn open(self, path: &Path) -> Result<Opened, Error> {
         let checked = &self.checked;
         let mut timings = Timings::default();
-        let control = &checked.resources.control;
         let open = || {
             if is_packed(path) {
                 checked.settings.refuse_of_packed(path)?;
                 let sampled = open_frame(path, checked.resources.budget.0 / 4)?
                     .with_scratch(&checked.resources.scratch);
+                timings.done("open");
                 checked.settings.refuse_of_others(sampled.indicator.kind())?;
-                return Ok::<_, Error>(Read::Packed(Box::new(sampled)));
+                return Ok(Input::Packed(Box::new(sampled)));
             }
             checked.refuse_of_indicator()?;
             let file = open_wanted(path, checked.settings.wanted(), checked.unpacking())?;
-            Ok(Read::Particles(Box::new(file)))
-        };
-        let input = self.threads.install(|| {
-            let read = control.during(Stage::Reading, open)?;
             timings.done("open");
-            match read {
-                Read::Packed(sampled) => Ok(Input::Packed(sampled)),
-                Read::Particles(file) => {
-                    let source = Source { path: Some(path), spacing: file.spacing };
-                    let chosen = checked.choose_and_plan(&file.particles, source);
-                    let chosen = Box::new(chosen.map_err(|error| error.of_file(path))?);
-                    timings.done(chosen.stage());
-                    Ok::<_, Error>(Input::Particles { file, chosen })
-                }
-            }
-        })?;
+            let source = Source { path: Some(path), spacing: file.spacing };
+            let chosen = checked.choose_and_plan(&file.particles, source);
+            let chosen = chosen.map_err(|error| error.of_file(path))?;
+            timings.done(chosen.stage());
+            Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
+        };
+        let control = &checked.resources.control;
+        let input = self.threads.install(|| control.during(Stage::Reading, open))?;
         Ok(Opened { path: path.to_owned(), ready: self, input, timings })
     }
 }
@@ -113,11 +100,8 @@ impl Checked {
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let control = &self.resources.control;
-        let particles = Metered::new(particles, control, Stage::Counting);
-        control.during(Stage::Counting, || {
-            self.sampling.sampling(&particles, source, carried, self.resources.clone())
-        })
+        let particles = Metered::new(particles, &self.resources.control, Stage::Reading);
+        self.sampling.sampling(&particles, source, carried, self.resources.clone())
     }
 
     /// Chooses how to sample particles, for [`sampled`](Self::sampled).
@@ -127,11 +111,8 @@ impl Checked {
         source: Source<'_>,
     ) -> Result<ChosenSampling, Error> {
         let carried = self.settings.carried(particles.attributes(), None)?;
-        let control = &self.resources.control;
-        let particles = Metered::new(particles, control, Stage::Counting);
-        control.during(Stage::Counting, || {
-            self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
-        })
+        let particles = Metered::new(particles, &self.resources.control, Stage::Reading);
+        self.sampling.sampling_and_plan(&particles, source, carried, self.resources.clone())
     }
 }
 

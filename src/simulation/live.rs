@@ -99,6 +99,7 @@ impl LiveSimulation {
     /// Those of [`Reconstruction::run`] but for that; the next frame may do better.
     pub fn frame(&mut self, particles: &(impl Particles + ?Sized)) -> Result<Surface, Error> {
         let threads = Arc::clone(&self.ready.threads);
+        self.ready.checked.go_on()?;
         let drawn = threads.install(|| match self.drawn(particles) {
             Err(Error::Frame { fault: FrameError::NoParticles(census), .. }) => {
                 self.empty(particles, self.facts(census)?)

@@ -102,11 +102,14 @@ impl Parts {
         let stamp = || Stamp::of(input).map_err(|fault| ReadError::new(input, fault.into()));
         let before = stamp()?;
         let measured = threads.install(|| {
-            let open = || Ok::<_, Error>(open_wanted(input, checked.settings.wanted(), checked.unpacking())?);
-            let file = checked.resources.control.during(Stage::Reading, open)?;
-            timings.done("open");
-            let source = Source { path: Some(input), spacing: file.spacing };
-            let chosen = checked.choose(&file.particles, source)?;
+            let open = || {
+                let file = open_wanted(input, checked.settings.wanted(), checked.unpacking())?;
+                timings.done("open");
+                let source = Source { path: Some(input), spacing: file.spacing };
+                let chosen = checked.choose(&file.particles, source)?;
+                Ok::<_, Error>((file, chosen))
+            };
+            let (file, chosen) = checked.resources.control.during(Stage::Reading, open)?;
             timings.done("spacing");
             self.sampled(checked, asked, file, chosen, before, timings)
         });
