@@ -387,7 +387,7 @@ fn an_unfinished_frame_and_another_file_are_refused_with_words_that_help() {
     let whole = encoded(&small());
     let unfinished = &whole[..Layout::of(&whole).footer];
     let fault = open_frame(&folder.file(unfinished), 0).unwrap_err().fault;
-    assert!(matches!(fault, ReadFault::Truncated { .. }), "{fault}");
+    assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
     assert!(refusal(&folder, b"ply\nformat ascii 1.0\n").contains("not a frame"));
     let missing = open_frame(Path::new("/nowhere/frame.mnf"), 0).unwrap_err();
     assert!(matches!(missing.fault, ReadFault::Io(_)), "{missing}");
