@@ -60,7 +60,7 @@ fn a_file_that_grows_or_is_rewritten_is_an_error() {
         let modified = fs::metadata(path).unwrap().modified().unwrap();
         let mut file = File::options().write(true).open(path).unwrap();
         file.write_all(&bytes).unwrap();
-        file.set_modified(modified + std::time::Duration::from_secs(1)).unwrap();
+        file.set_modified(modified + Duration::from_secs(1)).unwrap();
     });
     assert!(is_changed(&error), "{error}");
 }
