@@ -120,7 +120,7 @@ pub(super) fn stem(name: &str) -> &str {
 pub(super) struct Candidate {
     /// The file.
     pub(super) path: PathBuf,
-    /// Its name without `.gz`: a compressed frame belongs to the others.
+    /// The file's name without `.gz`: a compressed frame belongs to the others.
     pub(super) name: String,
     /// The digits of the name that may be the frame's number, before the extension.
     pub(super) runs: Vec<Range<usize>>,
@@ -135,7 +135,7 @@ impl From<PathBuf> for Candidate {
 }
 
 impl Candidate {
-    /// What all files of the same kind share, whatever their numbers.
+    /// The text that all files of the same kind share, whatever their numbers.
     pub(super) fn skeleton(&self) -> String {
         skeleton(&self.name, &self.runs)
     }
@@ -179,7 +179,7 @@ pub(super) fn infer(files: &[Candidate]) -> Result<Vec<Pattern>, SimulationError
     Ok(found.into_values().collect())
 }
 
-/// Which run of digits is the frame's number in files that differ in digits only.
+/// The run of digits that is the frame's number, in files that differ in digits only.
 fn frame_run(files: &[&Candidate]) -> Result<usize, SimulationError> {
     let first = files[0];
     let varies = |&run: &usize| files.iter().any(|file| file.digits(run) != first.digits(run));
