@@ -93,8 +93,8 @@ pub trait Stages: Debug + Send + Sync {
 /// Takes the surfaces of regions that follow one another.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
-/// Bins whose pages the processor makes together, at the most.
-const BINS_TOGETHER: usize = 1024;
+/// Bins that each thread of the processor makes pages of between two looks at whether to go on.
+const BINS_A_THREAD: usize = 64;
 
 /// Regions whose surfaces are handed on together, at the most.
 pub const REGIONS_TOGETHER: usize = 1024;

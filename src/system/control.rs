@@ -84,6 +84,7 @@ impl Control {
         self.cancel.go_on()?;
         if result.is_ok() {
             self.tell(stage, 1.0);
+            self.cancel.go_on()?;
         }
         result
     }

@@ -17,7 +17,7 @@ use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
-use super::{BINS_TOGETHER, Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
+use super::{BINS_A_THREAD, Backend, REGIONS_TOGETHER, Stages, Surfaces, Take, Work, parent};
 use fields::cut_fields;
 
 /// The processor: all threads of the pool that a call is made in.
@@ -98,11 +98,12 @@ impl Stages for Cpu {
         meter: &Meter<'_>,
     ) -> io::Result<Pages> {
         let mut pages = Pages::with_capacity(range.len());
-        for first in range.clone().step_by(BINS_TOGETHER) {
+        let step = BINS_A_THREAD * rayon::current_num_threads();
+        for first in range.clone().step_by(step) {
             meter.go_on()?;
-            let together = first..range.end.min(first + BINS_TOGETHER);
+            let together = first..range.end.min(first + step);
+            pages.extend(indicate(bins, together.clone(), rule)?);
             meter.add(together.len());
-            pages.extend(indicate(bins, together, rule)?);
         }
         Ok(pages)
     }
