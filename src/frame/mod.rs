@@ -384,7 +384,7 @@ impl Frame {
         self.occupied.lost(surface).map_err(self.resources.scratch_error())
     }
 
-    /// The surface with what a reduction leaves of it, for the caller that `control` is of.
+    /// The surface with what a reduction leaves of it; `control` hears of the progress and can cancel.
     ///
     /// # Errors
     /// [`FrameError::NothingLeft`], [`FrameError::Scratch`] where scratch files fail, and [`FrameError::Cancelled`].

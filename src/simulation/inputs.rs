@@ -16,7 +16,7 @@ use crate::error::{Error, SimulationError};
 use super::pattern::{Candidate, Pattern, infer};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// The longest wait for a file that tells what another file is.
+/// The longest wait for a second file that settles how a first one is to be read.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// One frame, as found.

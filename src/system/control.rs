@@ -71,8 +71,8 @@ pub struct Control {
 }
 
 impl Control {
-    /// Runs a stage: tells the caller when it begins and when it has succeeded. Once the caller has asked for an early end, the stage
-    /// has been cancelled, whatever else became of it.
+    /// Runs a stage, and reports to the caller when it begins and when it succeeds. A stage during which the caller cancels fails with
+    /// [`Cancelled`], whatever `work` returned.
     pub(crate) fn during<T, E: From<Cancelled>>(
         &self,
         stage: Stage,
@@ -89,7 +89,7 @@ impl Control {
         result
     }
 
-    /// A meter for a stage of so many parts.
+    /// Returns a meter for a stage of `parts` parts.
     #[must_use]
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {
         let done = AtomicUsize::new(0);
@@ -107,7 +107,7 @@ impl Control {
 /// Steps that a stage is told of at the most.
 const STEPS: usize = 128;
 
-/// Counts the parts of a stage that are done, by whatever thread, tells the caller step by step, and says whether to go on.
+/// Counts the finished parts of a stage over all threads, reports progress to the caller, and says whether to go on.
 #[derive(Debug)]
 pub struct Meter<'a> {
     control: &'a Control,
@@ -121,7 +121,7 @@ pub struct Meter<'a> {
 }
 
 impl Meter<'_> {
-    /// Counts parts that make up the stage from one share of it to another.
+    /// Makes all parts together the share of the stage between `from` and `to`.
     #[must_use]
     pub fn between(self, from: f64, to: f64) -> Self {
         Self { span: [from, to], ..self }

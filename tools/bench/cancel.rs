@@ -13,7 +13,7 @@ use meniscus::{Cancel, Cause, Error, Progress, Reconstruction, Stage};
 /// A report of progress, and when it came.
 type Heard = (Instant, Stage, f64);
 
-/// Reconstructs and writes a frame, of whose progress `heard` is told.
+/// Reconstructs and writes a frame, and adds every report of progress to `heard`.
 fn run(input: &Path, output: &Path, cancel: &Cancel, heard: &Arc<Mutex<Vec<Heard>>>) -> Result<(), Error> {
     let heard = Arc::clone(heard);
     let note = move |Progress { stage, done, .. }: Progress| {

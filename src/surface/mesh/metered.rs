@@ -6,7 +6,7 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::source::{Indexed, MeshSource, Outline, Vertices};
 
-/// Hands a mesh on, and tells a caller how far its reader is.
+/// A mesh that reports to a caller how many of its pieces have been read.
 pub struct Metered<'a> {
     mesh: &'a dyn MeshSource,
     meter: Meter<'a>,

@@ -102,7 +102,7 @@ pub struct Room<'a> {
     pub folder: &'a Path,
 }
 
-/// Reduces `surface`, a particle of which fills so many cells, in so much room. `control` is told of every chunk.
+/// Reduces `surface`. One particle fills `particle_cells` cells, triangles take no more than `room`, and `control` hears of every chunk.
 ///
 /// # Errors
 /// Where scratch files cannot be read or written, and where the caller has asked for an early end.
