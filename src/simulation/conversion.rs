@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::inputs::FrameFile;
 use super::state::State;
@@ -11,7 +11,7 @@ use crate::frame::Resources;
 use crate::io::ParticleFile;
 use crate::io::series::Series;
 use crate::particles::Particles;
-use crate::system::control::Stage;
+use crate::reconstruction::Checked;
 
 use super::event::{Event, Summary};
 use super::one_frame::{Done, Filled};
@@ -216,17 +216,27 @@ impl Conversion<'_> {
                 if self.is_over() {
                     continue;
                 }
-                let tell = |stage| self.setup.tell(Event::Stage { lane, frame: frame.number, stage });
-                let stage = |stage: Stage| tell(Some(stage));
-                let opened = self.open(&frame, particles, again, &stage);
+                let number = frame.number;
+                let (teller, checked) = (self.setup.teller, self.checked_in(lane, number));
+                let opened = self.open(&checked, &frame, particles, again);
                 let Some(settled) = self.settled.wait() else { return };
-                let result = opened.and_then(|opened| self.convert(&frame, opened, settled, &stage));
-                tell(None);
+                let result = opened.and_then(|opened| self.convert(&checked, &frame, opened, settled));
+                teller.tell(Event::Stage { lane, frame: number, progress: None });
                 if to_disk.send(Outcome { frame, result }).is_err() {
                     return;
                 }
             }
         });
+    }
+
+    /// The request for a frame, whose progress is told as that of its lane.
+    fn checked_in(&self, lane: usize, frame: u64) -> Checked {
+        let (teller, mut checked) = (self.setup.teller.clone(), self.setup.checked.clone());
+        let tell = move |progress| {
+            teller.tell(Event::Stage { lane, frame, progress: Some(progress) });
+        };
+        checked.resources.control.progress = Some(Arc::new(tell));
+        checked
     }
 
     /// Waits for the disk, so that no lane has to.

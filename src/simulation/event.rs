@@ -1,7 +1,8 @@
 //! Events of a running conversion, for its caller.
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 use bytesize::ByteSize;
 
@@ -11,42 +12,42 @@ use crate::field::calibration::{Calibration, Plateau};
 use crate::grid::units::{shown, significant};
 use crate::io::series::SeriesFrame;
 use crate::reconstruction::{Doubt, Report, Warning, lost_warning};
-use crate::system::control::Stage;
+use crate::system::control::Progress;
 
 use super::frozen::{Frozen, Trust};
 use super::gaps::Gaps;
 
 /// News of a conversion, which prints as a line for people.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 #[non_exhaustive]
-pub enum Event<'a> {
+pub enum Event {
     /// No frame has come yet, and one is waited for.
     Waiting {
         /// The inputs, as they were asked for.
-        inputs: &'a str,
+        inputs: String,
     },
     /// The spacing that a frame says, or looks like, may not be right.
-    Doubted(&'a Doubt),
+    Doubted(Box<Doubt>),
     /// The state of an earlier run is of other settings, and is made anew.
     Anew {
         /// The state's file.
-        state: &'a Path,
+        state: PathBuf,
         /// The settings that differ, by their names.
-        differing: &'a str,
+        differing: String,
     },
     /// The frames of an earlier run are gone on with.
     GoesOn {
         /// The state's file.
-        state: &'a Path,
+        state: PathBuf,
         /// The measurements that all frames share.
-        frozen: &'a Frozen,
+        frozen: Box<Frozen>,
     },
     /// The measurements that all frames share are made.
     Measured {
         /// The file of the frame that it was measured on.
-        path: &'a Path,
+        path: PathBuf,
         /// The measurements that all frames share.
-        frozen: &'a Frozen,
+        frozen: Box<Frozen>,
         /// How much this frame can tell of all others.
         trust: Trust,
     },
@@ -68,27 +69,27 @@ pub enum Event<'a> {
         /// Bytes of its input.
         bytes: u64,
     },
-    /// A lane has begun with a stage of a frame; with none, it is done with it.
+    /// A lane is at a stage of a frame.
     Stage {
         /// The lane's number, from 0.
         lane: usize,
         /// The frame's number.
         frame: u64,
-        /// The stage.
-        stage: Option<Stage>,
+        /// The stage and how much of it is done; `None` once the lane is done with the frame.
+        progress: Option<Progress>,
     },
     /// A frame is done.
-    Done(&'a FrameDone),
+    Done(Box<FrameDone>),
     /// A frame could not be made.
-    Failed(&'a FrameFailed),
+    Failed(Arc<FrameFailed>),
     /// One of several simulations could not be converted; the others are.
-    SimulationFailed(&'a Error),
+    SimulationFailed(Arc<Error>),
     /// All frames of a simulation are done, or have failed.
-    Ended(&'a Summary),
+    Ended(Box<Summary>),
 }
 
 /// A frame that is done: its mesh is whole, and under its name.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct FrameDone {
     /// The frame's number.
@@ -196,8 +197,9 @@ impl fmt::Display for Missing {
 }
 
 /// The end of a conversion.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 #[non_exhaustive]
+#[must_use = "frames may have failed"]
 pub struct Summary {
     /// The inputs, as they were asked for.
     pub inputs: String,
@@ -205,8 +207,10 @@ pub struct Summary {
     pub folder: PathBuf,
     /// Frames that were made.
     pub made: usize,
-    /// Frames that have failed.
-    pub failed: usize,
+    /// Frames that could not be made, in order, and why.
+    pub failed: Vec<Arc<FrameFailed>>,
+    /// The error for which no frame was made: of one of several simulations, whose others were converted.
+    pub error: Option<Arc<Error>>,
     /// Frames that are missing between others.
     pub missing: Vec<Missing>,
     /// Numbers without a frame, where more are missing than there: a choice of frames, and not one with gaps.
@@ -225,13 +229,13 @@ impl Summary {
     pub fn lacking(&self) -> u64 {
         let missing =
             self.missing.iter().map(|missing| (missing.last - missing.first) / missing.step.max(1) + 1);
-        missing.fold(self.failed as u64, u64::saturating_add)
+        missing.fold(self.failed.len() as u64, u64::saturating_add)
     }
 
     /// Whether every frame is there.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.failed == 0 && self.missing.is_empty()
+        self.failed.is_empty() && self.missing.is_empty() && self.error.is_none()
     }
 
     /// A doubt about particles that are in no surface, if they are many.
@@ -241,9 +245,9 @@ impl Summary {
     }
 }
 
-impl fmt::Display for Event<'_> {
+impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
+        match self {
             Self::Waiting { inputs } => write!(f, "{inputs}: waiting for the first frame"),
             Self::Doubted(doubt) => write!(f, "warning: {doubt}"),
             Self::Anew { state, differing } => {
@@ -261,24 +265,39 @@ impl fmt::Display for Event<'_> {
                 write!(f, "warning: {what}; measured on frame {}: {frozen}", frozen.frame)
             }
             Self::Begins { frames, done, .. } => write!(f, "{done} of {frames} frames are done already"),
-            Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(bytes)),
-            Self::Stage { frame, stage: Some(stage), .. } => write!(f, "frame {frame}: {stage}"),
-            Self::Stage { frame, stage: None, .. } => write!(f, "frame {frame}: meshed"),
-            Self::Done(FrameDone { output, mesh, seconds, progress, .. }) => write!(
-                f,
-                "{}: {} vertices, {} triangles, {} in {seconds:.2} s ({} of {})",
-                output.display(),
-                mesh.vertices,
-                mesh.triangles,
-                ByteSize(mesh.bytes),
-                progress.done,
-                progress.total,
-            ),
-            Self::Failed(FrameFailed { error, .. }) | Self::SimulationFailed(error) => error.fmt(f),
-            Self::Ended(Summary { folder, made, seconds, .. }) => {
-                write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
+            Self::Came { bytes } => write!(f, "a further frame has come: {}", ByteSize(*bytes)),
+            Self::Stage { frame, progress: Some(Progress { stage, .. }), .. } => {
+                write!(f, "frame {frame}: {stage}")
             }
+            Self::Stage { frame, progress: None, .. } => write!(f, "frame {frame}: meshed"),
+            Self::Done(done) => done.fmt(f),
+            Self::Failed(failed) => failed.error.fmt(f),
+            Self::SimulationFailed(error) => error.fmt(f),
+            Self::Ended(summary) => summary.fmt(f),
         }
+    }
+}
+
+impl fmt::Display for FrameDone {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { output, mesh, seconds, progress, .. } = self;
+        write!(
+            f,
+            "{}: {} vertices, {} triangles, {} in {seconds:.2} s ({} of {})",
+            output.display(),
+            mesh.vertices,
+            mesh.triangles,
+            ByteSize(mesh.bytes),
+            progress.done,
+            progress.total,
+        )
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { folder, made, seconds, .. } = self;
+        write!(f, "{}: {made} frames in {seconds:.2} s", folder.display())
     }
 }
 

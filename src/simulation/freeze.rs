@@ -116,8 +116,9 @@ impl Setup<'_> {
 
     /// Tells what was measured, on which frame, and why its spacing may be wrong.
     fn tell_measured(&self, frame: &FrameFile, found: &OneMeasured) {
-        found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(doubt)));
-        self.tell(Event::Measured { path: &frame.path, frozen: &found.frozen, trust: found.trust });
+        found.doubts.iter().for_each(|doubt| self.tell(Event::Doubted(Box::new(doubt.clone()))));
+        let frozen = Box::new(found.frozen.clone());
+        self.tell(Event::Measured { path: frame.path.clone(), frozen, trust: found.trust });
     }
 
     /// Measures one frame for all. The grid and mu0 are those of a lattice that came before, if one did.

@@ -33,6 +33,7 @@ mod shared;
 mod sheet;
 pub mod state;
 mod tally;
+mod teller;
 mod watch;
 
 use std::sync;

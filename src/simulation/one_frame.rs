@@ -8,7 +8,6 @@ use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::inputs::FrameFile;
 use super::records::Record;
-use super::setup::Setup;
 use super::shared::{Conversion, Settled};
 use crate::error::Error;
 use crate::field::calibration::Calibration;
@@ -83,13 +82,13 @@ impl Conversion<'_> {
     /// unless its particles are open already.
     pub(super) fn open(
         &self,
+        checked: &Checked,
         frame: &FrameFile,
         particles: Option<ParticleFile>,
         again: bool,
-        stage: &dyn Fn(Stage),
     ) -> Result<Opened, Error> {
         let mut timings = Timings::default();
-        let Setup { simulation, checked, .. } = self.setup;
+        let simulation = self.setup.simulation;
         let path = &frame.path;
         let input = Stamp::of(path).map_err(|e| ReadError::new(path, e.into()))?;
         let allowed = simulation.resume || simulation.overwrite || again;
@@ -99,49 +98,49 @@ impl Conversion<'_> {
         let orientation = checked.settings.orientation(checked.settings.usual_up(path), self.format);
         let output = Output::prepare(&checked.settings, &target, replace, self.cancel())?;
         let output = output.with_layout(checked.settings.layout(orientation));
-        stage(Stage::Reading);
-        let particles = if is_packed(path) {
-            checked.settings.refuse_of_packed(path)?;
-            None
-        } else {
+        let open = || {
+            if is_packed(path) {
+                checked.settings.refuse_of_packed(path)?;
+                return Ok(None);
+            }
             let scratch = &checked.resources.scratch;
             let unpacking = Unpacking { in_memory: self.division.unpacked(), scratch };
             let file =
                 particles.map_or_else(|| open_wanted(path, checked.settings.wanted(), unpacking), Ok)?;
             timings.done("open");
-            Some(file)
+            Ok::<_, Error>(Some(file))
         };
+        let particles = checked.resources.control.during(Stage::Reading, open)?;
         Ok(Opened { input, target, orientation, output, particles, timings })
     }
 
     /// Converts a frame with the threads of its lane, or where it has to be alone with all.
     pub(super) fn convert(
         &self,
+        checked: &Checked,
         frame: &FrameFile,
         opened: Opened,
         settled: &Settled,
-        stage: &dyn Fn(Stage),
     ) -> Result<Filled, Error> {
-        let Setup { simulation, checked, .. } = self.setup;
+        let simulation = self.setup.simulation;
         let path = &frame.path;
         let frozen = &settled.state.frozen;
         let Opened { input, target, orientation, output, particles, mut timings } = opened;
         timings.skip();
         let ready = match particles {
-            Some(file) => self.sample(path, file, frozen, stage, &mut timings),
-            None => self.unpack(path, &mut timings),
+            Some(file) => self.sample(checked, path, file, frozen, &mut timings),
+            None => self.unpack(checked, path, &mut timings),
         };
         let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
         let mut surface = None;
         let mut report = None;
         if let Some(sampled) = &sampled {
-            stage(Stage::Meshing);
-            let drawn = permit.run(|| self.surface(path, sampled, frozen, &mut left_out, &mut timings));
+            let draw = || Self::surface(checked, path, sampled, frozen, &mut left_out, &mut timings);
+            let drawn = permit.run(draw);
             let Surfaced { mesh, of } = drawn?;
             (surface, report) = (mesh, Some(of));
         }
 
-        stage(Stage::Writing);
         let empty;
         let (mesh, precision) = match &surface {
             Some((mesh, precision)) => (mesh.source(), *precision),
@@ -197,13 +196,12 @@ impl Conversion<'_> {
     }
 
     /// Reads a frame that was sampled before.
-    fn unpack(&self, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
+    fn unpack(&self, checked: &Checked, path: &Path, timings: &mut Timings) -> Result<Ready<'_>, Error> {
         let budget = self.frame_budget(self.division.share);
         let permit = self.gate.enter();
-        let scratch = &self.setup.checked.resources.scratch;
+        let scratch = &checked.resources.scratch;
         let sampled = open_frame(path, budget.0 / 4)?.with_scratch(scratch);
         timings.done("open");
-        let Setup { checked, .. } = self.setup;
         checked.settings.refuse_of_others(sampled.indicator.kind())?;
         let resources = Resources { budget, ..checked.resources.clone() };
         let frame = Frame::from_sampled(sampled, &checked.surfacing, resources);
@@ -213,13 +211,14 @@ impl Conversion<'_> {
     /// Samples the particles of a frame.
     fn sample(
         &self,
+        checked: &Checked,
         path: &Path,
         file: ParticleFile,
         frozen: &Frozen,
-        stage: &dyn Fn(Stage),
         timings: &mut Timings,
     ) -> Result<Ready<'_>, Error> {
-        let Checked { settings, surfacing, resources, .. } = self.setup.checked;
+        let Checked { settings, surfacing, resources, .. } = checked;
+        let control = &resources.control;
         let in_file = |fault: FrameError| Error::from(fault).of_file(path);
         let [share, alone] = [self.division.share, self.division.alone].map(|whole| self.frame_budget(whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
@@ -229,9 +228,9 @@ impl Conversion<'_> {
         let mut sampling = self.setup.sampling(frozen, &file.particles, carried, opening)?;
         if let Some(spacing) = frozen.spacing.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
             let doubts = Doubt::of_known(spacing, &SpacingSource::State, &file.particles);
-            doubts.iter().for_each(|doubt| self.setup.tell(Event::Doubted(doubt)));
+            doubts.iter().for_each(|doubt| self.setup.tell(Event::Doubted(Box::new(doubt.clone()))));
         }
-        stage(Stage::Counting);
+        control.begin(Stage::Counting);
         let mut counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
         timings.done("count");
         let fits = match &counted {
@@ -240,7 +239,7 @@ impl Conversion<'_> {
             Err(_) => true,
         };
         let beside = resources.backend.divides() && fits;
-        stage(Stage::Waiting);
+        control.begin(Stage::Waiting);
         let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
         let budget = if beside { share } else { alone };
         timings.done("wait");
@@ -249,7 +248,6 @@ impl Conversion<'_> {
             sampling.resources.budget = budget;
             counted = Counted::for_surface(&file.particles, &sampling, surfacing, None);
         }
-        stage(Stage::Sampling);
         let (frame, census) = match counted {
             Err(FrameError::NoParticles(census)) => (None, census),
             counted => {
@@ -276,14 +274,13 @@ impl Conversion<'_> {
 
     /// The mesh of a frame, and a report on it.
     fn surface(
-        &self,
+        checked: &Checked,
         path: &Path,
         sampled: &Frame,
         frozen: &Frozen,
         left_out: &mut LeftOut,
         timings: &mut Timings,
     ) -> Result<Surfaced, Error> {
-        let checked = self.setup.checked;
         let clouds = matches!(frozen.calibration, Some(Calibration::Clouds { .. }));
         let measured = checked.surfacing.iso.is_none() && frozen.calibration.is_some();
         let by = measured.then_some(frozen.frame);

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::thread::sleep;
 use std::time::Instant;
 
@@ -22,9 +23,10 @@ use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
 use super::shared::Conversion;
 use super::state::{State, Store};
+use super::teller::{Teller, hearing};
 
-/// Whoever is told of events.
-type Tell<'a> = dyn Fn(Event<'_>) + Sync + 'a;
+/// The inputs of one of several simulations, and what came of it.
+type Each<T> = (String, Result<T, Arc<Error>>);
 
 /// A simulation that may be converted: nothing of it is refused.
 struct Begun<'a> {
@@ -36,23 +38,28 @@ struct Begun<'a> {
 }
 
 impl Simulation {
-    /// Converts all frames, and tells of events from whatever thread they happen on. Returns a summary of each simulation that there is.
+    /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a summary of each simulation that there is.
     ///
-    /// A frame that cannot be made is an event, and the others are made all the same.
+    /// A frame that cannot be made does not stop the others: [`Summary::failed`] lists it. The work waits for a `hear` that is slow, which
+    /// therefore must not wait for the threads of the request's [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
     /// Those of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames, [`Error::Simulation`], [`Error::TwoPurposes`],
     /// [`Error::Write`] as soon as nothing can be written, [`Error::Vulkan`], and [`Error::Cancelled`].
-    pub fn run(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<Summary>, Error> {
-        self.each(&tell, |begun| {
+    pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
+        let converted = self.each(hear, |begun| {
             let Begun { setup, series, store, frames, kept } = begun;
             prepare_folder(setup, &store)?;
             if let Some(state) = &kept {
-                setup.tell(Event::GoesOn { state: &store.state_path(), frozen: &state.frozen });
+                setup.tell(goes_on(&store, state));
             }
             let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
             convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
-        })
+        })?;
+        let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
+            converted.unwrap_or_else(|error| Summary { inputs, error: Some(error), ..Summary::default() })
+        };
+        Ok(converted.into_iter().map(summed).collect())
     }
 
     /// Measures what all frames have in common, keeps it beside the outputs, and lists the numbers of the frames: for several jobs, each
@@ -60,33 +67,33 @@ impl Simulation {
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
-    pub fn plan(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<u64>, Error> {
+    pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<u64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
-        let numbers = plan.each(&tell, |begun| {
+        let numbers = plan.each(hear, |begun| {
             let Begun { setup, store, frames, kept, .. } = begun;
             prepare_folder(setup, &store)?;
             match kept {
-                Some(state) => {
-                    setup.tell(Event::GoesOn { state: &store.state_path(), frozen: &state.frozen });
-                }
+                Some(state) => setup.tell(goes_on(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
             let wanted = frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
             Ok(wanted.collect::<Vec<_>>())
         })?;
-        Ok(numbers.concat())
+        // Several simulations are not planned at once.
+        Ok(numbers.into_iter().filter_map(|(_, numbers)| numbers.ok()).flatten().collect())
     }
 
     /// Finds out what converting would do and take, and writes nothing.
     ///
     /// # Errors
     /// Those of [`run`](Self::run).
-    pub fn forecast(&self, tell: impl Fn(Event<'_>) + Sync) -> Result<Vec<Forecast>, Error> {
-        self.each(&tell, |begun| {
+    pub fn forecast(&self, hear: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
+        let forecasts = self.each(hear, |begun| {
             let Begun { setup, store, frames, kept, .. } = begun;
             let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
             setup.forecast(kept, &store, &frames, &wanted)
-        })
+        })?;
+        Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
 
     /// Bytes of all frames that are wanted; `None` where more are waited for, or files do not tell how much their particles are.
@@ -120,7 +127,7 @@ impl Simulation {
         }
         let mut request = self.request.clone();
         request.scratch.get_or_insert_with(|| naming.folder().to_owned());
-        // Frames side by side would each tell of their own.
+        // Frames side by side tell of their progress by events.
         request.control = Control { progress: None, ..request.control };
         let checked = request.checked()?;
         // A packed frame says by itself what it is of.
@@ -135,7 +142,7 @@ impl Simulation {
         &self,
         inputs: &Inputs,
         checked: &Checked,
-        tell: &Tell<'_>,
+        teller: &Teller,
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
         let look = || {
             let simulations = inputs.simulations(self.watch)?;
@@ -148,7 +155,7 @@ impl Simulation {
             simulations.len() < 2 && frames.iter().all(Vec::is_empty)
         };
         if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
-            tell(Event::Waiting { inputs: &inputs.describe() });
+            teller.tell(Event::Waiting { inputs: inputs.describe() });
             while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
                 checked.go_on()?;
                 sleep(POLL);
@@ -158,14 +165,23 @@ impl Simulation {
         Ok(found)
     }
 
-    /// Does something with each simulation that is there, on threads of its own.
+    /// Does something with each simulation that is there, on threads of its own, while `hear` is called on this one. Returns what came
+    /// of each, beside its inputs; fails with an error that concerns them all.
     fn each<T: Send>(
         &self,
-        tell: &Tell<'_>,
+        hear: impl FnMut(Event),
         act: impl Fn(Begun<'_>) -> Result<T, Error> + Sync,
-    ) -> Result<Vec<T>, Error> {
+    ) -> Result<Vec<Each<T>>, Error> {
+        hearing(&self.request.control.cancel, hear, |teller| self.each_told(teller, &act))
+    }
+
+    fn each_told<T: Send>(
+        &self,
+        teller: &Teller,
+        act: &(impl Fn(Begun<'_>) -> Result<T, Error> + Sync),
+    ) -> Result<Vec<Each<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
-        let (simulations, frames) = self.found(&inputs, &checked, tell)?;
+        let (simulations, frames) = self.found(&inputs, &checked, teller)?;
         if simulations.is_empty() {
             return Err(SimulationError::NoFrames(inputs.describe()).into());
         }
@@ -179,15 +195,17 @@ impl Simulation {
             let mut results = Vec::new();
             for (sequence, frames) in simulations.iter().zip(frames) {
                 let outputs = naming.outputs(sequence);
-                let setup = Setup { simulation: self, sequence, outputs, checked: &ready.checked, tell };
-                match self.begin(&setup, frames).and_then(&act) {
-                    Ok(result) => results.push(result),
+                let setup = Setup { simulation: self, sequence, outputs, checked: &ready.checked, teller };
+                let result = match self.begin(&setup, frames).and_then(act) {
                     // What is wrong with one fluid's files does not concern the others.
                     Err(error) if error.cause() == Cause::Input && simulations.len() > 1 => {
-                        setup.tell(Event::SimulationFailed(&error));
+                        let error = Arc::new(error);
+                        setup.tell(Event::SimulationFailed(Arc::clone(&error)));
+                        Err(error)
                     }
-                    Err(error) => return Err(error),
-                }
+                    result => Ok(result?),
+                };
+                results.push((sequence.describe(), result));
             }
             Ok(results)
         })
@@ -220,6 +238,11 @@ impl Simulation {
         }
         Ok(Begun { setup, series, store, frames, kept })
     }
+}
+
+/// The event of a state that is gone on with.
+fn goes_on(store: &Store, state: &State) -> Event {
+    Event::GoesOn { state: store.state_path(), frozen: Box::new(state.frozen.clone()) }
 }
 
 /// Makes the folder of the outputs ready, and removes what killed processes have left there.

@@ -26,6 +26,7 @@ use super::inputs::{FrameFile, Sequence};
 use super::lanes::Division;
 use super::pattern::Pattern;
 use super::state::{State, Store};
+use super::teller::Teller;
 
 /// Between two looks at a simulation that runs.
 pub(super) const POLL: Duration = Duration::from_millis(250);
@@ -37,13 +38,13 @@ pub(super) struct Setup<'a> {
     /// The names of the meshes.
     pub(super) outputs: Pattern,
     pub(super) checked: &'a Checked,
-    pub(super) tell: &'a (dyn Fn(Event<'_>) + Sync),
+    pub(super) teller: &'a Teller,
 }
 
 impl Setup<'_> {
     /// Tells the caller something.
-    pub(super) fn tell(&self, event: Event<'_>) {
-        (self.tell)(event);
+    pub(super) fn tell(&self, event: Event) {
+        self.teller.tell(event);
     }
 
     /// Ends the work where the caller has asked for it.
@@ -159,7 +160,7 @@ impl Setup<'_> {
             return if anew { Ok(None) } else { Err(damaged.into()) };
         }
         if anew || self.simulation.resume {
-            self.tell(Event::Anew { state: &store.state_path(), differing: &differing });
+            self.tell(Event::Anew { state: store.state_path(), differing });
             return Ok(None);
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())

@@ -1,6 +1,7 @@
 //! The outcome of all frames: noted one by one, listed for other programs, and summed up at the end.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::gaps::{gaps, missing_path};
@@ -25,8 +26,8 @@ pub(super) struct Tally<'a> {
     series: &'a Series,
     /// All frames that can be loaded, of this run or another.
     listed: BTreeMap<u64, SeriesFrame>,
-    /// The numbers of frames that could not be made.
-    pub(super) failed: BTreeSet<u64>,
+    /// Frames that could not be made, by their numbers.
+    pub(super) failed: BTreeMap<u64, Arc<FrameFailed>>,
     fatal: Option<Error>,
     pub(super) done: usize,
     pub(super) total: usize,
@@ -43,7 +44,7 @@ impl<'a> Tally<'a> {
             conversion,
             series,
             listed: BTreeMap::new(),
-            failed: BTreeSet::new(),
+            failed: BTreeMap::new(),
             fatal: None,
             done: 0,
             total: 0,
@@ -59,7 +60,7 @@ impl<'a> Tally<'a> {
         let Self { conversion, listed, failed, .. } = self;
         let done = |frame: &FrameFile| {
             let number = frame.number;
-            let is_open = !listed.contains_key(&number) && !failed.contains(&number);
+            let is_open = !listed.contains_key(&number) && !failed.contains_key(&number);
             let record = conversion.current(&records, frame).filter(|_| is_open)?;
             let is_done = !is_looked_at(frame) || record.is_whole(&conversion.output(frame));
             is_done.then(|| (number, record.mesh.clone()))
@@ -76,10 +77,13 @@ impl<'a> Tally<'a> {
     /// Notes a frame; true where it makes no sense to go on with any other.
     pub(super) fn take(&mut self, frame: &FrameFile, result: Result<Done, Error>) -> Result<bool, Error> {
         let setup = self.conversion.setup;
-        if matches!(&result, Err(error) if error.cause() == Cause::Cancelled) {
-            self.fatal.get_or_insert(Error::Cancelled);
-            return Ok(true);
-        }
+        let result = match result {
+            Err(error) if matches!(error.cause(), Cause::Cancelled | Cause::Output | Cause::Device) => {
+                self.fatal.get_or_insert(error);
+                return Ok(true);
+            }
+            result => result,
+        };
         self.done += 1;
         match result {
             Ok(Done { mesh, time, report, left_out, warnings, seconds }) => {
@@ -97,21 +101,20 @@ impl<'a> Tally<'a> {
                     seconds,
                     progress: self.tallied(frame),
                 };
-                setup.tell(Event::Done(&done));
-                self.listed.insert(frame.number, done.mesh);
+                self.listed.insert(frame.number, done.mesh.clone());
+                setup.tell(Event::Done(Box::new(done)));
                 if self.series_written.elapsed() > SERIES_PAUSE {
                     self.write_series()?;
                 }
             }
             Err(error) => {
-                self.failed.insert(frame.number);
-                let (input, progress) = (frame.path.clone(), self.tallied(frame));
-                let failed = FrameFailed { frame: frame.number, input, error, progress };
-                setup.tell(Event::Failed(&failed));
-                if matches!(failed.error.cause(), Cause::Output | Cause::Device) {
-                    self.fatal.get_or_insert(failed.error);
-                    return Ok(true);
-                }
+                self.failed.remove(&frame.number);
+                let mut progress = self.tallied(frame);
+                progress.failed += 1;
+                let input = frame.path.clone();
+                let failed = Arc::new(FrameFailed { frame: frame.number, input, error, progress });
+                self.failed.insert(frame.number, Arc::clone(&failed));
+                setup.tell(Event::Failed(failed));
             }
         }
         Ok(false)
@@ -157,14 +160,15 @@ impl<'a> Tally<'a> {
             inputs: sequence.describe(),
             folder: outputs.folder().to_owned(),
             made: self.done - self.failed.len().min(self.done),
-            failed: self.failed.len(),
+            failed: self.failed.into_values().collect(),
+            error: None,
             missing: if chosen.is_some() { Vec::new() } else { missing.ranges.iter().map(each).collect() },
             chosen,
             left_out: self.left_out,
             smoothed: indicator.is_some_and(|asked| asked.kind != IndicatorKind::Cloud),
             seconds: self.begun.elapsed().as_secs_f64(),
         };
-        self.conversion.setup.tell(Event::Ended(&summary));
+        self.conversion.setup.tell(Event::Ended(Box::new(summary.clone())));
         self.fatal.map_or(Ok(summary), Err)
     }
 }

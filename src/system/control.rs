@@ -89,6 +89,11 @@ impl Control {
         result
     }
 
+    /// Tells that a stage begins.
+    pub(crate) fn begin(&self, stage: Stage) {
+        self.tell(stage, 0.0);
+    }
+
     /// Returns a meter for a stage of `parts` parts.
     #[must_use]
     pub fn meter(&self, stage: Stage, parts: usize) -> Meter<'_> {

@@ -195,7 +195,7 @@ fn gaps_between_time_stamps_are_told_by_their_ends() {
     assert!(notes.contains("2 frames failed") && notes.contains("frames 5 to 6: "), "{notes}");
     let part = ["reconstruct", ".", "-o", "n_{}.ply", "--spacing", "1", "--frames", "1..5"];
     let notes = run(folder.path(), &part, 1);
-    assert!(notes.contains("1 frames failed") && notes.contains("frame 5: "), "{notes}");
+    assert!(notes.contains("1 frame failed") && notes.contains("frame 5: "), "{notes}");
 }
 
 #[test]

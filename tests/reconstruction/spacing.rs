@@ -10,7 +10,7 @@ use meniscus::error::{Error, Untold};
 use meniscus::internals::io::output::read_mesh;
 use meniscus::mesh::{check, measure};
 use meniscus::{
-    Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource, Surface,
+    Cells, Doubt, Event, LiveSimulation, Mistake, Reconstruction, Simulation, SpacingSource, Summary, Surface,
 };
 use meniscus::{Slab, Warning};
 use tempfile::TempDir;
@@ -152,14 +152,15 @@ fn the_spacing_of_a_packed_frame_is_doubted_when_it_is_packed_and_when_it_is_dra
 
 /// The doubts that a simulation's events tell of.
 fn doubts_of(simulation: &Simulation) -> Vec<Doubt> {
-    let doubts = std::sync::Mutex::new(Vec::new());
-    let summary = simulation.run(|event| {
+    let mut doubts = Vec::new();
+    let hear = |event| {
         if let Event::Doubted(doubt) = event {
-            doubts.lock().unwrap().push(doubt.clone());
+            doubts.push(*doubt);
         }
-    });
-    assert_eq!(summary.unwrap().iter().map(|summary| summary.failed).sum::<usize>(), 0);
-    doubts.into_inner().unwrap()
+    };
+    let summaries = simulation.run(hear).unwrap();
+    assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
+    doubts
 }
 
 #[test]

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use meniscus::error::Conflict;
 use meniscus::files::Replace;
@@ -68,7 +67,10 @@ fn the_library_and_the_program_write_the_same_files() {
         assert!(command.args(options).status().unwrap().success(), "{options:?}");
         let request = ask(Reconstruction::new().spacing(0.5));
         let summaries = simulation(folder.path(), &library).reconstruction(request).run(|_| {}).unwrap();
-        assert!(matches!(&summaries[..], [Summary { made: 4, failed: 0, .. }]), "{summaries:?}");
+        assert!(
+            matches!(&summaries[..], [whole @ Summary { made: 4, .. }] if whole.is_complete()),
+            "{summaries:?}"
+        );
         let [program, library] = [program, library].map(|by| tree(&folder.path().join(by)));
         assert_eq!(program.len(), 8, "{:?}", program.keys());
         assert!(program.keys().eq(library.keys()), "{:?} {:?}", program.keys(), library.keys());
@@ -83,15 +85,18 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     let folder = simulated(5);
     fs::write(folder.path().join("sim/drop_3.xyz"), "seven").unwrap();
     fs::remove_file(folder.path().join("sim/drop_4.xyz")).unwrap();
-    let told = Mutex::new(Vec::new());
-    let tell = |event: Event<'_>| {
-        let line = match event {
+    let (mut told, mut shares) = (Vec::new(), Vec::new());
+    let tell = |event: Event| {
+        let line = match &event {
             Event::Measured { .. } => "measured".to_owned(),
             Event::Begins { frames, done, lanes, .. } => {
-                assert!(lanes >= 1);
+                assert!(*lanes >= 1);
                 format!("begins {done} of {frames}")
             }
-            Event::Stage { stage: Some(stage), frame, .. } => format!("{frame} {stage}"),
+            Event::Stage { progress: Some(progress), frame, .. } => {
+                shares.push(progress.done);
+                format!("{frame} {}", progress.stage)
+            }
             Event::Done(done) => {
                 assert!(done.output.exists() && done.report.is_some());
                 assert!(event.to_string().contains(" vertices, "), "{event}");
@@ -104,10 +109,11 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
             Event::Ended(_) => "ended".to_owned(),
             _ => return,
         };
-        told.lock().unwrap().push(line);
+        told.push(line);
     };
     let summaries = simulation(folder.path(), "mesh").run(tell).unwrap();
-    let told = told.into_inner().unwrap();
+    assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
+    assert!(shares.contains(&1.0) && shares.iter().any(|share| 0.0 < *share && *share < 1.0), "{shares:?}");
     let place =
         |line: &str| told.iter().position(|told| told == line).unwrap_or_else(|| panic!("{line}: {told:?}"));
     assert!(place("begins 0 of 4") < place("done 1"));
@@ -118,28 +124,32 @@ fn events_tell_what_is_measured_begun_done_and_failed() {
     }
     assert!(place("failed 3") < place("ended") && place("measured") < place("ended"));
     let [summary] = &summaries[..] else { panic!("{summaries:?}") };
-    assert_eq!((summary.made, summary.failed, summary.lacking()), (3, 1, 2));
+    let failed: Vec<_> = summary.failed.iter().map(|failed| (failed.frame, failed.error.cause())).collect();
+    assert_eq!((summary.made, &failed[..], summary.lacking()), (3, &[(3, Cause::Input)][..], 2));
     assert_eq!((summary.missing[0].first, summary.missing[0].last), (4, 4));
     assert!(!summary.is_complete());
 }
 
 #[test]
 fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with() {
-    let folder = simulated(12);
+    let folder = simulated(40);
     let cancel = Cancel::new();
     let request = Reconstruction::new().spacing(0.5).threads(1).memory(MemoryBudget(1 << 30));
     let all = simulation(folder.path(), "mesh").reconstruction(request.clone().cancel(cancel.clone()));
-    let [done, failed] = [(); 2].map(|()| AtomicUsize::new(0));
-    let error = all
-        .run(|event| match event {
-            Event::Done(_) if done.fetch_add(1, Ordering::Relaxed) == 2 => cancel.cancel(),
-            Event::Failed(_) => drop(failed.fetch_add(1, Ordering::Relaxed)),
-            _ => {}
-        })
-        .unwrap_err();
+    let (mut done, mut failed) = (0, 0);
+    let hear = |event| match event {
+        Event::Done(_) => {
+            done += 1;
+            if done == 3 {
+                cancel.cancel();
+            }
+        }
+        Event::Failed(_) => failed += 1,
+        _ => {}
+    };
+    let error = all.run(hear).unwrap_err();
     assert!(matches!(error, Error::Cancelled), "{error}");
-    let [done, failed] = [done, failed].map(AtomicUsize::into_inner);
-    assert!((3..12).contains(&done) && failed == 0, "{done} done, {failed} failed");
+    assert!((3..40).contains(&done) && failed == 0, "{done} done, {failed} failed");
     let meshes = |folder: &str, root: &Path| {
         let files = tree(&root.join(folder));
         assert!(files.keys().all(|name| !name.contains(".tmp")), "{:?}", files.keys());
@@ -148,16 +158,16 @@ fn a_cancelled_conversion_ends_soon_keeps_what_is_done_and_can_be_gone_on_with()
     assert_eq!(meshes("mesh", folder.path()).len(), done);
 
     let again = simulation(folder.path(), "mesh").reconstruction(request.clone()).resume();
-    let skipped = AtomicUsize::new(0);
-    again
-        .run(|event| {
-            if let Event::Begins { done, .. } = event {
-                skipped.store(done, Ordering::Relaxed);
-            }
-        })
-        .unwrap();
-    assert_eq!(skipped.into_inner(), done);
-    simulation(folder.path(), "whole").reconstruction(request).run(|_| {}).unwrap();
+    let mut skipped = 0;
+    let hear = |event| {
+        if let Event::Begins { done, .. } = event {
+            skipped = done;
+        }
+    };
+    let gone_on = again.run(hear).unwrap();
+    assert!(skipped == done && gone_on[0].is_complete(), "{skipped} of {done}: {gone_on:?}");
+    let whole = simulation(folder.path(), "whole").reconstruction(request).run(|_| {}).unwrap();
+    assert!(whole[0].is_complete(), "{whole:?}");
     assert!(meshes("mesh", folder.path()) == meshes("whole", folder.path()));
 }
 
@@ -408,15 +418,14 @@ fn warnings_are_facts_and_those_of_a_simulation_say_what_frame_was_measured() {
     // Particles eight times as far apart have an eighth of the plateau and less.
     let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
     write(&folder.path().join("sim/drop_2.xyz"), &far);
-    let found = Mutex::new(Vec::new());
+    let mut found = Vec::new();
     let request = Reconstruction::new().spacing(0.5).indicator(IndicatorKind::Counting);
-    let tell = |event: Event<'_>| {
+    let tell = |event| {
         if let Event::Done(done) = event {
-            found.lock().unwrap().extend(done.warnings.iter().cloned());
+            found.extend(done.warnings);
         }
     };
     simulation(folder.path(), "mesh").reconstruction(request).run(tell).unwrap();
-    let found = found.into_inner().unwrap();
     let measured_on = found.iter().find_map(|warning| match warning {
         Warning::Shortfall { measured_on, clouds: false, .. } => Some(*measured_on),
         Warning::Empty { measured_on, clouds: false, .. } => Some(*measured_on),

@@ -1,9 +1,9 @@
 //! `meniscus reconstruct` for the frames of a simulation: what is said of its events.
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::collections::BTreeSet;
 
-use meniscus::{Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied};
+use meniscus::devices::Device;
+use meniscus::{Cancel, Error, Event, FrameDone, FrameFailed, Simulation, Summary, Tallied};
 
 use crate::advice::{doubted, told, warned};
 use crate::interrupt;
@@ -33,17 +33,9 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     let simulation = simulation.reconstruction(request);
     simulation.check()?;
     options.prepare_stats()?;
-    let teller = Teller {
-        options,
-        notes: options.run.notes(),
-        bars: Mutex::default(),
-        failed: Mutex::default(),
-        broken: Mutex::default(),
-        bad: Mutex::new(false),
-        stop: &|| cancel.cancel(),
-        device: &|done, notes| report_device(device.as_ref(), done, notes),
-    };
-    let hear = |event: Event<'_>| teller.hear(event);
+    let notes = options.run.notes();
+    let mut teller = Teller { options, notes, bars: None, broken: None, bad: false, cancel, device };
+    let hear = |event: Event| teller.hear(&event);
     if options.dry_run {
         for forecast in simulation.forecast(hear)? {
             print(&forecast.to_string())?;
@@ -59,7 +51,7 @@ pub fn run(options: &Options, simulation: Simulation) -> Result<Verdict, Error> 
     }
     let converted = simulation.run(hear);
     // What stopped all others is what went wrong.
-    if let Some(error) = lock(&teller.broken).take() {
+    if let Some(error) = teller.broken.take() {
         return Err(error);
     }
     converted?;
@@ -76,123 +68,123 @@ struct Teller<'a> {
     options: &'a Options,
     notes: Notes,
     /// Bars of the simulation that is under way, with the notes that go above them.
-    bars: Mutex<Option<Arc<(Progress, Notes)>>>,
-    /// Why frames are not there.
-    failed: Mutex<BTreeMap<u64, String>>,
+    bars: Option<(Progress, Notes)>,
     /// The failure of a file beside the meshes.
-    broken: Mutex<Option<Error>>,
-    bad: Mutex<bool>,
-    stop: &'a (dyn Fn() + Sync),
-    device: &'a (dyn Fn(usize, &Notes) + Sync),
-}
-
-fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
+    broken: Option<Error>,
+    bad: bool,
+    cancel: Cancel,
+    device: Option<Device>,
 }
 
 impl Teller<'_> {
     fn verdict(&self) -> Verdict {
-        if *lock(&self.bad) { Verdict::Bad } else { Verdict::Good }
+        if self.bad { Verdict::Bad } else { Verdict::Good }
     }
 
-    fn hear(&self, event: Event<'_>) {
-        let bars = lock(&self.bars).clone();
-        let (progress, notes) = match &bars {
-            Some(bars) => (Some(&bars.0), &bars.1),
-            None => (None, &self.notes),
-        };
+    fn progress(&self) -> Option<&Progress> {
+        self.bars.as_ref().map(|(progress, _)| progress)
+    }
+
+    fn notes(&self) -> &Notes {
+        self.bars.as_ref().map_or(&self.notes, |(_, notes)| notes)
+    }
+
+    fn hear(&mut self, event: &Event) {
         match event {
-            Event::Doubted(doubt) => notes.warn(&doubted(doubt)),
+            Event::Doubted(doubt) => self.notes().warn(&doubted(doubt)),
             Event::Waiting { .. } | Event::Anew { .. } | Event::GoesOn { .. } | Event::Measured { .. } => {
-                notes.say(event.to_string());
+                self.notes().say(event.to_string());
             }
-            Event::Begins { frames, done, bytes, lanes, followed } => {
+            &Event::Begins { frames, done, bytes, lanes, followed } => {
                 if done > 0 {
-                    notes.say(event.to_string());
+                    self.notes().say(event.to_string());
                 }
                 let idle = frames == done && !followed;
                 let mode = if idle { ProgressMode::Never } else { self.options.simulation.progress };
-                *lock(&self.bars) = Some(Arc::new(Progress::start(mode, bytes, lanes, self.notes.clone())));
+                self.bars = Some(Progress::start(mode, bytes, lanes, self.notes.clone()));
             }
-            Event::Came { bytes } => progress.into_iter().for_each(|progress| progress.lengthen(bytes)),
-            Event::Stage { lane, stage, .. } => {
-                let what = || stage.map_or(String::new(), |_| event.to_string());
-                progress.into_iter().for_each(|progress| progress.stage(lane, what));
+            Event::Came { bytes } => self.progress().into_iter().for_each(|bars| bars.lengthen(*bytes)),
+            &Event::Stage { lane, progress, .. } => {
+                let what =
+                    || progress.map_or(String::new(), |at| format!("{event} {:.0} %", 100.0 * at.done));
+                self.progress().into_iter().for_each(|bars| bars.stage(lane, what));
             }
-            Event::Done(done) => self.done(done, &event, progress, notes),
-            Event::Failed(failed) => self.failed(failed, progress, notes),
+            Event::Done(done) => self.done(done),
+            Event::Failed(failed) => self.failed(failed),
             Event::SimulationFailed(error) => {
-                notes.error(format!("meniscus: {}", told(error)));
-                *lock(&self.bad) = true;
+                self.notes().error(format!("meniscus: {}", told(error)));
+                self.bad = true;
             }
             Event::Ended(summary) => {
-                progress.into_iter().for_each(Progress::finish);
-                *lock(&self.bars) = None;
-                self.ended(summary, &event);
+                self.progress().into_iter().for_each(Progress::finish);
+                self.bars = None;
+                self.ended(summary);
             }
             _ => {}
         }
     }
 
     /// Keeps statistics; where they cannot be written, no further frame is begun.
-    fn append(&self, record: impl FnOnce() -> serde_json::Value) {
+    fn append(&mut self, record: impl FnOnce() -> serde_json::Value) {
         if let Err(error) = self.options.append_stats(record) {
-            lock(&self.broken).get_or_insert(error);
-            (self.stop)();
+            self.broken.get_or_insert(error);
+            self.cancel.cancel();
         }
     }
 
-    fn done(&self, done: &FrameDone, event: &Event<'_>, progress: Option<&Progress>, notes: &Notes) {
-        lock(&self.failed).remove(&done.mesh.frame);
+    fn done(&mut self, done: &FrameDone) {
         for warning in &done.warnings {
-            notes.warn(&format!("{}: {}", done.input.display(), warned(warning, Some(self.options))));
+            let warning = warned(warning, Some(self.options));
+            self.notes().warn(&format!("{}: {warning}", done.input.display()));
         }
-        if progress.is_some_and(Progress::has_bars) {
-            notes.detail(event.to_string());
+        if self.progress().is_some_and(Progress::has_bars) {
+            self.notes().detail(done.to_string());
         } else {
-            notes.say(event.to_string());
+            self.notes().say(done.to_string());
         }
         self.append(|| of_frame(self.options, done));
-        advance(progress, &done.progress);
+        self.advance(&done.progress);
     }
 
-    fn failed(&self, failed: &FrameFailed, progress: Option<&Progress>, notes: &Notes) {
-        let why = told(&failed.error);
-        notes.error(format!("meniscus: {why}"));
-        lock(&self.failed).insert(failed.frame, why);
+    fn failed(&mut self, failed: &FrameFailed) {
+        self.notes().error(format!("meniscus: {}", told(&failed.error)));
         self.append(|| of_failed(failed));
-        advance(progress, &failed.progress);
+        self.advance(&failed.progress);
     }
 
-    fn ended(&self, summary: &Summary, event: &Event<'_>) {
+    fn advance(&self, &Tallied { done, total, failed, bytes, .. }: &Tallied) {
+        self.progress().into_iter().for_each(|bars| bars.advance(done, total, failed, bytes));
+    }
+
+    fn ended(&mut self, summary: &Summary) {
         let notes = &self.notes;
-        (self.device)(summary.made + summary.failed, notes);
+        report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
         if let Some(missing) = &summary.chosen {
             notes.say(format!("{}: there are no frames {missing}", summary.inputs));
         }
-        notes.say(event.to_string());
+        notes.say(summary.to_string());
         let left_out = &summary.left_out;
         if let Some(particles) = self.options.settings.smallest_drop.filter(|&particles| particles > 1) {
             notes.say(too_small(left_out.drops, particles));
         }
         report_census(&left_out.census, notes);
         warn_all(summary.lost().as_slice(), None, notes);
-        let mut failed = std::mem::take(&mut *lock(&self.failed));
-        if summary.is_complete() {
-            return;
+        if !summary.is_complete() {
+            self.bad = true;
+            notes.error(lacking(summary));
         }
-        *lock(&self.bad) = true;
-        failed.iter_mut().for_each(|(frame, why)| *why = format!("frame {frame}: {why}"));
-        let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
-        let mut lines: Vec<(u64, String)> = failed.into_iter().chain(missing).collect();
-        lines.sort();
-        let mut list = format!("meniscus: {} frames failed:", summary.lacking());
-        lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
-        notes.error(list);
     }
 }
 
-fn advance(progress: Option<&Progress>, tallied: &Tallied) {
-    let Tallied { done, total, failed, bytes, .. } = *tallied;
-    progress.into_iter().for_each(|progress| progress.advance(done, total, failed, bytes));
+/// The frames that are not there, a line each, in order.
+fn lacking(summary: &Summary) -> String {
+    let failed = summary.failed.iter();
+    let failed =
+        failed.map(|failed| (failed.frame, format!("frame {}: {}", failed.frame, told(&failed.error))));
+    let missing = summary.missing.iter().map(|missing| (missing.first, missing.to_string()));
+    let lines: BTreeSet<(u64, String)> = failed.chain(missing).collect();
+    let lacking = summary.lacking();
+    let mut list = format!("meniscus: {lacking} frame{} failed:", if lacking == 1 { "" } else { "s" });
+    lines.iter().for_each(|(_, line)| list += &format!("\n  {line}"));
+    list
 }
