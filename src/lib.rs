@@ -116,11 +116,11 @@ pub mod picture {
 
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
-    pub use crate::io::identity::is_same_file;
     pub use crate::io::input::{InputFormat, file_and_step};
     pub use crate::io::output::MeshFormat;
     pub use crate::io::series::SeriesFrame;
     pub use crate::io::stamp::Stamp;
+    pub use crate::io::stamp::is_same_file;
     pub use crate::io::whole::Replace;
     pub use crate::io::{ParticleFile, UpAxis};
     pub use crate::particles::{AttributeInfo, velocity_attribute};
@@ -149,6 +149,7 @@ pub mod devices {
 }
 
 /// All modules, for the library's own tests and tools: what is in here may change from one version to the next.
+#[doc(hidden)]
 pub mod internals {
     /// Backends for the stages of a frame: the processor's cores, or a Vulkan device.
     pub mod backend {

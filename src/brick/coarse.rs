@@ -16,7 +16,7 @@ use crate::grid::units::FULL;
 use crate::grid::{BIN, CellBox, MortonKey};
 use crate::system::scratch::Scratch;
 
-use super::elsewhere::FACTOR_BITS;
+use super::field::FACTOR_BITS;
 use super::{BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape, PageSource};
 
 /// Bits that the weights of the cells around the middle of a wide one sum to.

@@ -2,14 +2,12 @@
 
 mod bin;
 mod bin_table;
-mod binned;
 mod bins;
 mod block;
 mod boxes;
 mod coarse;
 mod cubes;
 mod elias_fano;
-mod elsewhere;
 mod facts;
 mod field;
 mod images;
@@ -30,19 +28,19 @@ use std::sync::atomic;
 use crate::system::memory::zeroed_in_huge_pages;
 
 pub use bin::{BinError, BinPlan, Census, CountingRoom, InvalidParticles};
-pub use binned::BinnedParticles;
 pub use bins::{AXIS_BITS, BinContents, Bins, RECORD_BITS, equal_steps, unpack};
 pub use block::Block;
 pub use boxes::WithBoxes;
 pub use coarse::{HALVED, HALVED_BITS, halved_box, halved_from, halved_from_box};
 pub use cubes::COORD_BITS;
-pub use elsewhere::{Elsewhere, Factor};
 pub use facts::FrameFacts;
 pub use field::DifField;
+pub use field::{Elsewhere, Factor};
 pub use images::WithImages;
 pub use page::{PageInfo, Pages, full_bits, fullness};
 pub use samples::PageSamples;
 pub use shape::{BrickSide, PageShape};
+pub use spill::BinnedParticles;
 pub use spill::{SortedStore, SpilledBins};
 pub use store::PageSource;
 pub use sums::CellSums;

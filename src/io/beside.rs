@@ -12,7 +12,7 @@ use crc32fast::Hasher;
 
 use crate::system::cancel::{BELONGINGS, belonging};
 
-use super::counted::counted_in;
+use super::whole::counted_in;
 
 /// A folder that is being filled. Dropped without [`keep`](Self::keep), it is removed.
 #[derive(Debug)]

@@ -13,8 +13,8 @@ use memchr::memmem;
 use memmap2::Mmap;
 use rayon::prelude::*;
 
-use crate::system::positioned::read_exact_at;
 use crate::system::reopened::ReopenedFile;
+use crate::system::reopened::read_exact_at;
 
 use super::{ReadError, ReadFault};
 

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use super::input::file_and_step;
 use super::input_format::extension;
-pub use super::piece_name::snapshot_piece;
 use super::{ReadError, bi4, vtp};
 
 /// The pieces that a file names, whose particles are its own; none of another format.
@@ -50,4 +49,13 @@ pub fn snapshot_pieces(path: &Path) -> Option<u64> {
 #[must_use]
 pub fn snapshot_pieces(_: &Path) -> Option<u64> {
     None
+}
+
+/// A file's name without its piece's number, and that number, where the name is like `base.0.hdf5`.
+#[must_use]
+pub fn snapshot_piece(path: &Path) -> Option<(PathBuf, u64)> {
+    let (rest, extension) = path.file_name()?.to_str()?.rsplit_once('.')?;
+    let (base, digits) = rest.rsplit_once('.').filter(|_| matches!(extension, "h5" | "hdf5"))?;
+    let number = digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())??;
+    Some((path.with_file_name(format!("{base}.{extension}")), number))
 }

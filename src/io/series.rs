@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::particles::AttributeInfo;
-use crate::surface::mesh::bounds::Bounds;
+use crate::surface::mesh::source::Bounds;
 
 use super::output::MeshFormat;
 use super::usd::stage::{Manifest, stage};

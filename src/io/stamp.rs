@@ -1,10 +1,11 @@
 //! Stamps that tell an input from what it was before.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use crc32fast::Hasher;
+use file_id::{FileId, get_file_id};
 use serde::{Deserialize, Serialize};
 
 use super::frame_files::files_of;
@@ -44,6 +45,34 @@ impl Stamp {
         }
         Ok(Self { bytes, modified: newest, files: files.finalize() })
     }
+}
+
+/// A file's identity, by which it is told from all others.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Identity {
+    /// A file that is there.
+    File(FileId),
+    /// A file that is not there yet, in a folder whose name is whole.
+    Name(PathBuf),
+}
+
+impl Identity {
+    /// Looks at what is there.
+    #[must_use]
+    pub fn of(path: &Path) -> Self {
+        if let Ok(id) = get_file_id(path) {
+            return Self::File(id);
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder));
+        Self::Name(folder.unwrap_or_default().join(path.file_name().unwrap_or_default()))
+    }
+}
+
+/// Whether two names are of one file.
+#[must_use]
+pub fn is_same_file(one: &Path, other: &Path) -> bool {
+    Identity::of(one) == Identity::of(other)
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::particles::Unread;
-use crate::system::positioned::{read_exact_at, will_read};
 use crate::system::reopened::{Lost, ReopenedFile};
+use crate::system::reopened::{read_exact_at, will_read};
 
 use super::bytes::{Bytes, Kept};
 

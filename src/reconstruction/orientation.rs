@@ -6,7 +6,7 @@ use crate::io::UpAxis;
 use crate::io::glb::{Compression, Layout};
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
-use crate::surface::mesh::bounds::Bounds;
+use crate::surface::mesh::source::Bounds;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::up::Turned;
 

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use crate::brick::Census;
 use crate::error::Error;
-use crate::io::identity::is_same_file;
 use crate::io::output::{MeshFormat, MeshOutput};
+use crate::io::stamp::is_same_file;
 use crate::io::whole::{FilledFile, Replace, WholeFile};
 use crate::io::{CoordinateWidth, WriteError, WriteFault};
-use crate::surface::mesh::metered::Metered;
 use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::source::Metered;
 use crate::system::cancel::{Cancel, Unfinished};
 use crate::system::control::{Control, Stage};
 use crate::system::timings::Timings;

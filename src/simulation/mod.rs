@@ -28,12 +28,8 @@ mod pieces;
 pub mod records;
 mod run;
 mod setup;
-mod shared;
-#[cfg(feature = "pictures")]
-mod sheet;
 pub mod state;
 mod tally;
-mod teller;
 mod watch;
 
 use std::sync;
@@ -45,6 +41,4 @@ pub use frozen::{Frozen, Trust};
 pub use inputs::{FrameFile, frames};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
-pub use pictures::{PictureDone, PictureFile, Pictures};
-#[cfg(feature = "pictures")]
-pub use sheet::Sheet;
+pub use pictures::{PictureDone, PictureFile, Pictures, Sheet};

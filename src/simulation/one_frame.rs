@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use super::conversion::{Conversion, Settled};
 use super::event::{Event, LeftOut};
 use super::frozen::{Frozen, Stamp};
 use super::gate::Permit;
 use super::inputs::FrameFile;
 use super::records::Record;
-use super::shared::{Conversion, Settled};
 use crate::error::Error;
 use crate::field::calibration::Calibration;
 use crate::frame::{Counted, Frame, FrameError, Normals, Resources};
@@ -24,7 +24,7 @@ use crate::reconstruction::{
     Checked, Doubt, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
     coordinate_width, merged, refuse_same_file,
 };
-use crate::surface::mesh::bounds::Bounded;
+use crate::surface::mesh::source::Bounded;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::system::cancel::Unfinished;

@@ -15,15 +15,15 @@ use crate::reconstruction::Checked;
 use crate::system::control::Control;
 
 use super::builder::Simulation;
+use super::conversion::Conversion;
 use super::conversion::convert;
 use super::event::{Event, Summary};
+use super::event::{Teller, hearing};
 use super::forecast::Forecast;
 use super::inputs::{FrameFile, Inputs, Sequence};
 use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
-use super::shared::Conversion;
 use super::state::{State, Store};
-use super::teller::{Teller, hearing};
 
 /// The inputs of one of several simulations, and what came of it.
 type Each<T> = (String, Result<T, Arc<Error>>);

@@ -9,11 +9,11 @@ use crate::error::{Error, SimulationError};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::{Resources, Sampling};
-use crate::io::identity::Identity;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
 use crate::io::series::Series;
+use crate::io::stamp::Identity;
 use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
 use crate::reconstruction::Checked;
@@ -21,12 +21,12 @@ use crate::surface::simplify::BYTES_A_THREAD;
 
 use super::builder::Simulation;
 use super::event::Event;
+use super::event::Teller;
 use super::frozen::{Frozen, Stamp};
 use super::inputs::{FrameFile, Sequence};
 use super::lanes::Division;
 use super::pattern::Pattern;
 use super::state::{State, Store};
-use super::teller::Teller;
 
 /// Between two looks at a simulation that runs.
 pub(super) const POLL: Duration = Duration::from_millis(250);

@@ -12,10 +12,10 @@ use crate::field::indicator::IndicatorKind;
 use crate::io::series::{Series, SeriesFrame};
 use rayon::prelude::*;
 
+use super::conversion::Conversion;
 use super::event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
 use super::one_frame::Done;
 use super::setup::Setup;
-use super::shared::Conversion;
 
 /// Between two writings of what lists all frames, at the least.
 const SERIES_PAUSE: Duration = Duration::from_millis(250);

@@ -5,7 +5,6 @@ pub mod cancel;
 pub mod control;
 pub mod memory;
 pub mod past_cache;
-pub mod positioned;
 pub mod reopened;
 pub mod scratch;
 pub mod timings;

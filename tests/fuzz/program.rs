@@ -17,14 +17,10 @@ mod notes;
 mod one_frame;
 #[path = "../../src/bin/meniscus/options.rs"]
 mod options;
-#[path = "../../src/bin/meniscus/outcome.rs"]
-mod outcome;
 #[path = "../../src/bin/meniscus/pack.rs"]
 mod pack;
 #[path = "../../src/bin/meniscus/parts.rs"]
 mod parts;
-#[path = "../../src/bin/meniscus/parts_options.rs"]
-mod parts_options;
 #[path = "../../src/bin/meniscus/progress.rs"]
 mod progress;
 #[path = "../../src/bin/meniscus/reconstruct.rs"]
@@ -35,13 +31,9 @@ mod render;
 mod report;
 #[path = "../../src/bin/meniscus/run.rs"]
 mod run;
-#[path = "../../src/bin/meniscus/say.rs"]
-mod say;
 #[path = "../../src/bin/meniscus/shells.rs"]
 mod shells;
 #[path = "../../src/bin/meniscus/simulation.rs"]
 mod simulation;
-#[path = "../../src/bin/meniscus/simulation_options.rs"]
-mod simulation_options;
 #[path = "../../src/bin/meniscus/stats.rs"]
 mod stats;

@@ -11,7 +11,7 @@ use crate::options::Options;
 
 /// Says an error, and what to do about it.
 pub fn say_error(error: &Error) {
-    crate::say::say(&format!("meniscus: {}", told(error)));
+    crate::notes::say(&format!("meniscus: {}", told(error)));
 }
 
 /// An error in words, and what to do about it.

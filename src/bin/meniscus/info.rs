@@ -9,7 +9,7 @@ use meniscus::files::{AttributeInfo, FrameInfo, Info, InputFormat, MeshInfo, Par
 use meniscus::{Error, Settings};
 
 use crate::advice::say_error;
-use crate::outcome::{Verdict, corners, point, print, print_json};
+use crate::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {

@@ -8,7 +8,7 @@ use meniscus::error::shown;
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
-use crate::outcome::{Verdict, corners, point, print, print_json};
+use crate::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {

@@ -10,19 +10,15 @@ mod interrupt;
 mod notes;
 mod one_frame;
 mod options;
-mod outcome;
 mod pack;
 mod parts;
-mod parts_options;
 mod progress;
 mod reconstruct;
 mod render;
 mod report;
 mod run;
-mod say;
 mod shells;
 mod simulation;
-mod simulation_options;
 mod stats;
 
 use std::process::ExitCode;
@@ -30,7 +26,7 @@ use std::process::ExitCode;
 use meniscus::Cause;
 
 use arguments::{Arguments, Command};
-use outcome::Verdict;
+use notes::Verdict;
 
 fn main() -> ExitCode {
     allocator::keep_freed();

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use meniscus::{Error, Reconstruction, Settings};
 
-use crate::parts_options::PartsOptions;
+use crate::parts::PartsOptions;
 use crate::run::RunOptions;
-use crate::simulation_options::SimulationOptions;
+use crate::simulation::SimulationOptions;
 
 #[derive(Args)]
 pub struct Options {

@@ -8,8 +8,8 @@ use meniscus::files::Replace;
 use meniscus::{Error, Reconstruction, Settings};
 
 use crate::interrupt;
+use crate::notes::Verdict;
 use crate::one_frame::refuse_same_file;
-use crate::outcome::Verdict;
 use crate::report::{report_census, report_opened, report_stages, warn_all};
 use crate::run::{RunOptions, bytes_of};
 

@@ -7,9 +7,9 @@ use meniscus::error::shown;
 use meniscus::files::MeshFormat;
 use meniscus::{Error, Needs, Opened, Simulation};
 
+use crate::notes::{Verdict, print};
 use crate::one_frame::{Ready, ready, write};
 use crate::options::Options;
-use crate::outcome::{Verdict, print};
 use crate::parts;
 use crate::report::report_opened;
 use crate::simulation;

@@ -13,7 +13,7 @@ use meniscus::{Error, UpAxis, default_memory};
 
 use crate::interrupt;
 use crate::notes::Notes;
-use crate::outcome::Verdict;
+use crate::notes::Verdict;
 
 #[derive(Args)]
 pub struct Options {

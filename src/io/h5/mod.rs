@@ -12,7 +12,6 @@
 //! or run of rows is read that the file's size does not vouch for.
 
 mod file;
-mod kinds;
 mod openpmd;
 mod pysph;
 mod snapshot;

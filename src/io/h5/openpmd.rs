@@ -15,8 +15,8 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked, number, numbers, time_of};
-use super::kinds::chosen_type;
 use super::steps::a_sequence;
+use super::table::chosen_type;
 use super::table::{Array, Windows, fault_of};
 
 /// Groups of a species that are no records of its particles.

@@ -5,7 +5,7 @@ use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
 use super::file::{File, checked, time_of};
-use super::kinds::chosen_type;
+use super::table::chosen_type;
 use super::table::{Array, Place, Table};
 
 /// Name of the group of the arrays of particles.

@@ -9,13 +9,13 @@ use hdf5_reader::group::Group;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
-use crate::io::piece_name::snapshot_piece;
+use crate::io::frame_files::snapshot_piece;
 use crate::io::wanted::{Wanted, WantedPieces};
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
 
 use super::file::{File, checked, number, numbers, time_of};
-use super::kinds::chosen_type;
+use super::table::chosen_type;
 use super::table::{Array, Table};
 
 /// Name of the group of all that is said of the snapshot.

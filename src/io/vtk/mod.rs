@@ -4,9 +4,7 @@
 //! it announces: `POINTS`, cells by several names, and under `POINT_DATA` or `CELL_DATA` the attributes. A file
 //! without cells that have an area holds particles.
 
-mod ghosts;
 mod layout;
-mod numbers;
 mod read;
 mod write;
 

@@ -1,16 +1,18 @@
 //! Reading legacy .vtk files: the points and their attributes where they lie, the cells as triangles.
 
+use std::ops::Range;
+
 use crate::io::bytes::{Bytes, Unpacked, Unpacking, View};
 use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints};
 use crate::io::text::decode_numbers;
 use crate::io::vertices::{Triangles, Vertices, columns, integer};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
-use super::ghosts;
+use super::layout::{AT_ONCE, each_integer, integers, stored};
 use super::layout::{Array, CellKind, Cells, Corners, Layout, is_text};
-use super::numbers::{AT_ONCE, integers, stored};
 
 /// Reads a file of particles, by [`read_points`].
 ///
@@ -52,7 +54,7 @@ pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<B
 fn points(bytes: Bytes, layout: &Layout, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
     let time = layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
-    let left = ghosts::left(bytes.view(), layout)?;
+    let left = not_ghosts(bytes.view(), layout)?;
     let vertices = vertices(bytes.view(), layout, unpacking)?;
     let time = time.flatten().filter(|time| time.is_finite());
     Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
@@ -216,4 +218,51 @@ fn visit(
         each(cell, stream.at, &corners)?;
     }
     Ok(())
+}
+
+/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+pub(super) fn not_ghosts(bytes: View, layout: &Layout) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+    let corners = match (&layout.vertices, &*layout.cells, layout.has_others) {
+        _ if layout.flags.is_empty() => return Ok(None),
+        (Some(vertices), [], false) => vertices,
+        (None, [Cells { kind: CellKind::Typed, corners }], false) => corners,
+        _ => return Ok(None),
+    };
+    let each =
+        |array: &Array, take: &mut dyn FnMut(usize, i64)| each_integer(bytes, layout.ascii, array, take);
+    let (cells, mut all_vertices) = (corners.cells(), true);
+    let points = match corners {
+        // Every other number is a count of points.
+        Corners::Counted { stream, .. } => {
+            each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
+            if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {
+                let what = format!("{cells} cells of a point each, but {} numbers", stream.tuples);
+                return Err(malformed(stream.at, what));
+            }
+            stream
+        }
+        Corners::Offsets { offsets, connectivity } => {
+            each(offsets, &mut |index, end| all_vertices &= end == index as i64)?;
+            connectivity
+        }
+    };
+    if let Some(types) = &layout.cell_types {
+        each(types, &mut |_, kind| all_vertices &= kind == VERTEX)?;
+    }
+    if !all_vertices {
+        return Ok(None);
+    }
+    let mut vertices = VertexCells::new(cells);
+    for array in &layout.flags {
+        let mut flags = vertices.flags(&array.name);
+        each(array, &mut |cell, flag| flags.take(cell, flag))?;
+        flags.end().map_err(|what| malformed(array.at, what))?;
+    }
+    let mut left = VertexPoints::new(&vertices, layout.points.tuples);
+    each(points, &mut |index, point| match corners {
+        Corners::Counted { .. } if index % 2 == 0 => {}
+        Corners::Counted { .. } => left.take(index / 2, point),
+        Corners::Offsets { .. } => left.take(index, point),
+    })?;
+    left.left().map(Some).map_err(|what| malformed(points.at, what))
 }

@@ -7,7 +7,6 @@
 pub(super) mod arrays;
 mod data;
 pub(super) mod divided;
-mod ghosts;
 mod layout;
 pub mod parallel;
 mod read;

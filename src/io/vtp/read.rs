@@ -1,17 +1,20 @@
 //! Reading .vtp and .vtu files: the points and their attributes as columns, polygons as triangles.
 
+use std::ops::Range;
+
 use memchr::memmem;
 
-use crate::io::bytes::{Bytes, Unpacking, View};
+use crate::io::bytes::{Bytes, Unpacking, View, unpacked_limit};
 use crate::io::columns::{Column, Scalar};
+use crate::io::ghosts::{VERTEX, VertexCells, VertexPoints, is_flag};
 use crate::io::vertices::{Triangles, Vertices};
+use crate::io::wanted::GHOSTS;
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 
 use super::NORMALS;
 use super::data::Decoder;
-use super::ghosts;
 use super::layout::{Array, DataSet, HEAD, Layout, Section, TIME};
 
 /// Reads the points as particles, whatever lines and cells of a .vtu are made of them: arrays that are appended raw stay where they
@@ -58,7 +61,7 @@ fn points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault>
     };
     let mut decoder = Decoder::new(&layout, unpacking);
     let time = time(&layout, &mut decoder)?;
-    let left = ghosts::left(&layout, &mut decoder)?;
+    let left = not_ghosts(&layout, &mut decoder)?;
     let vertices = vertices(&layout, decoder, None)?;
     Ok(ParticleFile { time, ..vertices.into_particles(bytes, format) }.with_points(left))
 }
@@ -172,4 +175,53 @@ fn vertices(layout: &Layout, mut decoder: Decoder, except: Option<usize>) -> Res
     }
     let position = position.ok_or_else(|| malformed(0, "no array of points of three components"))?;
     Ok(Vertices { decoded: decoder.finish()?, count, position, attributes, normals })
+}
+
+/// Ranges of the points that are not left out for their cells; `None` where all are to stay.
+pub(super) fn not_ghosts(
+    layout: &Layout,
+    decoder: &mut Decoder,
+) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+    let found = |section: Section, name: &str| {
+        layout.arrays.iter().find(|array| array.section == section && array.name == name)
+    };
+    let (section, cells) = match layout.data_set {
+        // Other cells than vertices come after these.
+        DataSet::PolyData => (Section::Verts, layout.vertices),
+        DataSet::UnstructuredGrid => (Section::Cells, layout.cells),
+    };
+    let flags = GHOSTS.iter().filter_map(|name| found(Section::CellData, name));
+    let flags: Vec<&Array> =
+        flags.filter(|array| is_flag(&array.name, array.components, array.scalar)).collect();
+    let corners = [found(section, "connectivity"), found(section, "offsets")];
+    let ([Some(corners), Some(ends)], false) = (corners, flags.is_empty() || layout.lines > 0) else {
+        return Ok(None);
+    };
+    // Whoever reads the points refuses more of them than the file can hold.
+    if layout.points as u64 > unpacked_limit(layout.bytes.len() as u64) {
+        return Ok(None);
+    }
+    let (mut all_vertices, mut count) = (true, 0);
+    decoder.each_integer(ends, |cell, end| {
+        all_vertices &= end == cell as i64 + 1;
+        count = cell + 1;
+    })?;
+    if count != cells {
+        return Err(malformed(ends.place(), format!("{cells} cells are announced, {count} have an offset")));
+    }
+    if let (DataSet::UnstructuredGrid, Some(types)) = (layout.data_set, found(section, "types")) {
+        decoder.each_integer(types, |_, kind| all_vertices &= kind == VERTEX)?;
+    }
+    if !all_vertices {
+        return Ok(None);
+    }
+    let mut vertices = VertexCells::new(cells);
+    for array in flags {
+        let mut flags = vertices.flags(&array.name);
+        decoder.each_integer(array, |cell, flag| flags.take(cell, flag))?;
+        flags.end().map_err(|what| malformed(array.place(), what))?;
+    }
+    let mut points = VertexPoints::new(&vertices, layout.points);
+    decoder.each_integer(corners, |cell, point| points.take(cell, point))?;
+    points.left().map(Some).map_err(|what| malformed(corners.place(), what))
 }

@@ -20,7 +20,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::Mesh;
-use super::stars::{Stars, is_sound};
+use super::check::{Stars, is_sound};
 
 /// Samples spread over a surface: ten a triangle, within these bounds.
 const SAMPLES: [usize; 2] = [100_000, 2_000_000];

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Mesh;
+use super::check::is_sound;
 use super::check::topology;
-use super::stars::is_sound;
 
 /// Volume over area to the power of 3/2, with factors, below which a piece has none.
 const FLAT: f64 = 1e-9;

@@ -1,15 +1,12 @@
 //! Triangle meshes and what can be said of them.
 
 mod block;
-pub mod bounds;
 pub mod check;
 pub mod compare;
 pub mod measure;
-pub mod metered;
 pub mod ordered;
 pub mod source;
 pub mod spool;
-pub mod stars;
 pub mod up;
 
 pub use block::{BlockMesh, Tile, TileMask, bits, cell_of_bit};

@@ -8,7 +8,7 @@ use hashbrown::HashMap;
 use meshopt::optimize_vertex_cache;
 use rayon::prelude::*;
 
-use super::bounds::{Bounds, bounds_of, joined};
+use super::source::{Bounds, bounds_of, joined};
 use super::source::{MeshSource, Outline, Vertices};
 
 /// A mesh whose vertices and triangles are put in a better order, piece by piece. Takes 4 bytes a vertex.

@@ -2,8 +2,10 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::sync::{Mutex, PoisonError};
 
 use crate::particles::AttributeInfo;
+use crate::system::control::{Control, Meter, Stage};
 
 use super::{Mesh, VertexAttribute};
 
@@ -149,5 +151,100 @@ fn assert_complete(mesh: &Mesh) {
     assert_eq!(normals, vertices, "one normal a vertex");
     for VertexAttribute { name, components, values } in &mesh.attributes {
         assert_eq!(Some(values.len()), vertices.checked_mul(*components), "{components} of {name} a vertex");
+    }
+}
+
+/// A mesh that reports to a caller how many of its pieces have been read.
+pub struct Metered<'a> {
+    mesh: &'a dyn MeshSource,
+    meter: Meter<'a>,
+}
+
+impl<'a> Metered<'a> {
+    /// Counts the pieces of a mesh whose reader asks for the vertices and for the triangles of each.
+    #[must_use]
+    pub fn new(mesh: &'a dyn MeshSource, control: &'a Control, stage: Stage) -> Self {
+        Self { mesh, meter: control.meter(stage, 2 * mesh.pieces()) }
+    }
+}
+
+impl MeshSource for Metered<'_> {
+    fn outline(&self) -> Outline {
+        self.mesh.outline()
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        self.meter.go_on()?;
+        self.meter.add(1);
+        self.mesh.vertices(piece)
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.meter.go_on()?;
+        self.meter.add(1);
+        self.mesh.triangles(piece)
+    }
+
+    fn whole_positions(&self) -> Option<&[[f64; 3]]> {
+        self.mesh.whole_positions()
+    }
+
+    fn at_once(&self) -> io::Result<Option<Indexed>> {
+        self.meter.go_on()?;
+        self.mesh.at_once()
+    }
+}
+
+/// Least and greatest corner.
+pub type Bounds = [[f64; 3]; 2];
+
+/// The box around some positions; `None` around nothing.
+#[must_use]
+pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Bounds> {
+    positions.iter().map(|&p| [p, p]).reduce(joined)
+}
+
+/// The box around two boxes.
+#[must_use]
+pub fn joined([lo, hi]: Bounds, [p, q]: Bounds) -> Bounds {
+    [std::array::from_fn(|axis| lo[axis].min(p[axis])), std::array::from_fn(|axis| hi[axis].max(q[axis]))]
+}
+
+/// Hands a mesh on, and keeps the box of the vertices that were asked for.
+pub struct Bounded<'a> {
+    mesh: &'a dyn MeshSource,
+    bounds: Mutex<Option<Bounds>>,
+}
+
+impl<'a> Bounded<'a> {
+    /// Nothing is handed on yet.
+    #[must_use]
+    pub fn new(mesh: &'a dyn MeshSource) -> Self {
+        Self { mesh, bounds: Mutex::new(None) }
+    }
+
+    /// The box: that of the whole mesh, once it is written.
+    #[must_use]
+    pub fn bounds(&self) -> Option<Bounds> {
+        *self.bounds.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl MeshSource for Bounded<'_> {
+    fn outline(&self) -> Outline {
+        self.mesh.outline()
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let vertices = self.mesh.vertices(piece)?;
+        let own = bounds_of(&vertices.positions);
+        let mut all = self.bounds.lock().unwrap_or_else(PoisonError::into_inner);
+        *all = [*all, own].into_iter().flatten().reduce(joined);
+        drop(all);
+        Ok(vertices)
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        self.mesh.triangles(piece)
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use crate::surface::mesh::bounds::Bounds;
+use crate::surface::mesh::source::Bounds;
 
 /// The angle between the picture's upper and lower edge, in degrees, as a lens of some 70 mm sees.
 const FIELD_OF_VIEW: f64 = 28.0;

@@ -4,14 +4,16 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use colorous::Gradient;
+use embedded_graphics::text::Alignment;
 use glam::Vec3;
 
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::compare::Surface;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
-use super::error::PictureError;
+use super::image::Image;
 use super::light::linear;
+use super::request::PictureError;
 
 /// The colours of a surface.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -202,5 +204,90 @@ impl Palette {
         let share = if hi > lo { (value - lo) / (hi - lo) } else { 0.5 };
         let at = (share.clamp(0.0, 1.0) * (STEPS - 1) as f32 + 0.5) as usize;
         if value.is_nan() { linear([128; 3]) } else { self.colours[at] }
+    }
+}
+
+/// Shows the colours from `lo` to `hi`, and what they stand for: their ends for all `beyond`, too.
+pub(super) fn legend(image: &mut Image, name: &str, map: ColourMap, [lo, hi]: [f32; 2], beyond: bool) {
+    let (width, height) = (image.width() as i32, image.height() as i32);
+    let line = image.line();
+    let (bar, long) = (line, height / 3);
+    let (left, top) = (width - 2 * line - bar, (height - long) / 2);
+    for y in 0..long {
+        let colour = map.of(1.0 - (y as f32 + 0.5) / long as f32);
+        for x in 0..bar {
+            if let (Ok(x), Ok(y)) = (usize::try_from(left + x), usize::try_from(top + y)) {
+                image.set(x, y, colour);
+            }
+        }
+    }
+    image.text(name, [left + bar, top - 2 * line], Alignment::Right);
+    let [below, above] = if beyond { ["<= ", ">= "] } else { [""; 2] };
+    for (share, before, value) in [(0, above, hi), (1, "", lo / 2.0 + hi / 2.0), (2, below, lo)] {
+        let y = top + long * share / 2 - line / 2;
+        image.text(&format!("{before}{}", number(value)), [left - line / 2, y], Alignment::Right);
+    }
+}
+
+/// A number in four digits, whatever its size.
+fn number(value: f32) -> String {
+    let size = value.abs();
+    if size == 0.0 || (1e-2..1e4).contains(&size) { format!("{value:.3}") } else { format!("{value:.2e}") }
+}
+
+/// The share of distances that colours tell apart: the few that are greater by magnitude would leave the others one colour.
+const USUAL: f64 = 0.99;
+/// Bits of a number that make no difference to where it is counted: 7 of its 23 digits are left.
+const COUNTED_AS_ONE: u32 = 16;
+
+/// Facts about values by which their range is found.
+#[derive(Clone, Default)]
+pub(super) struct Spread {
+    extremes: Option<[f32; 2]>,
+    /// How many distances are as large by magnitude, in steps of less than a hundredth; none of other values.
+    magnitudes: Vec<u32>,
+}
+
+impl Spread {
+    /// Looks at values, of which those that are not finite do not count.
+    pub(super) fn of(values: &[f32], kind: &Values<'_>) -> Self {
+        let finite = || values.iter().copied().filter(|value| value.is_finite());
+        let mut magnitudes = Vec::new();
+        if matches!(kind, Values::Distance(_)) {
+            magnitudes.resize(1 << (u32::BITS - 1 - COUNTED_AS_ONE), 0);
+            finite().for_each(|value| magnitudes[(value.abs().to_bits() >> COUNTED_AS_ONE) as usize] += 1);
+        }
+        let extremes = finite().map(|value| [value; 2]).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
+        Self { extremes, magnitudes }
+    }
+
+    /// Takes other values in.
+    pub(super) fn join(&mut self, other: &Self) {
+        let both = [self.extremes, other.extremes].into_iter().flatten();
+        self.extremes = both.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
+        self.magnitudes.resize(other.magnitudes.len(), 0);
+        self.magnitudes.iter_mut().zip(&other.magnitudes).for_each(|(sum, count)| *sum += count);
+    }
+
+    /// The range of colours, and whether values go on beyond it: that of distances has zero in its middle.
+    pub(super) fn range(&self) -> (Option<[f32; 2]>, bool) {
+        let Some([lo, hi]) = self.extremes else { return (None, false) };
+        if self.magnitudes.is_empty() {
+            return (Some([lo, hi]), false);
+        }
+        let greatest = lo.abs().max(hi.abs());
+        let all: u64 = self.magnitudes.iter().map(|&count| u64::from(count)).sum();
+        let usual = (all as f64 * USUAL).ceil() as u64;
+        let mut within = 0;
+        let last = self.magnitudes.iter().position(|&count| {
+            within += u64::from(count);
+            within >= usual
+        });
+        // Where nearly all are nothing, the others are what there is to tell apart.
+        let bound = match last {
+            Some(last @ 1..) => f32::from_bits((last as u32 + 1) << COUNTED_AS_ONE).min(greatest),
+            _ => greatest,
+        };
+        (Some([-bound, bound]), bound < greatest)
     }
 }

@@ -6,20 +6,20 @@ use rayon::prelude::*;
 use crate::surface::mesh::source::MeshSource;
 
 use super::camera::{Camera, ball};
-use super::canvas::{Canvas, Corners};
+use super::colour::legend;
 use super::colour::{Palette, Values};
-use super::error::PictureError;
 use super::fill::fill;
 use super::image::Image;
-use super::legend::legend;
+use super::light::Sketch;
 use super::light::byte;
-use super::memory::{Budget, Memory};
 use super::ranked::Entered;
 use super::raster::Raster;
+use super::raster::{Canvas, Corners};
+use super::request::PictureError;
+use super::request::{Budget, Memory};
 use super::request::{Effort, Picture, Scope};
 use super::scene::{Samples, Scene};
 use super::shape::{LEAST_BATCH_BYTES, Shape, TRIANGLE_BYTES, VERTEX_BYTES};
-use super::sketch::Sketch;
 use super::sun::{Sun, Sunlight};
 use super::visible::Visible;
 

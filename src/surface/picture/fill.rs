@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::system::bits::ones;
 
-use super::canvas::{Canvas, Corners, VIEWS};
+use super::raster::{Canvas, Corners, VIEWS};
 use super::raster::{Corner, Raster};
 use super::shape::Batch;
 
@@ -141,7 +141,7 @@ mod tests {
     use crate::surface::mesh::Mesh;
     use crate::surface::picture::camera::{Camera, View};
     use crate::surface::picture::colour::Values;
-    use crate::surface::picture::memory::Memory;
+    use crate::surface::picture::request::Memory;
     use crate::surface::picture::shape::Shape;
 
     /// The triangle, nearness and way through the fluid that are seen at each sample.

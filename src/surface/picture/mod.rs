@@ -6,27 +6,21 @@
 //! by. A picture has the same bytes for any number of threads.
 
 mod camera;
-mod canvas;
 mod colour;
 mod draw;
-mod error;
 mod fill;
 mod image;
-mod legend;
 mod light;
-mod memory;
-mod range;
 mod ranked;
 mod raster;
 mod request;
 mod scene;
 mod shape;
-mod sketch;
 mod sun;
 mod visible;
 
 pub use camera::View;
 pub use colour::{Colour, ColourMap, Reference};
-pub use error::PictureError;
 pub use image::{Animation, Image};
+pub use request::PictureError;
 pub use request::{Effort, Picture, Scope};

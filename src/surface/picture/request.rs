@@ -1,13 +1,16 @@
 //! A request for pictures: how large, from where, in which colours.
 
-use glam::{DMat3, DVec3};
+use std::io;
 
-use crate::surface::mesh::bounds::{Bounds, joined};
+use glam::{DMat3, DVec3};
+use thiserror::Error;
+
+use crate::surface::mesh::compare::CompareError;
+use crate::surface::mesh::source::{Bounds, joined};
 use crate::surface::mesh::up::UpAxis;
 
 use super::camera::View;
 use super::colour::Colour;
-use super::error::{MOST_PIXELS, PictureError};
 
 const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 
@@ -184,4 +187,77 @@ impl Picture {
             UpAxis::Z => DMat3::from_cols(DVec3::X, DVec3::Z, -DVec3::Y),
         }
     }
+}
+
+/// Memory for a mesh.
+pub(super) enum Memory {
+    /// Room for the whole mesh, whatever it takes.
+    Whole,
+    /// No more than for batches of so many bytes.
+    Batches(u64),
+}
+
+/// Memory that may be used, and what of it is taken.
+pub(super) struct Budget {
+    used: u64,
+    allowed: u64,
+}
+
+impl Budget {
+    /// Takes a part of the bytes that may be used.
+    pub(super) fn new(used: u64, allowed: u64) -> Self {
+        Self { used, allowed }
+    }
+
+    /// Makes sure that so many bytes more may be used.
+    pub(super) fn check(&self, bytes: u64) -> Result<(), PictureError> {
+        let Self { used, allowed } = *self;
+        let needed = used + bytes;
+        if needed <= allowed { Ok(()) } else { Err(PictureError::Memory { needed, allowed }) }
+    }
+}
+
+/// Pixels along an edge, at the most.
+pub(super) const MOST_PIXELS: usize = 1 << 15;
+
+/// A picture that cannot be drawn.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PictureError {
+    /// A size that no picture can have.
+    #[error("a picture of {0} x {1} pixels: 1 to {MOST_PIXELS} can be along an edge")]
+    Size(usize, usize),
+    /// A view that shows nothing.
+    #[error("{0}")]
+    View(&'static str),
+    /// A colour map that is not known.
+    #[error("no colour map {name:?}; there are: {known}")]
+    Map {
+        /// The name that was asked for.
+        name: String,
+        /// The names of those that there are.
+        known: String,
+    },
+    /// An attribute that the vertices do not have.
+    #[error("no attribute {name:?} on the vertices; there are: {known}")]
+    NoAttribute {
+        /// The attribute that was asked for.
+        name: String,
+        /// The names of those that there are.
+        known: String,
+    },
+    /// A mesh from which there is no distance.
+    #[error("{0}")]
+    Reference(CompareError),
+    /// More memory than may be used.
+    #[error("a picture of this mesh takes {needed} bytes of memory; {allowed} may be used")]
+    Memory {
+        /// Bytes that it takes.
+        needed: u64,
+        /// Bytes that may be used.
+        allowed: u64,
+    },
+    /// A mesh that cannot be read from where it is kept.
+    #[error("{0}")]
+    Io(#[from] io::Error),
 }

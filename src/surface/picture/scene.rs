@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec2, Vec3};
 
-use crate::surface::mesh::bounds::Bounds;
+use crate::surface::mesh::source::Bounds;
 
 use super::camera::{Camera, ball};
 use super::colour::{Colour, Palette};

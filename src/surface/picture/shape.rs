@@ -6,17 +6,17 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::surface::mesh::bounds::{Bounds, joined};
 use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::source::{Bounds, joined};
 use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::FARTHEST;
-use super::canvas::Corners;
+use super::colour::Spread;
 use super::colour::Values;
-use super::error::PictureError;
-use super::memory::Memory;
-use super::range::Spread;
 use super::ranked::{Entered, Ranked};
+use super::raster::Corners;
+use super::request::Memory;
+use super::request::PictureError;
 use super::request::Scope;
 
 /// Bytes of a vertex that is kept: its place, and its corner in each view while it is drawn.

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use crate::surface::mesh::bounds::Bounds;
+use crate::surface::mesh::source::Bounds;
 
 use super::camera::{Camera, ball};
 use super::light::SUN;

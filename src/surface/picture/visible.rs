@@ -7,10 +7,10 @@ use rayon::prelude::*;
 
 use super::camera::Camera;
 use super::colour::Values;
-use super::error::PictureError;
-use super::memory::Budget;
 use super::ranked::{Entered, Ranked};
 use super::raster::Raster;
+use super::request::Budget;
+use super::request::PictureError;
 use super::shape::{Batch, Shape};
 
 /// Triangles of a task.

@@ -13,10 +13,7 @@
 
 mod collapse;
 mod drops;
-mod patch;
 mod surface;
-mod topology;
-mod vertex_set;
 
 use std::borrow::Cow;
 use std::io;
@@ -33,12 +30,12 @@ use crate::surface::stitch::Stitched;
 use crate::system::control::{Control, Meter, Stage};
 use crate::system::scratch::Lists;
 
+use collapse::Patch;
 pub use drops::TooSmall;
+use drops::VertexSet;
 use drops::smaller_than;
-use patch::Patch;
 use surface::NONE;
-use topology::Outside;
-use vertex_set::VertexSet;
+use surface::Outside;
 
 /// Edge of a chunk in blocks.
 const CHUNK: i32 = 2;

@@ -6,7 +6,6 @@
 
 mod coarse;
 mod numbers;
-mod source;
 pub mod vulkan;
 
 use std::borrow::Cow;

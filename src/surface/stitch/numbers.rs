@@ -1,5 +1,7 @@
 //! Numbers of the vertices on a block's dual edges, and the triangles that join them.
 
+use std::borrow::Cow;
+use std::io;
 use std::sync::LazyLock;
 
 use glam::IVec3;
@@ -7,7 +9,11 @@ use multiversion::multiversion;
 
 use crate::grid::BLOCK;
 use crate::surface::dual_mc::cases::{Edge, TABLE};
+use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
 use crate::surface::mesh::{Tile, bits, cell_of_bit};
+
+use super::Stitched;
+use super::coarse::Coarse;
 
 /// Cells along each axis: a block's, and one layer of the blocks above.
 const EDGE: usize = BLOCK as usize + 1;
@@ -90,3 +96,46 @@ static FANS: LazyLock<[Vec<[u16; 3]>; 256]> = LazyLock::new(|| {
     let place = |edge: Edge| (index(edge.offset()) + usize::from(edge.axis)) as u16;
     std::array::from_fn(|case| TABLE[case].iter().map(|triangle| triangle.map(place)).collect())
 });
+
+impl MeshSource for Stitched {
+    fn outline(&self) -> Outline {
+        Outline {
+            vertices: self.spool.vertices(),
+            triangles: self.spool.triangles(),
+            normals: self.spool.has_normals(),
+            attributes: self.attributes.clone(),
+            pieces: self.spool.len(),
+        }
+    }
+
+    fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
+        let block = self.spool.get(piece)?;
+        let positions = self.positions(&block).into();
+        Ok(match block {
+            Cow::Borrowed(block) => Vertices {
+                positions,
+                normals: (&block.normals).into(),
+                attributes: block.attributes.iter().map(Into::into).collect(),
+            },
+            Cow::Owned(block) => Vertices {
+                positions,
+                normals: block.normals.into(),
+                attributes: block.attributes.into_iter().map(Into::into).collect(),
+            },
+        })
+    }
+
+    fn coarser(&self) -> io::Result<Option<Box<dyn MeshSource + '_>>> {
+        Ok(Some(Box::new(Coarse::new(self)?)))
+    }
+
+    fn at_once(&self) -> io::Result<Option<Indexed>> {
+        u32::try_from(self.vertex_count()).is_ok().then(|| self.positions_and_triangles()).transpose()
+    }
+
+    fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
+        let mut triangles = Vec::with_capacity(self.spool.counts(piece)[1]);
+        self.emit(piece, |_, _, triangle| triangles.push(triangle))?;
+        Ok(triangles)
+    }
+}

@@ -9,7 +9,7 @@ use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::system::positioned::{read_exact_at, write_all_at};
+use crate::system::reopened::{read_exact_at, write_all_at};
 
 /// An unnamed file. It is written and read by position, by several threads at once; it is never mapped, so a
 /// full disk is an error and nothing else.
