@@ -1,5 +1,7 @@
 //! Watertight surface meshes from particle fluids, by discrete indicator functions (DIF).
 //!
+//! # A frame from memory
+//!
 //! ```
 //! use meniscus::Reconstruction;
 //!
@@ -19,6 +21,76 @@
 //! simulation are a [`Simulation`], or a [`LiveSimulation`] while it runs. [`Settings`] hold all that a request can say of a surface, and
 //! a [`Cloud`] adds attributes to positions in memory. What fails is an [`Error`], whose
 //! [`Cause`] says whose fault it is. Any of them can be ended early by a [`Cancel`].
+//!
+//! # Frames of a simulation
+//!
+//! ```
+//! use meniscus::{Event, Reconstruction, Simulation};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # std::env::set_current_dir(folder.path())?;
+//! # std::fs::create_dir("particles")?;
+//! # for frame in 0..3_u8 {
+//! #     let ball = (0..3375).map(|i| [i % 15, i / 15 % 15, i / 225].map(|c| f32::from(c as u8 + frame)));
+//! #     let bytes: Vec<u8> = ball.flatten().flat_map(f32::to_le_bytes).collect();
+//! #     std::fs::write(format!("particles/water_{frame}.xyz"), bytes)?;
+//! # }
+//! let mut triangles = 0;
+//! let summaries = Simulation::new("particles/water_{}.xyz", "mesh/water_{:04}.ply")
+//!     .reconstruction(Reconstruction::new().spacing(1.0))
+//!     .resume()
+//!     .run(|event| {
+//!         if let Event::Done(frame) = event {
+//!             triangles += frame.mesh.triangles;
+//!         }
+//!     })?;
+//! for failed in summaries.iter().flat_map(|summary| &summary.failed) {
+//!     eprintln!("frame {}: {}", failed.frame, failed.error);
+//! }
+//! assert!(triangles > 0 && summaries.iter().all(|summary| summary.is_complete()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Velocities for motion blur
+//!
+//! ```
+//! use meniscus::{Cloud, Reconstruction};
+//!
+//! let positions: Vec<[f64; 3]> = (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(f64::from)).collect();
+//! let velocities: Vec<[f32; 3]> = positions.iter().map(|p| [0.0, p[0] as f32, 0.0]).collect();
+//!
+//! let cloud = Cloud::new(&positions).with("velocity", &velocities);
+//! let surface = Reconstruction::new().spacing(1.0).attributes(["velocity"]).run(&cloud)?;
+//! let mesh = surface.to_mesh()?;
+//! assert_eq!(mesh.attributes[0].values.len(), 3 * mesh.positions.len());
+//! # Ok::<(), meniscus::Error>(())
+//! ```
+//!
+//! # A frame beyond memory
+//!
+//! ```
+//! use meniscus::{Cancel, MemoryBudget, Reconstruction};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # std::env::set_current_dir(folder.path())?;
+//! # let ball = (0..3375).map(|i| [i % 15, i / 15 % 15, i / 225].map(|c| f32::from(c as u8)));
+//! # let bytes: Vec<u8> = ball.flatten().flat_map(f32::to_le_bytes).collect();
+//! # std::fs::write("dam.xyz", bytes)?;
+//! let cancel = Cancel::new();
+//! let surface = Reconstruction::new()
+//!     .memory(MemoryBudget(256 << 20))
+//!     .scratch(std::env::temp_dir())
+//!     .progress(|progress| println!("{} {:.0} %", progress.stage, 100.0 * progress.done))
+//!     .cancel(cancel.clone())
+//!     .run_file("dam.xyz")?;
+//! // Neither the particles nor the mesh are in memory as a whole.
+//! surface.write("dam.ply")?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! DEVICE_EXAMPLE
+//!
+//! # How it works
 //!
 //! ```text
 //! particles --bin--> binned particles --indicate--> DIF bricks, mu0         brick, field::indicator

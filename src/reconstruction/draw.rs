@@ -2,9 +2,10 @@
 
 use crate::error::Error;
 use crate::field::calibration::Calibration;
-use crate::frame::{Frame as Engine, FrameError, Shortfall};
-use crate::surface::mesh::Mesh;
+use crate::frame::{Frame as Engine, FrameError, Normals, Shortfall};
+use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
+use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::surface::simplify::Simplified;
 use crate::surface::stitch::Stitched;
 use crate::system::control::Stage;
@@ -13,7 +14,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use super::checked::Checked;
 use super::report::Report;
-use super::warning::{Warning, lost_warning, of_isovalue};
+use super::warning::{Emptiness, Warning, lost_warning, of_isovalue};
 
 /// A surface that was drawn, but for the threads that it was made by.
 pub(crate) struct Drawn {
@@ -49,14 +50,69 @@ impl Checked {
         known: Option<&Calibration>,
         timings: &mut Timings,
     ) -> Result<Drawn, Error> {
-        let (surface, mut report) = self.draw_whole(engine, known, timings)?;
-        let precision = SinglePrecision::of(&surface);
-        let mesh = self.reduce(engine, surface, &mut report, timings)?;
-        Ok(Drawn { mesh, precision, report })
+        let (surface, report) = self.draw_whole(engine, known, timings)?;
+        Ok(self.reduce_of(engine, surface, report, timings)?)
+    }
+
+    /// Draws as [`draw`](Self::draw) does the surface of one of many frames: where there is none, the mesh is empty, vertices would have
+    /// carried the attributes `infos`, and a warning says why. `measured_on` is the frame that the calibration is of.
+    pub(crate) fn draw_or_empty(
+        &self,
+        engine: &Engine,
+        known: Option<&Calibration>,
+        infos: Vec<AttributeInfo>,
+        measured_on: Option<u64>,
+        timings: &mut Timings,
+    ) -> Result<Drawn, FrameError> {
+        let drawn = self.draw_whole(engine, known, timings).and_then(|(surface, report)| {
+            let whole = report.clone();
+            match self.reduce_of(engine, surface, report, timings) {
+                Err(FrameError::NothingLeft(all)) => {
+                    let report = Report { too_small: Some(all), ..whole };
+                    Ok(self.empty(report, Emptiness::TooSmall(all), infos.clone(), measured_on))
+                }
+                drawn => drawn,
+            }
+        });
+        match drawn {
+            Err(fault) => {
+                let why = Emptiness::of(&fault).ok_or(fault)?;
+                let mut report = Report::of(engine, &self.surfacing);
+                report.calibration = known.copied().filter(|_| report.indicator.is_some());
+                report.lost = engine.facts().census.binned as u64;
+                Ok(self.empty(report, why, infos, measured_on))
+            }
+            drawn => drawn,
+        }
+    }
+
+    /// A frame without a surface, and a warning that says why it has none.
+    fn empty(
+        &self,
+        mut report: Report,
+        why: Emptiness,
+        infos: Vec<AttributeInfo>,
+        measured_on: Option<u64>,
+    ) -> Drawn {
+        let clouds = report.is_clouds();
+        report.warnings.push(Warning::Empty { why, clouds, measured_on });
+        Drawn { mesh: self.empty_mesh(infos), precision: SinglePrecision::Enough, report }
+    }
+
+    /// An empty mesh, which every program can load, and finds the attributes that it expects.
+    pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>) -> Kept {
+        let attribute =
+            |AttributeInfo { name, components }| VertexAttribute { name, components, values: Vec::new() };
+        let mesh = Mesh {
+            normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),
+            attributes: infos.into_iter().map(attribute).collect(),
+            ..Mesh::default()
+        };
+        Kept::Empty(mesh)
     }
 
     /// Draws the whole surface of a frame.
-    pub(crate) fn draw_whole(
+    fn draw_whole(
         &self,
         engine: &Engine,
         known: Option<&Calibration>,
@@ -90,20 +146,31 @@ impl Checked {
         report.whole_triangles = surface.triangle_count();
     }
 
-    /// Simplifies a surface, and leaves out components, as far as that was asked for.
-    pub(crate) fn reduce(
+    fn reduce_of(
         &self,
         engine: &Engine,
         surface: Stitched,
-        report: &mut Report,
+        report: Report,
         timings: &mut Timings,
-    ) -> Result<Kept, FrameError> {
+    ) -> Result<Drawn, FrameError> {
+        let control = &self.resources.control;
+        self.reduce(surface, report, |surface| engine.simplify(surface, &self.reduction, control, timings))
+    }
+
+    /// Has a surface simplified, and components left out, where that was asked for.
+    pub(crate) fn reduce(
+        &self,
+        surface: Stitched,
+        mut report: Report,
+        simplify: impl FnOnce(Stitched) -> Result<Simplified, FrameError>,
+    ) -> Result<Drawn, FrameError> {
+        let precision = SinglePrecision::of(&surface);
         if self.reduction.is_none() {
-            return Ok(Kept::Whole(surface));
+            return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
         }
-        let simplified = engine.simplify(surface, &self.reduction, &self.resources.control, timings)?;
+        let simplified = simplify(surface)?;
         report.too_small = Some(simplified.too_small());
-        Ok(Kept::Reduced(simplified))
+        Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
     }
 }
 

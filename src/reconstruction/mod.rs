@@ -28,7 +28,7 @@ mod width;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, Slab, Source};
 pub(crate) use checked::{Checked, Ready};
-pub(crate) use draw::{Drawn, Kept};
+pub(crate) use draw::Drawn;
 pub use frame::Frame;
 pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, info, info_by};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};

@@ -1,6 +1,6 @@
 //! Measuring once for all frames, on the first that can tell.
 
-use super::frozen::{Frozen, Measured, Origin, Stamp, Trust, measure, measure_sampled};
+use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
 use super::inputs::FrameFile;
 use super::state::{State, Store};
 use crate::error::{Cause, Error, SimulationError};
@@ -148,16 +148,10 @@ impl Setup<'_> {
         let request = &self.checked.sampling;
         let source = reconstruction::Source { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
-        let (grid, field) = match lattice {
-            Some(frozen) => (frozen.grid()?, frozen.field(request.field)),
-            None => (request.grid_of(&cells)?, request.field),
-        };
-        let request = request.in_slab(cells.slab);
-        let sampling = request.sampling_on(grid, field, cells.spacing(), Vec::new(), resources.clone())?;
-        let settled = lattice.is_some() || request.origin.is_some();
-        let stays = if settled { Origin::Given } else { Origin::Free };
+        let known = lattice.map(|frozen| Ok::<_, Error>((frozen.grid()?, frozen.field(request.field))));
         let measured =
-            measure(&file.particles, &sampling, stays, &self.checked.surfacing).map_err(in_file)?;
+            measure_in(&cells, known.transpose()?, &file.particles, self.checked, resources.clone());
+        let measured = measured.map_err(|error| error.of_file(path))?;
         let source = cells.spacing.as_ref().map(|(_, source)| source.to_string());
         let mut frozen = frozen(frame.number, input, cells.spacing(), source, cells.slab, measured);
         if let Some(first) = lattice {

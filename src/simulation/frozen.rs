@@ -2,14 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::Error;
 use crate::field::calibration::{Calibrated, Calibration, Plateau, TooFine};
 use crate::field::indicator::{IndicatorKind, IndicatorRequest, SampledDif};
-use crate::frame::{FieldRequest, Frame, FrameError, Sampling, Surfacing};
+use crate::frame::{FieldRequest, Frame, FrameError, Resources, Sampling, Surfacing};
 use crate::grid::Grid;
 use crate::grid::units::UnitError;
 pub use crate::io::stamp::Stamp;
 use crate::particles::Particles;
-use crate::reconstruction::{Slab, as_numbers, moved, origin_for_lattice};
+use crate::reconstruction::{Cells, Checked, Slab, as_numbers, moved, origin_for_lattice};
 use crate::system::timings::Timings;
 
 /// Measured on one frame, the same for all.
@@ -64,6 +65,27 @@ pub enum Trust {
     Lattice,
     /// The frame is like all others.
     Sound,
+}
+
+/// Measures particles for their whole simulation, in cells that were chosen for them, or on the grid and by the field of a `lattice` that
+/// came before.
+pub(super) fn measure_in(
+    cells: &Cells,
+    lattice: Option<(Grid, FieldRequest)>,
+    particles: &(impl Particles + ?Sized),
+    checked: &Checked,
+    resources: Resources,
+) -> Result<Measured, Error> {
+    let request = &checked.sampling;
+    let (grid, field) = match lattice {
+        Some(known) => known,
+        None => (request.grid_of(cells)?, request.field),
+    };
+    let in_slab = request.in_slab(cells.slab);
+    let sampling = in_slab.sampling_on(grid, field, cells.spacing(), Vec::new(), resources)?;
+    let is_settled = lattice.is_some() || request.origin.is_some();
+    let origin = if is_settled { Origin::Given } else { Origin::Free };
+    Ok(measure(particles, &sampling, origin, &checked.surfacing)?)
 }
 
 /// Measures a frame for its whole simulation.

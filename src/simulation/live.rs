@@ -10,13 +10,11 @@ use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::{Particles, carried_infos};
 use crate::reconstruction::{
-    self, Checked, Doubt, Drawn, Emptiness, Kept, Ready, Reconstruction, Report, SinglePrecision, Slab,
-    Surface, Warning,
+    self, Doubt, Drawn, Ready, Reconstruction, Report, SinglePrecision, Slab, Surface, Warning,
 };
 use crate::system::timings::Timings;
 
-use super::frozen::{Measured, Origin, Trust, known_field, measure};
-use super::one_frame::empty_mesh;
+use super::frozen::{Measured, Trust, known_field, measure_in};
 
 /// A simulation whose frames come from memory, one after the other.
 ///
@@ -126,23 +124,12 @@ impl LiveSimulation {
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles.attributes(), None)?;
+        let infos = carried_infos(particles.attributes(), &carried);
         let resources = checked.resources.clone();
         let request = checked.sampling.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling = request.sampling_on(grid, field, spacing, carried, resources)?;
         let engine = checked.engine(particles, &sampling, None, &mut timings)?;
-        let mut drawn = match checked.draw(&engine, calibration.as_ref(), &mut timings) {
-            Err(Error::Frame { path, fault }) => {
-                let Some(why) = Emptiness::of(&fault) else { return Err(Error::Frame { path, fault }) };
-                let mut drawn = self.empty(particles, *engine.facts())?;
-                drawn.report = Report::of(&engine, &self.ready.checked.surfacing);
-                drawn.report.calibration = calibration.filter(|_| drawn.report.indicator.is_some());
-                drawn.report.lost = engine.facts().census.binned as u64;
-                let clouds = drawn.report.is_clouds();
-                drawn.report.warnings.push(Warning::Empty { why, clouds, measured_on: None });
-                drawn
-            }
-            drawn => drawn?,
-        };
+        let mut drawn = checked.draw_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         drawn.report.timings = timings;
         drawn.report.warnings.splice(0..0, doubts.into_iter().map(Warning::Spacing));
         Ok(drawn)
@@ -164,11 +151,10 @@ impl LiveSimulation {
 
     /// The mesh of a frame without a surface, with what vertices would carry.
     fn empty(&self, particles: &(impl Particles + ?Sized), facts: FrameFacts) -> Result<Drawn, Error> {
-        let Checked { settings, surfacing, resources, .. } = &*self.ready.checked;
-        let carried = settings.carried(particles.attributes(), None)?;
-        let infos = carried_infos(particles.attributes(), &carried);
-        let mesh = Kept::Empty(empty_mesh(surfacing.normals, infos));
-        let report = Report::of_facts(facts, None, surfacing, resources.backend.name());
+        let checked = &self.ready.checked;
+        let carried = checked.settings.carried(particles.attributes(), None)?;
+        let mesh = checked.empty_mesh(carried_infos(particles.attributes(), &carried));
+        let report = Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());
         Ok(Drawn { mesh, precision: SinglePrecision::Enough, report })
     }
 }
@@ -183,20 +169,10 @@ fn measured(
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
     let cells = request.cells(particles, reconstruction::Source::default())?;
-    let (grid, field, spacing) = match lattice {
-        Some(known) => (known.grid, known.field, known.spacing),
-        None => (request.grid_of(&cells)?, request.field, cells.spacing()),
-    };
-    let slab = cells.slab;
-    let sampling = request.in_slab(slab).sampling_on(
-        grid,
-        field,
-        cells.spacing(),
-        Vec::new(),
-        checked.resources.clone(),
-    )?;
-    let stays = if lattice.is_some() || request.origin.is_some() { Origin::Given } else { Origin::Free };
-    let Measured { grid, calibration, trust } = measure(particles, &sampling, stays, &checked.surfacing)?;
+    let known = lattice.map(|known| (known.grid, known.field));
+    let measured = measure_in(&cells, known, particles, checked, checked.resources.clone())?;
+    let Measured { grid, calibration, trust } = measured;
+    let (slab, spacing) = (cells.slab, lattice.map_or(cells.spacing(), |known| known.spacing));
     let field = known_field(request.field, calibration.as_ref());
     Ok((Known { grid, field, spacing, slab, calibration, trust }, cells.doubts))
 }

@@ -1,5 +1,6 @@
 //! One frame on its way: read and counted beside others, meshed beside them too where it fits, else alone.
 
+use std::mem::take;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
@@ -10,8 +11,7 @@ use super::gate::Permit;
 use super::inputs::FrameFile;
 use super::records::Record;
 use crate::error::Error;
-use crate::field::calibration::Calibration;
-use crate::frame::{Counted, Frame, FrameError, Normals, Resources};
+use crate::frame::{Counted, Frame, FrameError, Resources};
 use crate::grid::units::MemoryBudget;
 use crate::io::bytes::Unpacking;
 use crate::io::input::{file_and_step, open_wanted};
@@ -21,12 +21,10 @@ use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
-    Checked, Doubt, Emptiness, Kept, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
+    Checked, Doubt, Drawn, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
     coordinate_width, merged, refuse_same_file,
 };
 use crate::surface::mesh::source::Bounded;
-use crate::surface::mesh::source::MeshSource;
-use crate::surface::mesh::{Mesh, VertexAttribute};
 use crate::system::cancel::Unfinished;
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
@@ -69,12 +67,6 @@ struct Ready<'a> {
     infos: Vec<AttributeInfo>,
     time: Option<f64>,
     permit: Permit<'a>,
-}
-
-/// A surface that was drawn, if there is one, and a report on it.
-struct Surfaced {
-    mesh: Option<(Kept, SinglePrecision)>,
-    of: Report,
 }
 
 impl Conversion<'_> {
@@ -132,25 +124,21 @@ impl Conversion<'_> {
             None => self.unpack(checked, path, &mut timings),
         };
         let Ready { frame: sampled, mut left_out, infos, time, permit } = ready?;
-        let mut surface = None;
-        let mut report = None;
-        if let Some(sampled) = &sampled {
-            let draw = || Self::surface(checked, path, sampled, frozen, &mut left_out, &mut timings);
-            let drawn = permit.run(draw);
-            let Surfaced { mesh, of } = drawn?;
-            (surface, report) = (mesh, Some(of));
-        }
-
-        let empty;
-        let (mesh, precision) = match &surface {
-            Some((mesh, precision)) => (mesh.source(), *precision),
-            None => {
-                empty = empty_mesh(checked.surfacing.normals, infos);
-                (&empty as &dyn MeshSource, SinglePrecision::Enough)
+        let (mesh, precision, mut report) = match &sampled {
+            Some(sampled) => {
+                let draw = || Self::surface(checked, path, sampled, frozen, infos, &mut timings);
+                let Drawn { mesh, precision, report } = permit.run(draw)?;
+                (mesh, precision, Some(report))
             }
+            None => (checked.empty_mesh(infos), SinglePrecision::Enough, None),
         };
+        if let Some(report) = &report {
+            left_out.lost = report.lost;
+            left_out.drops = report.too_small.map_or(0, |too_small| too_small.drops);
+        }
+        let mesh = mesh.source();
         let width = coordinate_width(precision, self.format, &target)?;
-        let mut warnings = report.as_mut().map_or(Vec::new(), |report| std::mem::take(&mut report.warnings));
+        let mut warnings = report.as_mut().map_or(Vec::new(), |report| take(&mut report.warnings));
         warnings.extend(merged(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
@@ -272,69 +260,26 @@ impl Conversion<'_> {
         }
     }
 
-    /// The mesh of a frame, and a report on it.
+    /// The mesh of a frame, empty if it has no surface, and a report on it.
     fn surface(
         checked: &Checked,
         path: &Path,
         sampled: &Frame,
         frozen: &Frozen,
-        left_out: &mut LeftOut,
+        infos: Vec<AttributeInfo>,
         timings: &mut Timings,
-    ) -> Result<Surfaced, Error> {
-        let clouds = matches!(frozen.calibration, Some(Calibration::Clouds { .. }));
-        let measured = checked.surfacing.iso.is_none() && frozen.calibration.is_some();
-        let by = measured.then_some(frozen.frame);
-        let lost_all = sampled.facts().census.binned as u64;
-        let (surface, mut report) = match checked.draw_whole(sampled, frozen.calibration.as_ref(), timings) {
-            Ok(drawn) => drawn,
-            Err(fault) => {
-                let why = match fault {
-                    FrameError::NoSurface { .. } => Emptiness::Field,
-                    FrameError::NoKernelSurface | FrameError::NoDistanceSurface => Emptiness::Distances,
-                    fault => return Err(Error::from(fault).of_file(path)),
-                };
-                let mut report = Report::of(sampled, &checked.surfacing);
-                report.calibration = frozen.calibration.filter(|_| report.indicator.is_some());
-                (report.lost, left_out.lost) = (lost_all, lost_all);
-                report.warnings.push(Warning::Empty { why, clouds, measured_on: by });
-                return Ok(Surfaced { mesh: None, of: report });
-            }
-        };
-        left_out.lost = report.lost;
+    ) -> Result<Drawn, Error> {
+        let known = frozen.calibration.as_ref();
+        let measured_on = known.filter(|_| checked.surfacing.iso.is_none()).map(|_| frozen.frame);
+        let drawn = checked.draw_or_empty(sampled, known, infos, measured_on, timings);
+        let mut drawn = drawn.map_err(|fault| Error::from(fault).of_file(path))?;
         // All frames together are told of at the end.
-        report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
-        for warning in &mut report.warnings {
-            if let Warning::Shortfall { measured_on, .. } = warning {
-                *measured_on = by;
+        drawn.report.warnings.retain(|warning| !matches!(warning, Warning::Lost { .. }));
+        for warning in &mut drawn.report.warnings {
+            if let Warning::Shortfall { measured_on: by, .. } = warning {
+                *by = measured_on;
             }
         }
-        let precision = SinglePrecision::of(&surface);
-        match checked.reduce(sampled, surface, &mut report, timings) {
-            Ok(mesh) => {
-                left_out.drops = report.too_small.map_or(0, |too_small| too_small.drops);
-                Ok(Surfaced { mesh: Some((mesh, precision)), of: report })
-            }
-            Err(FrameError::NothingLeft(all)) => {
-                left_out.drops = all.drops;
-                let why = Emptiness::TooSmall(all);
-                report.warnings.push(Warning::Empty { why, clouds, measured_on: by });
-                Ok(Surfaced { mesh: None, of: report })
-            }
-            Err(fault) => Err(Error::from(fault).of_file(path)),
-        }
-    }
-}
-
-/// The mesh that is written where there is no surface: every program can load it, and finds what it expects.
-pub(super) fn empty_mesh(normals: Normals, infos: Vec<AttributeInfo>) -> Mesh {
-    let attribute = |info: AttributeInfo| VertexAttribute {
-        name: info.name,
-        components: info.components,
-        values: Vec::new(),
-    };
-    Mesh {
-        normals: (normals == Normals::Gradient).then(Vec::new),
-        attributes: infos.into_iter().map(attribute).collect(),
-        ..Mesh::default()
+        Ok(drawn)
     }
 }

@@ -4,9 +4,8 @@ use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
 use crate::frame::{FrameError, Occupied, Sampling, Shortfall, simplified};
 use crate::grid::units::Isovalue;
-use crate::reconstruction::SinglePrecision;
 use crate::reconstruction::checked::{Checked, Ready};
-use crate::reconstruction::draw::{Drawn, Kept};
+use crate::reconstruction::draw::Drawn;
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
 use crate::reconstruction::warning::{of_particles, with_doubts};
@@ -133,11 +132,7 @@ fn drawn(
     checked.judge(&mut report, &surface, shortfall.map_err(in_scratch)?.flatten());
     timings.done("merge");
 
-    let precision = SinglePrecision::of(&surface);
-    if checked.reduction.is_none() {
-        return Ok(Drawn { mesh: Kept::Whole(surface), precision, report });
-    }
-    let simplified = simplified(surface, &checked.reduction, &report.facts, share, resources, timings)?;
-    report.too_small = Some(simplified.too_small());
-    Ok(Drawn { mesh: Kept::Reduced(simplified), precision, report })
+    let facts = report.facts;
+    let simplify = |surface| simplified(surface, &checked.reduction, &facts, share, resources, timings);
+    Ok(checked.reduce(surface, report, simplify)?)
 }
