@@ -274,7 +274,11 @@ impl Error {
             | Self::NoSpacing { .. }
             | Self::Mesh { .. }
             | Self::Read(_) => Cause::Input,
-            Self::Simulation(SimulationError::NoFrames(_)) => Cause::Input,
+            Self::Simulation(
+                SimulationError::NoFrames(_)
+                | SimulationError::NoFolder(_)
+                | SimulationError::Unreadable { .. },
+            ) => Cause::Input,
             Self::Simulation(SimulationError::Io { .. }) => Cause::Output,
             Self::Simulation(_) => Cause::Request,
             Self::Parts(

@@ -14,12 +14,29 @@ pub enum SimulationError {
     /// The request names no frame.
     #[error("{0}: there are no frames")]
     NoFrames(String),
+    /// A folder of inputs that does not exist.
+    #[error("{}: there is no such folder", .0.display())]
+    NoFolder(PathBuf),
+    /// A folder of inputs that cannot be read.
+    #[error("{}: {fault}", path.display())]
+    Unreadable {
+        /// The folder.
+        path: PathBuf,
+        /// The system's own refusal.
+        #[source]
+        fault: std::io::Error,
+    },
     /// Frames that are asked for, of which none is there.
     #[error("{0}: none of its frames is asked for")]
     NoneWanted(String),
     /// A rate of frames whose times programs could not tell apart.
-    #[error("fps must be from {least} to {most} frames a second, not {0:?}", least = FPS.start(), most = FPS.end())]
-    Rate(f64),
+    #[error("fps must be from {} to {} frames a second, not {rate:?}", range.start(), range.end())]
+    Rate {
+        /// The rate that was asked for.
+        rate: f64,
+        /// The rates that can be.
+        range: RangeInclusive<f64>,
+    },
     /// A time to wait that is none.
     #[error("watch must be a number of seconds, not {0}")]
     Wait(f64),
@@ -65,6 +82,9 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
+    /// Another conversion writes to the same folder, with other settings.
+    #[error("{}: another conversion is at work there with other settings", .0.display())]
+    Busy(PathBuf),
     /// The state is of a run with other settings.
     #[error("{}: the frames there are made with other settings ({differing})", path.display())]
     Settings {

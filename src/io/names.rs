@@ -1,4 +1,5 @@
-//! Names of a table's columns, and which belong together: `vx`, `vy`, `vz` are one velocity.
+//! Names of columns and attributes: which columns belong together (`vx`, `vy`, `vz` are one velocity), and how attributes get names that a
+//! file tells apart.
 
 use std::collections::HashMap;
 
@@ -13,6 +14,23 @@ pub struct Quantity {
     pub name: String,
     /// Numbers of the columns that hold it: one, or those of x, y and z.
     pub columns: Vec<usize>,
+}
+
+/// Names of attributes in a file, no two alike: each as `spelled` says, with underscores behind it where that is `taken`.
+pub fn told_apart<'a>(
+    names: impl IntoIterator<Item = &'a str>,
+    taken: &[&str],
+    spelled: impl Fn(&str) -> String,
+) -> Vec<String> {
+    let mut given: Vec<String> = Vec::new();
+    for name in names {
+        let mut name = spelled(name);
+        while taken.contains(&&*name) || given.contains(&name) {
+            name.push('_');
+        }
+        given.push(name);
+    }
+    given
 }
 
 /// Finds the position among the columns called `names`, and then all other quantities in their order.

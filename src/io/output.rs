@@ -4,6 +4,7 @@ use std::fmt;
 use std::io::{self, Write};
 use std::path::Path;
 
+use crate::particles::AttributeInfo;
 use crate::surface::mesh::Mesh;
 use crate::surface::mesh::source::MeshSource;
 
@@ -100,6 +101,21 @@ impl MeshFormat {
     #[must_use]
     pub fn holds_attributes(self) -> bool {
         !matches!(self, Self::Obj | Self::Stl)
+    }
+
+    /// Attributes that get other names than their own, because the format has no room for these or has them taken: both names of each.
+    /// What it spells otherwise throughout, such as the capitals of .glb, does not count.
+    #[must_use]
+    pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
+        let names = match self {
+            Self::Ply => ply::attribute_names(attributes, has_normals),
+            Self::Vtk => vtk::attribute_names(attributes, has_normals),
+            Self::Vtp | Self::Pvtp => vtp::arrays::attribute_names(attributes, has_normals, str::to_owned),
+            Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
+            Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
+        };
+        let both = attributes.iter().zip(names).filter(|(info, name)| info.name != *name);
+        both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
     /// Whether coordinates can be wider than f32.

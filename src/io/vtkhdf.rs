@@ -72,7 +72,7 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
     };
     let none = || faces(0, counts(&[]), counts(&[0]));
     let ends = Node::Set { scalar: ends.scalar(), shape: vec![triangles + 1], data: Data::Ends(ends) };
-    let data = point_data(mesh).into_iter().map(|array| (array.name.replace('/', "_"), set(array)));
+    let data = point_data(mesh, spelled).into_iter().map(|array| (array.name.clone(), set(array)));
     let vtk = Node::Group {
         links: vec![
             ("Lines".to_owned(), none()),
@@ -86,6 +86,11 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
         attributes: vec![Attribute::Text("Type", "PolyData"), Attribute::Counts("Version", [2, 0])],
     };
     group(vec![("VTKHDF", vtk)])
+}
+
+/// A name without slashes, which HDF5 keeps for paths.
+pub(super) fn spelled(name: &str) -> String {
+    name.replace('/', "_")
 }
 
 fn group(links: Vec<(&str, Node)>) -> Node {

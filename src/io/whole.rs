@@ -228,6 +228,15 @@ pub fn sweep(folder: &Path) {
     }
 }
 
+/// [Sweeps](sweep) the folder that a file is in, or will be.
+pub fn sweep_beside(file: &Path) {
+    sweep(folder_of(file));
+}
+
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// The temporary file that a folder belongs to, by its name.
 fn belongs_to(folder: &Path) -> Option<PathBuf> {
     let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
@@ -264,7 +273,7 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 
 /// In the same folder, so that it can be moved there in one step; with the permissions of any new file.
 fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
-    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
     #[cfg(unix)]
@@ -274,13 +283,15 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     loop {
-        let folder = folder.unwrap_or(Path::new("."));
         // The system would name the temporary file, of which nobody has heard.
         let refused = |fault: io::Error| match fault.kind() {
-            kind @ io::ErrorKind::NotFound => {
+            kind @ io::ErrorKind::NotFound if !folder.exists() => {
                 io::Error::new(kind, format!("there is no folder {}", folder.display()))
             }
-            kind => io::Error::new(kind, format!("{kind} in the folder {}", folder.display())),
+            kind => {
+                let why = fault.raw_os_error().map_or(fault, io::Error::from_raw_os_error);
+                io::Error::new(kind, format!("no file can be made in the folder {}: {why}", folder.display()))
+            }
         };
         let file = builder.tempfile_in(folder).map_err(refused)?;
         // A file system without locks has nobody who sweeps by them.

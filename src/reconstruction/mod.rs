@@ -43,7 +43,7 @@ pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest};
 pub use spacing::{Doubt, Mistake, SpacingSource};
 pub use surface::Surface;
-pub(crate) use surface::merged;
+pub(crate) use surface::made_of;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
 pub(crate) use warning::lost_warning;

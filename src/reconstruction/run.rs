@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::Error;
 use crate::io::mnf::is_packed;
-use crate::io::whole::Replace;
+use crate::io::whole::{Replace, sweep_beside};
 use crate::particles::Particles;
 
 use super::builder::Reconstruction;
@@ -67,6 +67,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Write`], and [`Error::Unfit`] for what the format cannot hold.
     pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
+        sweep_beside(path.as_ref());
         Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)
     }
 
@@ -75,6 +76,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Write`].
     pub fn packed_output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<PackedOutput, Error> {
+        sweep_beside(path.as_ref());
         PackedOutput::prepare(path.as_ref(), replace, &self.control.cancel)
     }
 }

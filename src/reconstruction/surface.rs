@@ -116,7 +116,7 @@ impl Surface {
         let coarse = self.drawn.precision == SinglePrecision::TooCoarse && !format.holds_f64();
         let mut warnings: Vec<_> = coarse.then_some(Warning::Coarse { format }).into_iter().collect();
         let threads = self.threads.started().map_err(Error::Threads)?;
-        warnings.extend(threads.install(|| merged(self.mesh(), format, Path::new("")))?);
+        warnings.extend(threads.install(|| made_of(self.mesh(), format, Path::new("")))?);
         Ok(warnings)
     }
 
@@ -162,17 +162,20 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warns of vertices that a format does not tell apart.
-pub(crate) fn merged(
+/// Warns of what a format makes of a mesh: attributes that get other names, and vertices that it does not tell apart.
+pub(crate) fn made_of(
     mesh: &dyn MeshSource,
     format: MeshFormat,
     path: &Path,
-) -> Result<Option<Warning>, WriteError> {
-    if format != MeshFormat::Stl {
-        return Ok(None);
+) -> Result<Vec<Warning>, WriteError> {
+    let renamed = format.renamed(&mesh.attributes(), mesh.has_normals()).into_iter();
+    let renamed = renamed.map(|[attribute, name]| Warning::Renamed { attribute, name, format });
+    let mut warnings: Vec<_> = renamed.collect();
+    if format == MeshFormat::Stl {
+        let vertices = stl::merged_vertices(mesh).map_err(|fault| WriteError::new(path, fault))?;
+        warnings.extend((vertices > 0).then_some(Warning::Merged { vertices, format }));
     }
-    let vertices = stl::merged_vertices(mesh).map_err(|fault| WriteError::new(path, fault))?;
-    Ok((vertices > 0).then_some(Warning::Merged { vertices, format }))
+    Ok(warnings)
 }
 
 /// Brings a mesh of several pieces into memory.

@@ -88,6 +88,15 @@ pub enum Warning {
         /// The format.
         format: MeshFormat,
     },
+    /// A format has no room for an attribute's name, or has it taken.
+    Renamed {
+        /// The attribute.
+        attribute: String,
+        /// The name that it gets.
+        name: String,
+        /// The format.
+        format: MeshFormat,
+    },
     /// A format holds coordinates as f32, too coarse for these.
     Coarse {
         /// The format.
@@ -178,6 +187,9 @@ impl fmt::Display for Warning {
                 "{vertices} vertices have the place of another in f32, and {format} has nothing else to tell them by; .ply keeps \
                  them"
             ),
+            Self::Renamed { attribute, name, format } => {
+                write!(f, "the attribute \"{attribute}\" is called \"{name}\" in {format}")
+            }
             Self::Coarse { format } => {
                 write!(f, "{format} holds coordinates as f32, too coarse for these; .ply holds f64")
             }

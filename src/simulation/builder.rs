@@ -1,7 +1,7 @@
 //! The request for the meshes of a simulation's frames, step by step.
 
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
 
 use crate::error::{Error, FPS, SimulationError};
 use crate::reconstruction::Reconstruction;
@@ -148,7 +148,17 @@ impl Simulation {
             );
             return Err(SimulationError::Names(what).into());
         };
-        let inputs = Inputs::of(&self.inputs)?.unwrap_or_else(|| Inputs::Files(self.inputs.clone()));
+        let inputs = match (Inputs::of(&self.inputs)?, &self.inputs[..]) {
+            (Some(inputs), _) => inputs,
+            // A folder that is still to come.
+            (None, [path])
+                if !path.exists()
+                    && (self.watch.is_some() || path.to_string_lossy().ends_with(is_separator)) =>
+            {
+                Inputs::Folder(path.clone())
+            }
+            (None, files) => Inputs::Files(files.to_vec()),
+        };
         Ok((inputs, naming))
     }
 
@@ -161,7 +171,7 @@ impl Simulation {
     /// Refuses numbers that have no meaning.
     pub(super) fn validate(&self) -> Result<(), Error> {
         if let Some(fps) = self.fps.filter(|fps| !FPS.contains(fps)) {
-            return Err(SimulationError::Rate(fps).into());
+            return Err(SimulationError::Rate { rate: fps, range: FPS }.into());
         }
         if let Some(seconds) = self.watch.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
             return Err(SimulationError::Wait(seconds).into());

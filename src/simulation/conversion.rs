@@ -64,6 +64,7 @@ impl Conversion<'_> {
             setup.state(store, frames, &resources)
         };
         let (state, file) = known.map_or_else(measured, |state| Ok((state, None)))?;
+        store.log.open()?;
         let (number, fingerprint) = (state.frozen.frame, state.fingerprint());
         self.settled.get_or_init(|| Some(Settled { state, fingerprint }));
         let open = file.filter(|file| file.particles.resident_bytes() <= division.unpacked());

@@ -3,7 +3,7 @@
 use super::frozen::{Frozen, Measured, Stamp, Trust, measure_in, measure_sampled};
 use super::inputs::FrameFile;
 use super::state::{State, Store};
-use crate::error::{Cause, Error, SimulationError};
+use crate::error::{Cause, Error};
 use crate::frame::{FrameError, Resources};
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
@@ -35,8 +35,10 @@ impl Setup<'_> {
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
         let (frozen, file) = self.freeze(frames, resources)?;
-        let state = State::new(self.checked.settings.kept(), frozen);
-        self.checked.resources.control.cancel.undisturbed(|| store.save(&state))?;
+        let measured = State::new(self.checked.settings.kept(), frozen);
+        // Of jobs that measure at the same time the first is right.
+        let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
+        let file = file.filter(|_| state.frozen.frame == measured.frozen.frame);
         Ok((state, file))
     }
 
@@ -110,7 +112,7 @@ impl Setup<'_> {
                 Ok((found.frozen, None))
             }
             (None, Some(error)) => Err(error),
-            (None, None) => Err(SimulationError::NoFrames(self.sequence.describe()).into()),
+            (None, None) => Err(self.sequence.no_frames().into()),
         }
     }
 

@@ -3,6 +3,7 @@
 //! A frame has a number, and frames are in the order of their numbers. [`pattern`](super::pattern) says where the number is in a name.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -95,7 +96,7 @@ impl Inputs {
     /// numbers is the frame's.
     ///
     /// # Errors
-    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where the names do not say which number is
+    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`] where the names do not say which number is
     /// the frame's.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
         let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
@@ -146,10 +147,23 @@ impl Inputs {
         if found.len() > 1 {
             return Err(self.several(&found));
         }
-        let no_frames = || SimulationError::NoFrames(self.describe());
-        let sequence = found.pop().ok_or_else(no_frames)?;
+        let sequence = found.pop().ok_or_else(|| self.no_frames())?;
         let frames = sequence.list()?;
-        if frames.is_empty() { Err(no_frames()) } else { Ok((sequence, frames)) }
+        if frames.is_empty() { Err(self.no_frames()) } else { Ok((sequence, frames)) }
+    }
+
+    /// The error of inputs that name no frame.
+    #[must_use]
+    pub fn no_frames(&self) -> SimulationError {
+        let folder = match self {
+            Self::Pattern(pattern) => Some(pattern.folder()),
+            Self::Folder(folder) => Some(&**folder),
+            Self::Glob(_) | Self::Files(_) | Self::Steps(_) => None,
+        };
+        match folder.filter(|folder| !folder.exists()) {
+            Some(folder) => SimulationError::NoFolder(folder.to_owned()),
+            None => SimulationError::NoFrames(self.describe()),
+        }
     }
 
     /// The refusal of several simulations, with the names of all.
@@ -219,6 +233,15 @@ impl Sequence {
         self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
     }
 
+    /// The error where none of its frames is there.
+    #[must_use]
+    pub fn no_frames(&self) -> SimulationError {
+        match self.source.no_frames() {
+            SimulationError::NoFrames(_) => SimulationError::NoFrames(self.describe()),
+            missing => missing,
+        }
+    }
+
     /// The request that names the frames.
     pub(super) fn source(&self) -> &Inputs {
         &self.source
@@ -233,7 +256,7 @@ impl Sequence {
     /// The frames that are there now, in order.
     ///
     /// # Errors
-    /// [`SimulationError::Io`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same frame, or where
+    /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`] where two files are the same frame, or where
     /// a file that came later shows that the frames are numbered otherwise.
     pub fn list(&self) -> Result<Vec<FrameFile>, SimulationError> {
         let counted = |number: u64, path| FrameFile { number, digits: number.to_string(), path };
@@ -398,8 +421,12 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
 }
 
 fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
-    let fail = |fault| SimulationError::Io { path: folder.to_owned(), fault };
-    let entries = std::fs::read_dir(folder).map_err(fail)?;
+    let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
+    let entries = match std::fs::read_dir(folder) {
+        // A simulation that is followed may make it later, or anew.
+        Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(fail)?,
+    };
     let mut files = Vec::new();
     for entry in entries {
         let entry = entry.map_err(fail)?;

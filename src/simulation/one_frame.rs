@@ -22,7 +22,7 @@ use crate::io::{ParticleFile, ReadError, ReadFault};
 use crate::particles::{AttributeInfo, Particles, carried_infos};
 use crate::reconstruction::{
     Checked, Doubt, Drawn, Orientation, Output, Report, SinglePrecision, SpacingSource, Warning,
-    coordinate_width, merged, refuse_same_file,
+    coordinate_width, made_of, refuse_same_file,
 };
 use crate::surface::mesh::source::Bounded;
 use crate::system::cancel::Unfinished;
@@ -139,7 +139,7 @@ impl Conversion<'_> {
         let mesh = mesh.source();
         let width = coordinate_width(precision, self.format, &target)?;
         let mut warnings = report.as_mut().map_or(Vec::new(), |report| take(&mut report.warnings));
-        warnings.extend(merged(mesh, self.format, &target)?);
+        warnings.extend(made_of(mesh, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = Bounded::new(&turned);
         let (file, unfinished) = permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;

@@ -1,5 +1,6 @@
 //! Pictures of meshes in files: of one, of each of a simulation, of all on a sheet, or an animation; through one camera.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 
@@ -101,6 +102,9 @@ pub struct PictureDone<'a> {
     pub all: usize,
 }
 
+/// Pictures a second that an animation can have.
+const RATES: RangeInclusive<f64> = 0.1..=1000.0;
+
 /// Where pictures go.
 enum Target {
     One(PictureFile),
@@ -174,8 +178,8 @@ impl Pictures {
     /// [`Error::Threads`] and [`Error::Cancelled`].
     pub fn run(mut self, tell: impl FnMut(PictureDone<'_>) + Send) -> Result<(), Error> {
         self.picture.check().map_err(|fault| Error::Picture { path: None, fault })?;
-        if !(self.fps.is_finite() && (0.1..=1000.0).contains(&self.fps)) {
-            return Err(SimulationError::Rate(self.fps).into());
+        if !RATES.contains(&self.fps) {
+            return Err(SimulationError::Rate { rate: self.fps, range: RATES }.into());
         }
         let threads = self.threads.or_else(|| available_parallelism().ok().map(Into::into)).unwrap_or(1);
         let pool = Threads::start(threads).map_err(Error::Threads)?;
@@ -423,6 +427,9 @@ impl Simulation {
     /// [`Error::Write`].
     pub fn sheet(&self) -> Result<Sheet, Error> {
         let path = beside(&self.output);
+        if let Some(other) = self.beside.iter().find(|other| is_same_file(other, &path)) {
+            return Err(Error::TwoPurposes { path: other.clone(), other: path });
+        }
         let replace = if self.overwrite || self.resume { Replace::Allow } else { Replace::Refuse };
         if path.exists() {
             drop(PictureFile::prepare(&path, replace)?);

@@ -5,7 +5,7 @@
 //! end there is that file alone, and it is the same whoever did what.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -112,6 +112,27 @@ impl Log {
     #[must_use]
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// Opens the log, which tells others that somebody is at work.
+    ///
+    /// # Errors
+    /// [`SimulationError::Io`].
+    pub fn open(&self) -> Result<(), SimulationError> {
+        let opened = create(&self.folder);
+        let opened = opened.map_err(|fault| SimulationError::Io { path: self.folder.clone(), fault })?;
+        self.file.lock().unwrap_or_else(PoisonError::into_inner).replace(opened);
+        Ok(())
+    }
+
+    /// Whether another process writes a log of its own, as far as the file system's locks tell.
+    #[must_use]
+    pub fn others_are_open(&self) -> bool {
+        let is_open = |path: PathBuf| {
+            let Ok(file) = options().open(path) else { return false };
+            matches!(file.try_lock(), Err(TryLockError::WouldBlock))
+        };
+        logs(&self.folder).into_values().any(is_open)
     }
 
     /// Keeps the record of a frame.

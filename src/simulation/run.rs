@@ -23,7 +23,7 @@ use super::forecast::Forecast;
 use super::inputs::{FrameFile, Inputs, Sequence};
 use super::naming::{self, Naming};
 use super::setup::{POLL, Setup};
-use super::state::{State, Store};
+use super::state::{Found, State, Store};
 
 /// The inputs of one of several simulations, and what came of it.
 type Each<T> = (String, Result<T, Arc<Error>>);
@@ -34,7 +34,7 @@ struct Begun<'a> {
     series: Series,
     store: Store,
     frames: Vec<FrameFile>,
-    kept: Option<State>,
+    found: Found,
 }
 
 impl Simulation {
@@ -48,8 +48,9 @@ impl Simulation {
     /// [`Error::Write`] as soon as nothing can be written, [`Error::Vulkan`], and [`Error::Cancelled`].
     pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
         let converted = self.each(hear, |begun| {
-            let Begun { setup, series, store, frames, kept } = begun;
+            let Begun { setup, series, store, frames, found } = begun;
             prepare_folder(setup, &store)?;
+            let kept = store.begin(found)?;
             if let Some(state) = &kept {
                 setup.tell(goes_on(&store, state));
             }
@@ -70,9 +71,9 @@ impl Simulation {
     pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<u64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
         let numbers = plan.each(hear, |begun| {
-            let Begun { setup, store, frames, kept, .. } = begun;
+            let Begun { setup, store, frames, found, .. } = begun;
             prepare_folder(setup, &store)?;
-            match kept {
+            match store.begin(found)? {
                 Some(state) => setup.tell(goes_on(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
@@ -89,9 +90,9 @@ impl Simulation {
     /// Those of [`run`](Self::run).
     pub fn forecast(&self, hear: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
         let forecasts = self.each(hear, |begun| {
-            let Begun { setup, store, frames, kept, .. } = begun;
+            let Begun { setup, store, frames, found, .. } = begun;
             let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
-            setup.forecast(kept, &store, &frames, &wanted)
+            setup.forecast(found.kept(), &store, &frames, &wanted)
         })?;
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
     }
@@ -183,13 +184,14 @@ impl Simulation {
         let (inputs, naming, checked) = self.prepare()?;
         let (simulations, frames) = self.found(&inputs, &checked, teller)?;
         if simulations.is_empty() {
-            return Err(SimulationError::NoFrames(inputs.describe()).into());
+            return Err(inputs.no_frames().into());
         }
         if simulations.len() > 1
             && (self.planned || self.watch.is_some() || !told_apart(&simulations, &naming))
         {
             return Err(inputs.several(&simulations).into());
         }
+        checked.go_on()?;
         let ready = checked.on_threads()?;
         ready.threads.install(|| {
             let mut results = Vec::new();
@@ -214,7 +216,7 @@ impl Simulation {
     /// Refuses what a simulation's frames and outputs do not allow.
     fn begin<'a>(&self, setup: &'a Setup<'a>, frames: Vec<FrameFile>) -> Result<Begun<'a>, Error> {
         let Some(first) = frames.first() else {
-            return Err(SimulationError::NoFrames(setup.sequence.describe()).into());
+            return Err(setup.sequence.no_frames().into());
         };
         let format = setup.format(first)?;
         let simulation = naming::simulation(&setup.outputs);
@@ -229,14 +231,26 @@ impl Simulation {
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoneWanted(setup.sequence.describe()).into());
         }
-        let kept = setup.kept_state(&store, &frames)?;
-        if !self.resume && !self.overwrite && !self.planned {
-            let taken = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
-            if let Some(path) = taken {
-                return Err(WriteError::new(&path, WriteFault::ExistsInSimulation).into());
+        // Looked for before the state: a state is there before the first output of its conversion is.
+        let output = wanted.iter().map(|frame| setup.output(frame)).find(|path| path.exists());
+        let listing = series.files().into_iter().find(|path| path.exists());
+        let found = setup.kept_state(&store, &frames)?;
+        if !self.overwrite {
+            let refused = match (&found, output, listing) {
+                // Without a state it is not this conversion's.
+                (Found::Nothing, output, listing) => {
+                    output.or(listing).map(|path| (path, WriteFault::Exists))
+                }
+                (_, Some(path), _) if !self.resume && !self.planned => {
+                    Some((path, WriteFault::ExistsInSimulation))
+                }
+                _ => None,
+            };
+            if let Some((path, fault)) = refused {
+                return Err(WriteError::new(&path, fault).into());
             }
         }
-        Ok(Begun { setup, series, store, frames, kept })
+        Ok(Begun { setup, series, store, frames, found })
     }
 }
 

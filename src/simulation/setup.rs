@@ -26,7 +26,7 @@ use super::frozen::{Frozen, Stamp};
 use super::inputs::{FrameFile, Sequence};
 use super::lanes::Division;
 use super::pattern::Pattern;
-use super::state::{State, Store};
+use super::state::{Found, State, Store};
 
 /// Between two looks at a simulation that runs.
 pub(super) const POLL: Duration = Duration::from_millis(250);
@@ -136,15 +136,16 @@ impl Setup<'_> {
         Ok(())
     }
 
-    /// The state that is there, if it is of these settings and of these inputs.
-    pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Option<State>, Error> {
+    /// The state that is there, if it is of these settings and of these inputs. Where only an input has changed it is made anew.
+    pub(super) fn kept_state(&self, store: &Store, frames: &[FrameFile]) -> Result<Found, Error> {
+        let Some(text) = store.text()? else { return Ok(Found::Nothing) };
         let anew = self.simulation.overwrite;
-        let state = match store.load() {
-            Err(_) if anew => return Ok(None),
+        let state = match store.parsed(&text) {
+            Err(_) if anew => return Ok(Found::Stale { text, of_others: true }),
             found => found?,
         };
-        let Some(state) = state else { return Ok(None) };
         let mut differing = state.differing(&self.checked.settings.kept());
+        let of_others = !differing.is_empty();
         let measured_on = frames.iter().find(|frame| frame.number == state.frozen.frame);
         if measured_on.and_then(|frame| Stamp::of(&frame.path).ok()).is_some_and(|s| s != state.frozen.input)
         {
@@ -153,15 +154,15 @@ impl Setup<'_> {
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
-                return Ok(Some(state));
+                return Ok(Found::Kept(Box::new(state)));
             }
             let what = "what was measured is missing, or of another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
-            return if anew { Ok(None) } else { Err(damaged.into()) };
+            return if anew { Ok(Found::Stale { text, of_others: true }) } else { Err(damaged.into()) };
         }
-        if anew || self.simulation.resume {
+        if anew || self.simulation.resume && !of_others {
             self.tell(Event::Anew { state: store.state_path(), differing });
-            return Ok(None);
+            return Ok(Found::Stale { text, of_others });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }

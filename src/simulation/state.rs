@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::whole::{make_folder, replace_small};
+use crate::io::whole::{Replace, WholeFile, make_folder};
+use crate::io::{WriteError, WriteFault};
 use crate::settings::{Kept, differing};
 
 use super::frozen::Frozen;
@@ -45,6 +46,33 @@ impl State {
     }
 }
 
+/// A state that was looked for.
+#[derive(Debug)]
+pub enum Found {
+    /// There is none.
+    Nothing,
+    /// It holds for what is asked for.
+    Kept(Box<State>),
+    /// It is to be made anew.
+    Stale {
+        /// The bytes of its file.
+        text: Vec<u8>,
+        /// Whether it is of other settings, or cannot be read.
+        of_others: bool,
+    },
+}
+
+impl Found {
+    /// The state, if it holds.
+    #[must_use]
+    pub fn kept(self) -> Option<State> {
+        match self {
+            Self::Kept(state) => Some(*state),
+            Self::Nothing | Self::Stale { .. } => None,
+        }
+    }
+}
+
 /// The folder that holds all this.
 #[derive(Debug)]
 pub struct Store {
@@ -78,34 +106,92 @@ impl Store {
     /// # Errors
     /// [`SimulationError::Io`] and [`SimulationError::State`] where it cannot be read.
     pub fn load(&self) -> Result<Option<State>, SimulationError> {
+        self.text()?.map(|text| self.parsed(&text)).transpose()
+    }
+
+    /// The bytes of the state's file, if there is one.
+    ///
+    /// # Errors
+    /// [`SimulationError::Io`].
+    pub fn text(&self) -> Result<Option<Vec<u8>>, SimulationError> {
         let path = self.state_path();
-        let bytes = match fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(fault) if fault.kind() == io::ErrorKind::NotFound => return Ok(None),
+        match fs::read(&path) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(fault) if fault.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(fault) if fault.kind() == io::ErrorKind::NotADirectory => {
                 let file = path.ancestors().find(|place| place.is_file()).unwrap_or(&path);
                 let fault = io::Error::new(fault.kind(), "is a file, and no folder");
-                return Err(SimulationError::Io { path: file.to_owned(), fault });
+                Err(SimulationError::Io { path: file.to_owned(), fault })
             }
-            Err(fault) => return Err(SimulationError::Io { path, fault }),
-        };
-        let state: State = serde_json::from_slice(&bytes)
+            Err(fault) => Err(SimulationError::Io { path, fault }),
+        }
+    }
+
+    /// The state that some bytes of its file hold.
+    ///
+    /// # Errors
+    /// [`SimulationError::State`].
+    pub fn parsed(&self, text: &[u8]) -> Result<State, SimulationError> {
+        let path = self.state_path();
+        let state: State = serde_json::from_slice(text)
             .map_err(|e| SimulationError::State { path: path.clone(), what: e.to_string() })?;
         match state.frozen.grid() {
-            Ok(_) => Ok(Some(state)),
+            Ok(_) => Ok(state),
             Err(fault) => Err(SimulationError::State { path, what: fault.to_string() }),
         }
     }
 
-    /// Keeps a state in place of any other.
+    /// Begins a conversion by the state that was found, which is returned if it is kept. A stale one is removed, unless another process
+    /// is at work by its settings, or has made it anew meanwhile.
     ///
     /// # Errors
-    /// [`SimulationError::Io`].
-    pub fn save(&self, state: &State) -> Result<(), SimulationError> {
-        let folder = self.folder();
-        make_folder(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
+    /// [`SimulationError::Busy`] and [`SimulationError::Io`].
+    pub fn begin(&self, found: Found) -> Result<Option<State>, SimulationError> {
+        let (text, of_others) = match found {
+            Found::Nothing => return Ok(None),
+            Found::Kept(state) => return Ok(Some(*state)),
+            Found::Stale { text, of_others } => (text, of_others),
+        };
         let path = self.state_path();
-        replace_small(&path, &json(state)).map_err(|fault| SimulationError::Io { path, fault })
+        let _alone = self.locked();
+        if self.text()? != Some(text) {
+            return Ok(None);
+        }
+        if of_others && self.log.others_are_open() {
+            return Err(SimulationError::Busy(path));
+        }
+        match fs::remove_file(&path) {
+            Err(fault) if fault.kind() != io::ErrorKind::NotFound => Err(SimulationError::Io { path, fault }),
+            _ => Ok(None),
+        }
+    }
+
+    /// Keeps a state, unless another process has kept one meanwhile: then returns that, if it is of the same settings.
+    ///
+    /// # Errors
+    /// [`SimulationError::Settings`], [`SimulationError::Io`] and those of [`load`](Self::load).
+    pub fn add(&self, state: &State) -> Result<State, SimulationError> {
+        let (folder, path) = (self.folder(), self.state_path());
+        make_folder(folder).map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
+        let added = WholeFile::prepare(&path, Replace::Refuse)
+            .and_then(|file| file.write(|out| out.write_all(&json(state))));
+        match added {
+            Ok(_) => Ok(state.clone()),
+            Err(WriteError { fault: WriteFault::Exists, .. }) => {
+                let there = self.load()?.ok_or_else(|| {
+                    let fault = io::ErrorKind::NotFound.into();
+                    SimulationError::Io { path: path.clone(), fault }
+                })?;
+                let differing = there.differing(&state.settings);
+                if differing.is_empty() {
+                    Ok(there)
+                } else {
+                    Err(SimulationError::Settings { path, differing })
+                }
+            }
+            Err(WriteError { fault: WriteFault::Io(fault), .. }) => Err(SimulationError::Io { path, fault }),
+            Err(error) => Err(SimulationError::Io { path, fault: io::Error::other(error) }),
+        }
     }
 
     /// Keeps other processes that ask for the same from going on until this is dropped, where the file system has locks.
@@ -153,10 +239,27 @@ mod tests {
             for calibration in [Calibration::Indicator { mean, iso }, Calibration::Clouds { plateau: theta }]
             {
                 let state = State::new(Kept::new(), frozen(calibration));
-                store.save(&state).unwrap();
+                assert_eq!(store.add(&state).unwrap(), state);
                 let loaded = store.load().unwrap().unwrap();
                 assert_eq!(loaded, state);
                 assert_eq!(loaded.fingerprint(), state.fingerprint());
+                // Whoever measures at the same time goes by the state that is there.
+                let late = State { frozen: Frozen { frame: 7, ..state.frozen.clone() }, ..state.clone() };
+                assert_eq!(store.add(&late).unwrap(), state);
+                let other = State { settings: Kept::from_iter([("cell".to_owned(), 1.into())]), ..late };
+                assert!(matches!(store.add(&other), Err(SimulationError::Settings { .. })));
+                assert_eq!(store.load().unwrap(), Some(state));
+                // Another state replaces it only while nobody is at work.
+                let busy = Store::beside(&folder.path().join("fluid.ply"));
+                busy.log.open().unwrap();
+                let stale = || Found::Stale { text: store.text().unwrap().unwrap(), of_others: true };
+                assert!(matches!(store.begin(stale()), Err(SimulationError::Busy(_))));
+                drop(busy);
+                let outdated = Found::Stale { text: b"{}".to_vec(), of_others: true };
+                assert_eq!(store.begin(outdated).unwrap(), None);
+                assert!(store.load().unwrap().is_some(), "made anew by another meanwhile");
+                assert_eq!(store.begin(stale()).unwrap(), None);
+                assert_eq!(store.load().unwrap(), None);
             }
         }
         fs::write(store.state_path(), "{").unwrap();

@@ -1,6 +1,7 @@
 //! The outcome of all frames: noted one by one, listed for other programs, and summed up at the end.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,7 @@ use super::records::Records;
 use crate::error::{Cause, Error};
 use crate::field::indicator::IndicatorKind;
 use crate::io::series::{Series, SeriesFrame};
+use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
 
 use super::conversion::Conversion;
@@ -78,7 +80,7 @@ impl<'a> Tally<'a> {
     pub(super) fn take(&mut self, frame: &FrameFile, result: Result<Done, Error>) -> Result<bool, Error> {
         let setup = self.conversion.setup;
         let result = match result {
-            Err(error) if matches!(error.cause(), Cause::Cancelled | Cause::Output | Cause::Device) => {
+            Err(error) if ends_all(&error) => {
                 self.fatal.get_or_insert(error);
                 return Ok(true);
             }
@@ -170,5 +172,15 @@ impl<'a> Tally<'a> {
         };
         self.conversion.setup.tell(Event::Ended(Box::new(summary.clone())));
         self.fatal.map_or(Ok(summary), Err)
+    }
+}
+
+/// Whether an error of one frame is one of all others, too.
+fn ends_all(error: &Error) -> bool {
+    match error {
+        Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {
+            fault.kind() != ErrorKind::IsADirectory
+        }
+        error => matches!(error.cause(), Cause::Cancelled | Cause::Output | Cause::Device),
     }
 }

@@ -2,7 +2,7 @@
 
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::{Found, check};
-use meniscus::internals::surface::mesh::compare::{CompareError, Side, compare};
+use meniscus::internals::surface::mesh::compare::{CompareError, Side, Surface, compare};
 use meniscus::internals::surface::mesh::measure::measure;
 
 use crate::common::shapes::{cone, cuboid, moved, sphere, torus, union};
@@ -329,6 +329,25 @@ fn prism(outline: &[[f64; 3]], height: f64) -> Mesh {
     }
     assert!(check(&mesh).is_closed_oriented_manifold(), "{}", check(&mesh));
     mesh
+}
+
+#[test]
+fn a_vertex_of_many_triangles_costs_no_more_than_others() {
+    let rim = 20_000;
+    let ghost_layer: Vec<[f64; 3]> = (0..rim)
+        .map(|i| f64::from(i) / f64::from(rim) * std::f64::consts::TAU)
+        .map(|angle| [angle.cos(), angle.sin(), -1.0])
+        .collect();
+    let cone = cone(&ghost_layer, [0.0; 3]);
+    let surface = Surface::reference(&cone).unwrap();
+    // The tip is the nearest point to all of these.
+    let places: Vec<_> = (0..100_000).map(|i| [0.0, 0.0, 1.0 + f64::from(i)]).collect();
+    let begun = std::time::Instant::now();
+    let distances = surface.signed_distances(&places);
+    let seconds = begun.elapsed().as_secs_f64();
+    assert!(distances.iter().zip(&places).all(|(distance, place)| *distance == place[2]));
+    // Some 20 s where every place looks at all triangles around the tip.
+    assert!(seconds < 5.0, "{seconds} s");
 }
 
 #[test]

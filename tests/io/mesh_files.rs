@@ -8,6 +8,7 @@ use std::process::Command;
 use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
 use meniscus::internals::io::{CoordinateWidth, ReadFault, WriteFault};
+use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 #[cfg(unix)]
@@ -61,6 +62,44 @@ fn every_format_returns_what_it_says_it_holds_to_the_bit() {
                 assert_eq!(read.positions.len(), mesh.positions.len());
             }
         }
+    }
+}
+
+#[test]
+fn attributes_keep_names_of_their_own_beside_normals_and_each_other() {
+    let mut mesh = dressed(sphere(0.7, 1));
+    assert!(mesh.normals.is_some());
+    let names = ["Normals", "GlobalPointIds", "a/b", "a_b", "a b", "nx", "velocity_"];
+    let values = |number: usize| vec![number as f32; mesh.positions.len()];
+    let attributes = names.iter().enumerate().map(|(number, name)| VertexAttribute {
+        name: (*name).to_owned(),
+        components: 1,
+        values: values(number),
+    });
+    mesh.attributes = attributes.collect();
+    let infos: Vec<_> = mesh
+        .attributes
+        .iter()
+        .map(|VertexAttribute { name, components, .. }| AttributeInfo {
+            name: name.clone(),
+            components: *components,
+        })
+        .collect();
+    for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
+        let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
+        assert_eq!(read.normals, mesh.normals, "{format:?}");
+        let found: Vec<_> = read.attributes.iter().map(|attribute| attribute.values[0] as usize).collect();
+        assert_eq!(found, (0..names.len()).collect::<Vec<_>>(), "{format:?}: {:?}", read.attributes);
+        // Whatever is called otherwise is told of.
+        let renamed = format.renamed(&infos, true);
+        for (attribute, name) in read.attributes.iter().zip(names) {
+            let told = renamed.iter().find(|[from, _]| from == name).map_or(name, |[_, to]| to);
+            assert_eq!(attribute.name, told, "{format:?}");
+        }
+        let mut unlike: Vec<_> = read.attributes.iter().map(|attribute| &attribute.name).collect();
+        unlike.sort();
+        unlike.dedup();
+        assert_eq!(unlike.len(), names.len(), "{format:?}: {unlike:?}");
     }
 }
 

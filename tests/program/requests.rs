@@ -54,6 +54,50 @@ fn frames(names: &[&str]) -> TempDir {
 }
 
 #[test]
+fn statistics_do_not_go_into_the_picture() {
+    let folder = frames(&["f_1.xyz", "f_2.xyz"]);
+    refused(
+        folder.path(),
+        &["reconstruct", "f_1.xyz", "-o", "a.ply", "--preview", "--stats", "a.png", "--spacing", "1"],
+        "a.png",
+    );
+    refused(
+        folder.path(),
+        &["reconstruct", "f_{}.xyz", "-o", "m_{}.ply", "--preview", "--stats", "m.png", "--spacing", "1"],
+        "m.png",
+    );
+}
+
+#[test]
+fn what_a_killed_process_left_is_swept_by_a_single_frame_too() {
+    let folder = frames(&["f.xyz"]);
+    let left = folder.path().join(".meniscus-left.tmp");
+    let mut before: Vec<_> = tree(folder.path()).into_keys().collect();
+    for arguments in [
+        ["reconstruct", "f.xyz", "-o", "a.ply", "--spacing", "1"],
+        ["pack", "f.xyz", "-o", "a.mnf", "--spacing", "1"],
+    ] {
+        fs::write(&left, "half").unwrap();
+        run(folder.path(), &arguments, 0);
+        before.push(arguments[3].to_owned());
+        before.sort();
+        assert_eq!(tree(folder.path()).into_keys().collect::<Vec<_>>(), before);
+    }
+}
+
+#[test]
+fn a_folder_in_the_place_of_an_output_stops_no_other_frame() {
+    let folder = frames(&["f_1.xyz", "f_2.xyz", "f_3.xyz"]);
+    let all = ["reconstruct", "f_{}.xyz", "-o", "out/m_{}.ply", "--spacing", "1"];
+    fs::create_dir_all(folder.path().join("out/m_2.ply")).unwrap();
+    let errors = run(folder.path(), &[&all[..], &["--overwrite"]].concat(), 1);
+    assert!(errors.contains("m_2.ply"), "{errors}");
+    for frame in [1, 3] {
+        assert!(folder.path().join(format!("out/m_{frame}.ply")).is_file(), "{errors}");
+    }
+}
+
+#[test]
 fn messages_that_nobody_can_read_are_dropped_and_the_work_goes_on() {
     let folder = frames(&["f_1.xyz", "f_2.xyz"]);
     let streams: [fn() -> Stdio; 2] = [

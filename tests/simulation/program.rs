@@ -107,9 +107,10 @@ fn a_resumed_run_makes_again_what_is_not_whole_or_not_of_these_settings_and_noth
 
     // Other settings are refused, unless all may be made again.
     let errors = run(folder.path(), &with(&["--smooth", "1.3"]), 2);
-    assert!(errors.contains("smooth") && errors.contains("--resume"), "{errors}");
-    assert!(tree(&out) == other);
-    run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 0);
+    assert!(errors.contains("smooth") && errors.contains("--overwrite"), "{errors}");
+    let errors = run(folder.path(), &with(&["--smooth", "1.3", "--resume"]), 2);
+    assert!(errors.contains("smooth") && tree(&out) == other, "{errors}");
+    run(folder.path(), &with(&["--smooth", "1.3", "--overwrite"]), 0);
     let wide = tree(&out);
     run(folder.path(), &with(&["--smooth", "1.3", "--overwrite"]), 0);
     assert!(tree(&out) == wide && wide["m_1.ply"] != other["m_1.ply"]);
@@ -262,7 +263,7 @@ fn what_cannot_be_a_sequence_is_refused_before_any_work() {
     fs::write(folder.path().join("out/m_2.ply"), "precious").unwrap();
     let before = tree(folder.path());
     let errors = run(folder.path(), &ALL, 2);
-    assert!(errors.contains("m_2.ply") && errors.contains("--resume"), "{errors}");
+    assert!(errors.contains("m_2.ply") && errors.contains("--overwrite"), "{errors}");
     assert!(tree(folder.path()) == before);
 }
 
@@ -314,12 +315,71 @@ fn kernel_methods_give_the_meshes_of_single_frames_and_another_method_makes_them
 
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
     assert!(errors.contains("other settings (method)"), "{errors}");
-    let (other, notes) = made(&["--method", "yu-turk", "--resume"]);
+    let errors = run(folder.path(), &with(&["--method", "yu-turk", "--resume"]), 2);
+    assert!(errors.contains("other settings (method)") && errors.contains("--overwrite"), "{errors}");
+    assert!(tree(&folder.path().join("out")) == first, "nothing is replaced that was not to be");
+    let (other, notes) = made(&["--method", "yu-turk", "--overwrite"]);
     assert!((1..=3).all(|i| other[&format!("m_{i}.ply")] != first[&format!("m_{i}.ply")]), "{notes}");
     let (again, notes) = made(&["--method", "yu-turk", "--resume"]);
     assert!(notes.contains("3 of 3 frames are done already") && again == other, "{notes}");
-    let (_, notes) = made(&["--resume"]);
+    let (_, notes) = made(&["--resume", "--overwrite"]);
     assert!(notes.contains("other settings (method), made anew"), "{notes}");
+}
+
+#[test]
+fn nothing_is_replaced_that_the_conversion_did_not_make() {
+    for (there, output) in [
+        ("out/m_2.ply", "out/m_{}.ply"),
+        ("out/m.ply.series", "out/m_{}.ply"),
+        ("out/m.ply.json", "out/m_{}.ply"),
+        ("out/m.pvd", "out/m_{}.vtp"),
+        ("out/m.usda", "out/m_{}.usdc"),
+        ("out/m.manifest.usda", "out/m_{}.usdc"),
+    ] {
+        let folder = falling(1..=3);
+        fs::create_dir(folder.path().join("out")).unwrap();
+        fs::write(folder.path().join(there), "mine").unwrap();
+        let before = tree(folder.path());
+        for how in [&[][..], &["--resume"], &["--plan"], &["--frames", "2..3", "--resume"]] {
+            let errors = run(folder.path(), &[&["in/f_{}.xyz", "-o", output], how].concat(), 2);
+            assert!(errors.contains(there) && errors.contains("--overwrite"), "{how:?}: {errors}");
+            assert!(tree(folder.path()) == before, "{there} by {how:?}");
+        }
+        run(folder.path(), &["in/f_{}.xyz", "-o", output, "--overwrite"], 0);
+        assert_ne!(fs::read(folder.path().join(there)).unwrap(), b"mine");
+        run(folder.path(), &["in/f_{}.xyz", "-o", output, "--resume"], 0);
+    }
+}
+
+#[test]
+fn a_folder_of_inputs_that_is_missing_is_an_input_that_is_missing_and_is_waited_for_where_it_may_come() {
+    let folder = falling(1..=2);
+    let missing = ["none/f_{}.xyz", "none/"];
+    for input in missing {
+        let errors = run(folder.path(), &[input, "-o", "out/m_{}.ply"], 3);
+        assert!(errors.contains("none") && errors.contains("no such folder"), "{errors}");
+        assert!(!folder.path().join("out").exists());
+    }
+    for (number, input) in ["none/f_{}.xyz", "none"].into_iter().enumerate() {
+        let _ = fs::remove_dir_all(folder.path().join("none"));
+        let output = format!("out_{number}/m_{{}}.ply");
+        let mut watching = command(folder.path(), &[input, "-o", &output, "--watch=6", "--spacing", "0.5"]);
+        let watching = watching.stderr(Stdio::piped()).spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(500));
+        fs::create_dir(folder.path().join("none")).unwrap();
+        fs::copy(folder.path().join("in/f_1.xyz"), folder.path().join("none/f_1.xyz")).unwrap();
+        std::thread::sleep(Duration::from_secs(3));
+        // Some programs clear their folder, and begin anew.
+        fs::rename(folder.path().join("none"), folder.path().join("gone")).unwrap();
+        std::thread::sleep(Duration::from_millis(700));
+        fs::rename(folder.path().join("gone"), folder.path().join("none")).unwrap();
+        fs::copy(folder.path().join("in/f_2.xyz"), folder.path().join("none/f_2.xyz")).unwrap();
+        let ended = watching.wait_with_output().unwrap();
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+        for frame in 1..=2 {
+            assert!(folder.path().join(format!("out_{number}/m_{frame}.ply")).exists(), "{input}: {frame}");
+        }
+    }
 }
 
 #[test]
@@ -404,14 +464,15 @@ fn the_state_of_the_surface_that_was_before_is_refused_before_the_work_and_with_
         );
         assert!(tree(folder.path()) == before, "{more:?}");
     }
-    // As the program before wrote it, with an option that is gone: other settings, which --resume makes anew.
+    // As the program before wrote it, with an option that is gone: other settings, which --overwrite makes anew.
     let settings = state["settings"].as_object_mut().unwrap();
     settings.insert("smooth".into(), 2.0.into());
     settings.insert("adaptive".into(), false.into());
     fs::write(&path, state.to_string()).unwrap();
     let errors = run(folder.path(), &ALL, 2);
     assert!(errors.contains("adaptive") && errors.contains("smooth"), "{errors}");
-    let errors = run(folder.path(), &with(&["--resume"]), 0);
+    assert!(run(folder.path(), &with(&["--resume"]), 2).contains("--overwrite"));
+    let errors = run(folder.path(), &with(&["--resume", "--overwrite"]), 0);
     assert!(errors.contains("made anew"), "{errors}");
 }
 

@@ -26,11 +26,14 @@ fn in_options(error: &Error) -> Option<String> {
         Error::LittleMemory { least, simplifying: None } => {
             format!("--memory must be at least {}", ByteSize(*least))
         }
+        Error::LittleMemory { least, simplifying: Some(1) } => {
+            format!("--simplify needs --memory of {}", ByteSize(*least))
+        }
         Error::LittleMemory { least, simplifying: Some(threads) } => format!(
             "--simplify with {threads} threads needs --memory of {}; fewer --threads need less",
             ByteSize(*least)
         ),
-        Error::Simulation(SimulationError::Rate(_) | SimulationError::Wait(_)) => format!("--{error}"),
+        Error::Simulation(SimulationError::Rate { .. } | SimulationError::Wait(_)) => format!("--{error}"),
         Error::Simulation(SimulationError::Steps(inputs)) => {
             format!("{inputs}: --watch follows files, and not the steps of one")
         }
@@ -65,9 +68,7 @@ fn advice(error: &Error) -> String {
         }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => "; --resume makes it again",
         Error::Simulation(SimulationError::State { .. }) => "; --overwrite begins anew",
-        Error::Simulation(SimulationError::Settings { .. }) => {
-            "; --resume makes them again, --overwrite begins anew"
-        }
+        Error::Simulation(SimulationError::Settings { .. }) => "; --overwrite makes all frames anew",
         Error::Frame {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
             ..

@@ -1,7 +1,6 @@
 //! The command line: sees only the public interface of the library.
 
 mod advice;
-mod allocator;
 mod arguments;
 mod devices;
 mod info;
@@ -12,6 +11,7 @@ mod one_frame;
 mod options;
 mod pack;
 mod parts;
+mod process;
 mod progress;
 mod reconstruct;
 mod render;
@@ -29,7 +29,7 @@ use arguments::{Arguments, Command};
 use notes::Verdict;
 
 fn main() -> ExitCode {
-    allocator::keep_freed();
+    process::set_up();
     let Arguments { command } = Arguments::of_command_line();
     let verdict = match command {
         Command::Reconstruct(options) => reconstruct::run(&options),

@@ -51,6 +51,9 @@ pub fn ready(options: &Options, input: &Path) -> Result<Ready, Error> {
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
     let preview = options.preview.then(|| PictureFile::beside(&options.output, replace)).transpose()?;
+    if let (Some(preview), Some(stats)) = (&preview, &options.stats) {
+        refuse_same_file(preview.path(), stats)?;
+    }
 
     // What the file cannot hold need not be carried.
     let carries = options.settings.attributes.is_some() || output.format().holds_attributes();

@@ -10,6 +10,7 @@ mod write;
 
 pub use read::{has_faces, read_mesh, read_particles, read_points};
 pub use stream::StreamedMesh;
+pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
 /// Properties that together are one attribute of three components.

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
+use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 
 use super::{GROUPS, NORMAL};
@@ -66,25 +67,43 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     )
 }
 
+/// Names of the attributes, before the numbers of their components.
+pub(in crate::io) fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
+    named(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
+}
+
 /// Returns the names of the properties of `vertex`, no two alike.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
-    let group = |name: &str| GROUPS.iter().find(|(group, _)| *group == name).map(|(_, members)| members);
-    let owned = |members: &[&str; 3]| members.map(str::to_owned).to_vec();
-    let mut taken = owned(&["x", "y", "z"]);
-    if mesh.has_normals() {
-        taken.extend(group(NORMAL).map(owned).into_iter().flatten());
-    }
-    for attribute in mesh.attributes() {
-        let grouped = group(&attribute.name).filter(|_| attribute.components == 3).map(owned);
-        let mut base = attribute.name.replace(|c: char| c.is_whitespace() || c.is_control(), "_");
-        let mut names = grouped.unwrap_or_else(|| numbered(&base, attribute.components));
+    let properties = named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
+    fixed(mesh.has_normals()).into_iter().chain(properties).collect()
+}
+
+fn group(name: &str) -> Option<Vec<String>> {
+    let (_, members) = GROUPS.iter().find(|(group, _)| *group == name)?;
+    Some(members.map(str::to_owned).to_vec())
+}
+
+/// The names of positions and normals.
+fn fixed(has_normals: bool) -> Vec<String> {
+    let normals = if has_normals { group(NORMAL) } else { None };
+    ["x", "y", "z"].map(str::to_owned).into_iter().chain(normals.into_iter().flatten()).collect()
+}
+
+/// The name of each attribute, and those of its properties.
+fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
+    let mut taken = fixed(has_normals);
+    let name = |AttributeInfo { name, components }: &AttributeInfo| {
+        let grouped = group(name).filter(|_| *components == 3);
+        let mut base = name.replace(|c: char| c.is_whitespace() || c.is_control(), "_");
+        let mut names = grouped.unwrap_or_else(|| numbered(&base, *components));
         while base.is_empty() || names.iter().any(|name| taken.contains(name)) {
             base.push('_');
-            names = numbered(&base, attribute.components);
+            names = numbered(&base, *components);
         }
-        taken.extend(names);
-    }
-    taken
+        taken.extend(names.clone());
+        (base, names)
+    };
+    attributes.iter().map(name).collect()
 }
 
 fn numbered(base: &str, components: usize) -> Vec<String> {

@@ -11,4 +11,5 @@ mod write;
 pub use layout::is_text;
 pub(super) use read::unless_text;
 pub use read::{has_faces, read_mesh, read_particles, read_points};
+pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;

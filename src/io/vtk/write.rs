@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_triangles, write_vertices};
+use crate::io::names::told_apart;
 use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
@@ -37,7 +38,8 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, width: CoordinateW
     if others > 0 {
         writeln!(out, "FIELD FieldData {others}")?;
     }
-    for (index, AttributeInfo { name, components }) in attributes.iter().enumerate() {
+    let names = attribute_names(&attributes, mesh.has_normals());
+    for (index, (name, AttributeInfo { components, .. })) in names.iter().zip(&attributes).enumerate() {
         if Some(index) != velocity {
             writeln!(out, "{} {components} {} float", encoded(name), mesh.vertex_count())?;
             write_floats(out, mesh, |vertices| &vertices.attributes[index])?;
@@ -90,6 +92,12 @@ fn write_floats(
         }
     })?;
     writeln!(out)
+}
+
+/// Names of the attributes, beside that of normals.
+pub(in crate::io) fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
+    let taken: &[&str] = if has_normals { &["Normals"] } else { &[] };
+    told_apart(attributes.iter().map(|info| &*info.name), taken, str::to_owned)
 }
 
 /// A name as the format spells it: one word, whatever it holds.

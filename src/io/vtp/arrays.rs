@@ -5,9 +5,12 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
 use crate::io::encode::{put_position, write_floats, write_pieces, write_triangles, write_vertices};
+use crate::io::names::told_apart;
+use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::MeshSource;
 
 use super::NORMALS;
+use super::write::GLOBAL_IDS;
 
 /// Triangles whose ends are written at once.
 const ENDS: u64 = 1 << 14;
@@ -39,15 +42,31 @@ pub(in crate::io) enum IndexWidth {
     I64,
 }
 
-/// Normals, if there are any, and all attributes.
-pub(in crate::io) fn point_data(mesh: &dyn MeshSource) -> Vec<Array<'static>> {
+/// Names of the attributes' arrays, beside those of normals and identifiers.
+pub(in crate::io) fn attribute_names(
+    infos: &[AttributeInfo],
+    has_normals: bool,
+    spelled: impl Fn(&str) -> String,
+) -> Vec<String> {
+    let taken: &[&str] = if has_normals { &[GLOBAL_IDS, NORMALS] } else { &[GLOBAL_IDS] };
+    told_apart(infos.iter().map(|info| &*info.name), taken, spelled)
+}
+
+/// Normals, if there are any, and all attributes, their names as `spelled` says.
+pub(in crate::io) fn point_data(
+    mesh: &dyn MeshSource,
+    spelled: impl Fn(&str) -> String,
+) -> Vec<Array<'static>> {
     let array = |name: String, components: usize, numbers: Numbers<'static>| {
         let length = mesh.vertex_count() * components as u64;
         Array { name, components, length, numbers }
     };
     let normals = mesh.has_normals().then(|| array(NORMALS.to_owned(), 3, Numbers::Normals));
-    let attributes = mesh.attributes().into_iter().enumerate();
-    let attributes = attributes.map(|(index, a)| array(a.name, a.components, Numbers::Attribute(index)));
+    let infos = mesh.attributes();
+    let names = attribute_names(&infos, mesh.has_normals(), spelled);
+    let attributes = names.into_iter().zip(&infos).enumerate();
+    let attributes =
+        attributes.map(|(index, (name, info))| array(name, info.components, Numbers::Attribute(index)));
     normals.into_iter().chain(attributes).collect()
 }
 

@@ -59,7 +59,7 @@ impl<'a> Divided<'a> {
     /// Writes the list of pieces, which are files of these `names`.
     pub fn write_list(&self, out: &mut dyn Write, names: &[String]) -> io::Result<()> {
         let numbered = self.pieces > 1;
-        let mut arrays = point_data(self.mesh);
+        let mut arrays = point_data(self.mesh, str::to_owned);
         arrays.extend(numbered.then(|| identifiers(GLOBAL_IDS, &[])));
         let array = |array: &Array| declared("PDataArray", array, "");
         let source = |name: &String| format!("<Piece Source=\"{}\"/>\n", escaped(name));

@@ -40,7 +40,8 @@ pub(super) fn write_piece(
         offset += size_of::<u64>() as u64 + array.bytes();
         xml
     };
-    let (mut point_data, points, polygons) = (point_data(mesh), points(mesh, width), polygons(mesh));
+    let (mut point_data, points, polygons) =
+        (point_data(mesh, str::to_owned), points(mesh, width), polygons(mesh));
     point_data.extend(numbers.map(|numbers| identifiers(GLOBAL_IDS, numbers)));
     let roles = roles(mesh, numbers.is_some());
     write!(

@@ -130,6 +130,8 @@ pub struct Surface {
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
     stars: Stars,
+    /// The [pseudo-normal](Self::pseudo_normal) of each vertex: one of thousands of triangles may be the nearest to many samples.
+    at_vertices: Vec<DVec3>,
     tree: Bvh,
     /// Area of the triangles up to and including each.
     area_up_to: Vec<f64>,
@@ -188,14 +190,12 @@ impl Surface {
             Aabb::new(a.min(b).min(c), a.max(b).max(c))
         });
         let tree = Bvh::from_iter(BvhBuildStrategy::Binned, boxes.enumerate());
-        Ok(Self {
-            origin,
-            stars: Stars::new(mesh.positions.len(), &mesh.triangles),
-            positions,
-            triangles,
-            tree,
-            area_up_to,
-        })
+        let stars = Stars::new(mesh.positions.len(), &mesh.triangles);
+        let weighted = |[v, p, q]: [DVec3; 3]| (p - v).angle_between(q - v) * unit_normal([v, p, q]);
+        let vertices = (0..positions.len() as u32).into_par_iter();
+        let at_vertices = vertices.map(|vertex| around(&stars, &positions, vertex).map(weighted).sum());
+        let at_vertices = at_vertices.collect();
+        Ok(Self { origin, positions, triangles, stars, at_vertices, tree, area_up_to })
     }
 
     fn corners(&self, triangle: usize) -> [DVec3; 3] {
@@ -286,15 +286,14 @@ impl Surface {
     fn pseudo_normal(&self, nearest: &Nearest) -> DVec3 {
         let [a, b, c] = self.triangles[nearest.triangle];
         match nearest.location {
-            TrianglePointLocation::OnVertex(corner) => {
-                let vertex = [a, b, c][corner as usize];
-                self.around(vertex)
-                    .map(|[v, p, q]| (p - v).angle_between(q - v) * unit_normal([v, p, q]))
-                    .sum()
-            }
+            TrianglePointLocation::OnVertex(corner) => self.at_vertices[[a, b, c][corner as usize] as usize],
             TrianglePointLocation::OnEdge(side, _) => {
-                let (from, to) = [(a, b), (b, c), (a, c)][side as usize];
-                let star = self.stars.of(from as usize).iter().zip(self.around(from));
+                let ends = [[a, b], [b, c], [a, c]][side as usize];
+                let triangles_at = |vertex: u32| self.stars.of(vertex as usize).len();
+                let [from, to] =
+                    if triangles_at(ends[1]) < triangles_at(ends[0]) { [ends[1], ends[0]] } else { ends };
+                let around = around(&self.stars, &self.positions, from);
+                let star = self.stars.of(from as usize).iter().zip(around);
                 star.filter(|(across, _)| across.contains(&to)).map(|(_, corners)| unit_normal(corners)).sum()
             }
             TrianglePointLocation::OnFace(..) | TrianglePointLocation::OnSolid => {
@@ -302,12 +301,16 @@ impl Surface {
             }
         }
     }
+}
 
-    /// The corners of the triangles at `vertex`, itself the first of each.
-    fn around(&self, vertex: u32) -> impl Iterator<Item = [DVec3; 3]> {
-        let star = self.stars.of(vertex as usize).iter();
-        star.map(move |&[p, q]| [vertex, p, q].map(|vertex| self.positions[vertex as usize]))
-    }
+/// The corners of the triangles at `vertex`, itself the first of each.
+fn around<'a>(
+    stars: &'a Stars,
+    positions: &'a [DVec3],
+    vertex: u32,
+) -> impl Iterator<Item = [DVec3; 3]> + 'a {
+    let star = stars.of(vertex as usize).iter();
+    star.map(move |&[p, q]| [vertex, p, q].map(|vertex| positions[vertex as usize]))
 }
 
 /// Twice the triangle's area long.

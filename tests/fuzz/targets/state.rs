@@ -79,7 +79,8 @@ fn state(data: &[u8]) {
     match store.load() {
         Ok(state) => {
             let state = state.expect("it is there");
-            store.save(&state).unwrap();
+            fs::remove_file(store.state_path()).unwrap();
+            assert_eq!(store.add(&state).unwrap(), state);
             let again = store.load().unwrap().expect("it is there");
             assert_eq!((again.fingerprint(), &again), (state.fingerprint(), &state));
             let _ = state.differing(&Kept::new());

@@ -1,9 +1,15 @@
-//! How much of what is freed the C library's allocator keeps.
+//! What the system does with the process: memory that is freed, and files beyond a limit.
+
+/// Sets up the process, before any other thread is started.
+pub fn set_up() {
+    keep_freed();
+    outlive_large_files();
+}
 
 /// Keeps up to 8 MiB a thread for whoever allocates next. A frame, and a block of one that exceeds its memory, frees what
 /// the next allocates again: given back to the system in between, it would return a page at a time, a fault each.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-pub fn keep_freed() {
+fn keep_freed() {
     for (parameter, bytes) in [(libc::M_MMAP_THRESHOLD, 1 << 20), (libc::M_TRIM_THRESHOLD, 8 << 20)] {
         // SAFETY: takes two numbers, before any other thread is started. Where it refuses, all stays as it was.
         unsafe { libc::mallopt(parameter, bytes) };
@@ -12,4 +18,14 @@ pub fn keep_freed() {
 
 /// Others keep what they keep.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub fn keep_freed() {}
+fn keep_freed() {}
+
+/// Has a write beyond the limit on the size of files (`ulimit -f`) fail, which is an error like any other, instead of ending the process.
+#[cfg(unix)]
+fn outlive_large_files() {
+    // SAFETY: no handler is installed that could run, and no other thread is there yet.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
+}
+
+#[cfg(not(unix))]
+fn outlive_large_files() {}
