@@ -189,6 +189,7 @@ pub mod picture {
 /// Files: formats, outputs that are made ready before the work, and what a file holds.
 pub mod files {
     pub use crate::io::input::{InputFormat, file_and_step};
+    pub use crate::io::mnf::is_packed;
     pub use crate::io::output::MeshFormat;
     pub use crate::io::series::SeriesFrame;
     pub use crate::io::stamp::Stamp;
@@ -200,7 +201,7 @@ pub mod files {
         FrameInfo, Info, MeshInfo, Output, Packed, PackedOutput, ParticlesInfo, info, info_by,
         open_particles, usual_up,
     };
-    pub use crate::simulation::{FrameFile, frames};
+    pub use crate::simulation::{FrameFile, files, frames};
 }
 
 /// Where stages run: the processor, a Vulkan device, or a caller's own. A [`Pipeline`](devices::Pipeline) meshes particles that are on a

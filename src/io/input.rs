@@ -27,6 +27,11 @@ pub const KNOWN: &str = known!(".h5, .h5part, .hdf, .hdf5, ", ".vtkhdf, ");
 #[cfg(not(feature = "hdf5"))]
 pub const KNOWN: &str = known!("", "");
 
+impl InputFormat {
+    /// The extensions that name a format, for people.
+    pub const KNOWN: &'static str = KNOWN;
+}
+
 /// Opens a particle file with the reader that its extension names, in upper or lower case.
 ///
 /// A gzipped file opens under its plain name as well as with `.gz` appended.

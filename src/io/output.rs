@@ -91,6 +91,12 @@ impl MeshFormat {
         }
     }
 
+    /// Whether it is read as well as written.
+    #[must_use]
+    pub fn is_read(self) -> bool {
+        !matches!(self, Self::Usdc(_) | Self::Glb(_))
+    }
+
     /// Whether it has a place for normals of vertices.
     #[must_use]
     pub fn holds_normals(self) -> bool {
@@ -218,9 +224,10 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) => Err(ReadFault::Unsupported(".usdc files are written, not read".to_owned())),
-            Self::Glb(_) => {
-                Err(ReadFault::Unsupported("only written, not read; check the same mesh as .ply".into()))
+            Self::Usdc(_) | Self::Glb(_) => {
+                let what =
+                    format!("{self} meshes are written and not read; convert the particles to .ply as well");
+                Err(ReadFault::Unsupported(what))
             }
         }
     }

@@ -233,6 +233,11 @@ pub fn sweep_beside(file: &Path) {
     sweep(folder_of(file));
 }
 
+/// Makes the folder that a file will be in, and those that it is to be in, unless they are there.
+pub fn make_folder_of(file: &Path) -> Result<(), WriteError> {
+    make_folder(folder_of(file)).map_err(|fault| WriteError::new(file, fault))
+}
+
 fn folder_of(file: &Path) -> &Path {
     file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

@@ -7,7 +7,7 @@ use crate::brick::Census;
 use crate::error::Error;
 use crate::io::output::{MeshFormat, MeshOutput};
 use crate::io::stamp::is_same_file;
-use crate::io::whole::{FilledFile, Replace, WholeFile};
+use crate::io::whole::{FilledFile, Replace, WholeFile, make_folder_of};
 use crate::io::{CoordinateWidth, WriteError, WriteFault};
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::source::Metered;
@@ -86,6 +86,7 @@ impl Output {
         replace: Replace,
         cancel: &Cancel,
     ) -> Result<Self, Error> {
+        make_folder_of(path)?;
         let prepare = || MeshOutput::prepare(path, replace);
         let (file, unfinished) = cancel.guard(prepare, MeshOutput::temporary)?;
         settings.refuse_of_format(path, file.format())?;
@@ -139,6 +140,7 @@ impl PackedOutput {
         if !crate::io::mnf::is_packed(path) {
             return Err(Error::Request(format!("{}: packed frames are .mnf files", path.display())));
         }
+        make_folder_of(path)?;
         let (file, unfinished) = cancel.guard(|| WholeFile::prepare(path, replace), WholeFile::temporary)?;
         Ok(Self { file, unfinished, path: path.to_owned() })
     }

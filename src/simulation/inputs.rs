@@ -14,7 +14,7 @@ use crate::io::input::{holds_mesh, is_known, steps};
 
 use crate::error::{Error, SimulationError};
 
-use super::pattern::{Candidate, Pattern, infer};
+use super::pattern::{Candidate, Pattern, digit_runs, infer};
 use super::pieces::{may_be_piece, whole_frames};
 
 /// The longest wait for a second file that settles how a first one is to be read.
@@ -205,10 +205,10 @@ impl Inputs {
         Ok(match self {
             Self::Pattern(pattern) => {
                 let named = |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
-                files_in(pattern.folder())?.into_iter().map(|path| Candidate::from(named(path))).collect()
+                all_in(pattern.folder())?.into_iter().map(|path| Candidate::from(named(path))).collect()
             }
             Self::Folder(folder) => {
-                let known = files_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
+                let known = all_in(folder)?.into_iter().filter(|path| is_known(path)).collect();
                 // A folder holds other things too: what has no number is no frame.
                 let mut files = whole_frames(known);
                 files.retain(|file| !file.runs.is_empty());
@@ -360,6 +360,56 @@ pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     Ok(inputs.only()?.1)
 }
 
+/// The files that arguments name which hold something: files themselves, those of a folder that are `wanted`, and those that a glob or a
+/// name with `{}` stands for; with their numbers in order.
+///
+/// # Errors
+/// [`Error::Simulation`] for a folder that cannot be read, a pattern that cannot be one, and for arguments that name no file.
+pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Vec<PathBuf>, Error> {
+    let mut all = Vec::new();
+    for argument in arguments {
+        let mut found = match Inputs::of(std::slice::from_ref(argument))? {
+            Some(Inputs::Folder(folder)) => files_in(&folder, &wanted)?,
+            Some(inputs @ (Inputs::Pattern(_) | Inputs::Glob(_))) => {
+                let named =
+                    inputs.simulations(None)?.iter().map(Sequence::list).collect::<Result<Vec<_>, _>>()?;
+                named.into_iter().flatten().map(|frame| frame.path).collect()
+            }
+            Some(Inputs::Steps(_) | Inputs::Files(_)) | None => vec![argument.clone()],
+        };
+        if found.is_empty() {
+            return Err(SimulationError::NoFrames(argument.display().to_string()).into());
+        }
+        found.sort_by_cached_key(|path| in_order_of_numbers(path));
+        all.append(&mut found);
+    }
+    Ok(all)
+}
+
+/// The files in a folder that are wanted, in the order of their names.
+pub(super) fn files_in(
+    folder: &Path,
+    wanted: impl Fn(&Path) -> bool,
+) -> Result<Vec<PathBuf>, SimulationError> {
+    let mut files = all_in(folder)?;
+    files.retain(|file| wanted(file));
+    files.sort();
+    Ok(files)
+}
+
+/// A name as text and numbers by turns.
+fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
+    let name = path.to_string_lossy();
+    let mut parts = Vec::new();
+    let mut begin = 0;
+    for run in digit_runs(&name) {
+        parts.push((name[begin..run.start].to_owned(), name[run.clone()].parse().unwrap_or(u64::MAX)));
+        begin = run.end;
+    }
+    parts.push((name[begin..].to_owned(), 0));
+    parts
+}
+
 impl FrameFile {
     /// Bytes of its file and of its pieces; 0 of what is gone.
     #[must_use]
@@ -420,7 +470,7 @@ fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), Simula
     }
 }
 
-fn files_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
+fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
     let entries = match std::fs::read_dir(folder) {
         // A simulation that is followed may make it later, or anew.

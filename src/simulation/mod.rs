@@ -38,7 +38,7 @@ pub use builder::Simulation;
 pub use event::{Event, FrameDone, FrameFailed, LeftOut, Missing, Summary, Tallied};
 pub use forecast::{Forecast, Largest};
 pub use frozen::{Frozen, Trust};
-pub use inputs::{FrameFile, frames};
+pub use inputs::{FrameFile, files, frames};
 pub use live::LiveSimulation;
 #[cfg(feature = "pictures")]
 pub use pictures::{PictureDone, PictureFile, Pictures, Sheet};

@@ -7,14 +7,14 @@ use std::thread::available_parallelism;
 use crate::error::{Error, SimulationError};
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::stamp::is_same_file;
-use crate::io::whole::{Replace, WholeFile};
+use crate::io::whole::{Replace, WholeFile, make_folder_of};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
 use crate::surface::picture::{Animation, Image, Picture, PictureError, Scope};
 use crate::system::cancel::Cancel;
 
 use super::builder::Simulation;
-use super::inputs::{FrameFile, Inputs, Sequence};
+use super::inputs::{FrameFile, Inputs, Sequence, files_in};
 use super::naming::{Naming, without_number};
 
 const PNG: &str = "png";
@@ -58,6 +58,7 @@ impl PictureFile {
     /// [`Error::Write`].
     pub fn prepare(path: impl AsRef<Path>, replace: Replace) -> Result<Self, Error> {
         let path = path.as_ref();
+        make_folder_of(path)?;
         let file = WholeFile::prepare(path, replace)?;
         match extension(path) == PNG || file.is_direct() {
             true => Ok(Self(file)),
@@ -209,14 +210,7 @@ impl Pictures {
             && mesh.is_dir()
         {
             // Beside meshes lie other files.
-            let fail = |fault| SimulationError::Io { path: mesh.clone(), fault };
-            let entries = std::fs::read_dir(mesh).map_err(fail)?;
-            let mut files = entries
-                .map(|entry| entry.map(|entry| entry.path()))
-                .collect::<Result<Vec<_>, _>>()
-                .map_err(fail)?;
-            files.retain(|file| MeshFormat::of(file).is_some());
-            files.sort();
+            let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
             match &files[..] {
                 [] => return Err(SimulationError::NoFrames(format!("{}: no mesh", mesh.display())).into()),
                 [file] => return Ok((None, vec![alone(file)])),
@@ -265,6 +259,7 @@ impl Pictures {
             return Ok(Target::Each(files));
         }
         self.refuse_inputs(frames, output)?;
+        make_folder_of(output)?;
         let file = WholeFile::prepare(output, self.replace)?;
         match extension(output) {
             APNG if frames.len() > 1 => Ok(Target::Animation(file)),
@@ -434,8 +429,16 @@ impl Simulation {
         if path.exists() {
             drop(PictureFile::prepare(&path, replace)?);
         }
+        let format = MeshFormat::of(&self.output);
+        if let Some(format) = format.filter(|format| !format.is_read()) {
+            return Err(Error::Request(format!(
+                "{}: a sheet is drawn of meshes that are read again, and {format} files are not; name .ply or .vtp files, or do without it",
+                self.output.display()
+            )));
+        }
         let settings = &self.request.settings;
-        let usual = || self.inputs.first().map_or(UpAxis::Y, |input| settings.usual_up(input));
+        let first = || self.names().ok()?.0.simulations(None).ok()?.first()?.list().ok()?.into_iter().next();
+        let usual = || first().map_or(UpAxis::Y, |frame| settings.usual_up(&frame.path));
         let up = settings.up.or(settings.particles_up).unwrap_or_else(usual);
         let picture = Picture::new().up(up).ground(true);
         let pictures = Pictures::new(picture, [&self.output], &path).replace(replace);

@@ -908,13 +908,45 @@ fn a_mesh_is_refused_where_particles_are_asked_for_and_points_with_cells_of_thei
 }
 
 #[test]
-fn an_output_in_a_folder_that_is_not_there_is_refused_by_the_folders_name() {
+fn an_output_makes_its_folder_and_one_that_cannot_be_made_is_refused() {
     let folder = folder_with_ball();
-    let output = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "none/such/x.ply"]);
+    for (output, command) in [("a/b/x.ply", "reconstruct"), ("c/d/x.mnf", "pack")] {
+        let run = meniscus(folder.path(), &[command, "ball.xyz", "-o", output]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        assert!(folder.path().join(output).is_file());
+    }
+    let run = meniscus(folder.path(), &["render", "a/b/x.ply", "-o", "e/f/x.png", "--size", "8x8"]);
+    assert!(run.status.success() && folder.path().join("e/f/x.png").is_file());
+    let output = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.xyz/such/x.ply"]);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(4), "{errors}");
-    assert!(errors.contains("none/such/x.ply: there is no folder none/such"), "{errors}");
+    assert!(errors.contains("ball.xyz/such/x.ply: the folder cannot be made"), "{errors}");
     assert!(!errors.contains(".tmp"), "{errors}");
+}
+
+#[test]
+fn check_and_info_take_folders_globs_and_names_with_a_place_for_the_number() {
+    let folder = folder_with_ball();
+    for frame in [2, 10] {
+        let output = format!("mesh/m_{frame}.ply");
+        let run = meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", &output]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    }
+    fs::write(folder.path().join("mesh/notes.md"), "no mesh").unwrap();
+    for meshes in ["mesh", "mesh/", "mesh/m_*.ply", "mesh/m_{}.ply"] {
+        for command in ["check", "info"] {
+            let run = meniscus(folder.path(), &[command, meshes]);
+            let said = String::from_utf8(run.stdout).unwrap();
+            assert!(run.status.success(), "{command} {meshes}: {}", String::from_utf8_lossy(&run.stderr));
+            let place = |name: &str| said.find(name).unwrap_or_else(|| panic!("{command} {meshes}: {said}"));
+            assert!(place("m_2.ply") < place("m_10.ply"), "{said}");
+        }
+    }
+    fs::create_dir(folder.path().join("empty")).unwrap();
+    for command in ["check", "info"] {
+        let run = meniscus(folder.path(), &[command, "empty"]);
+        assert_eq!(run.status.code(), Some(3), "{}", String::from_utf8_lossy(&run.stderr));
+    }
 }
 
 #[test]

@@ -1,11 +1,14 @@
 //! `meniscus info`: what a file holds.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
-use meniscus::files::{AttributeInfo, FrameInfo, Info, InputFormat, MeshInfo, ParticlesInfo, info_by};
+use meniscus::files::{
+    AttributeInfo, FrameInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo, files, info_by,
+    is_packed,
+};
 use meniscus::{Error, Settings};
 
 use crate::advice::say_error;
@@ -13,7 +16,7 @@ use crate::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct Options {
-    /// Particle files, packed frames (.mnf) or meshes.
+    /// Particle files, packed frames (.mnf) or meshes; folders of them, globs, or names with {} for the number.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// The type of particles, of files that hold several [default: gas, or fluid].
@@ -32,8 +35,8 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let Options { format, particle_type, .. } = options;
     let settings = Settings { format: *format, particle_type: particle_type.clone(), ..Settings::default() };
     let (mut infos, mut errors) = (Vec::new(), Vec::new());
-    for file in &options.files {
-        match info_by(file, &settings) {
+    for file in files(&options.files, is_told)? {
+        match info_by(&file, &settings) {
             Ok(info) if options.json => infos.push(info),
             Ok(info) => print(&describe(&info))?,
             Err(error) => errors.push(error),
@@ -46,6 +49,11 @@ pub fn run(options: &Options) -> Result<Verdict, Error> {
     let last = errors.pop();
     errors.iter().for_each(say_error);
     last.map_or(Ok(Verdict::Good), Err)
+}
+
+/// Whether a file of a folder is one that there is something to tell of.
+fn is_told(file: &Path) -> bool {
+    InputFormat::of(file).is_some() || MeshFormat::of(file).is_some() || is_packed(file)
 }
 
 fn describe(info: &Info) -> String {

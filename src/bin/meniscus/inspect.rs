@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use meniscus::Error;
 use meniscus::error::shown;
+use meniscus::files::{MeshFormat, files};
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
@@ -12,7 +13,7 @@ use crate::notes::{Verdict, corners, point, print, print_json};
 
 #[derive(Args)]
 pub struct CheckOptions {
-    /// Meshes.
+    /// Meshes, folders of them, globs, or names with {} for the number.
     #[arg(required = true, value_name = "MESH")]
     meshes: Vec<PathBuf>,
     /// Print JSON, for programs: a list with an entry for each mesh.
@@ -42,8 +43,8 @@ struct Checked {
 /// Checks every mesh; the verdict is good only if all are closed, oriented 2-manifolds without components that enclose nothing.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let mut all = Vec::new();
-    for path in &options.meshes {
-        let mesh = read_mesh(path)?;
+    for path in files(&options.meshes, |file| MeshFormat::of(file).is_some())? {
+        let mesh = read_mesh(&path)?;
         let report = meniscus::mesh::check(&mesh);
         let checked = Checked {
             mesh: path.clone(),

@@ -3,19 +3,27 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use meniscus::files::InputFormat;
 use meniscus::{Error, Reconstruction, Settings};
 
 use crate::parts::PartsOptions;
 use crate::run::RunOptions;
 use crate::simulation::SimulationOptions;
 
+const INPUT: &str = "The particles of a frame, or the frames of a simulation";
+
+/// The inputs that there can be, in words.
+fn inputs() -> String {
+    format!(
+        "A frame: {}; or a .mnf that `pack` made. The frames of a simulation: files, a folder, a glob, a name with {{}} for \
+         the number, or a .h5part or .vtkhdf of several steps.",
+        InputFormat::KNOWN
+    )
+}
+
 #[derive(Args)]
 pub struct Options {
-    /// The particles of a frame, or the frames of a simulation.
-    ///
-    /// A frame: .bgeo, .vtk, .vtu, .pvtu, .ply, .npy, .csv, .xyz, .bi4 or HDF5, gzipped or not; or a .mnf that `pack` made. The frames of
-    /// a simulation: files, a folder, a glob, a name with {} for the number, or a .h5part or .vtkhdf of several steps.
-    #[arg(required = true, value_name = "INPUT")]
+    #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
     pub settings: Settings,

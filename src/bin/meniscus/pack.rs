@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use bytesize::ByteSize;
 use clap::Args;
-use meniscus::files::Replace;
+use meniscus::files::{InputFormat, Replace};
 use meniscus::{Error, Reconstruction, Settings};
 
 use crate::interrupt;
@@ -15,7 +15,7 @@ use crate::run::{RunOptions, bytes_of};
 
 #[derive(Args)]
 pub struct Options {
-    /// The particles: .bgeo, .vtk, .vtu, .pvtu, .ply, .npy, .csv, .xyz, .bi4 or HDF5, gzipped or not.
+    #[arg(value_name = "INPUT", help = "The particles", long_help = format!("The particles: {}.", InputFormat::KNOWN))]
     input: PathBuf,
     /// The frame: .mnf.
     #[arg(short, long)]

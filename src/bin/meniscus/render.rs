@@ -41,7 +41,7 @@ pub struct Options {
     #[arg(long)]
     wireframe: bool,
     /// water, a colour as ff8800, an attribute as velocity or velocity:turbo, by its length; or distance:red-blue, with --reference.
-    #[arg(long, value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
+    #[arg(long, visible_alias = "color", value_name = "COLOUR", default_value = "water", default_value_if("reference", ArgPredicate::IsPresent, "distance"), value_parser = colour)]
     colour: Asked,
     /// A mesh: --colour distance is by the distance from it, negative inside, in the meshes' unit of length.
     #[arg(long, value_name = "MESH")]
