@@ -118,14 +118,15 @@ class Cancel {
 class Options {
  public:
   Options() = default;
-  Options(const Options &other) : on_progress_(other.on_progress_), handle_(copy(other.c())) {}
+  Options(const Options &other) : on_progress_(other.on_progress_), handle_(meniscus_options_copy(other.c())) {}
   Options(Options &&) = default;
   Options &operator=(Options other) {
     on_progress_ = std::move(other.on_progress_), handle_ = std::move(other.handle_);
     return *this;
   }
 
-  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value of another type.
+  // Sets an option from a number, a switch or text. Throws if the key is unknown, or the value of
+  // another type.
   template <class T>
   Options &set(const std::string &key, const T &value) {
     if constexpr (std::is_same_v<T, bool>) {
@@ -166,7 +167,6 @@ class Options {
  private:
   using Handle = detail::Handle<MeniscusOptions, meniscus_options_free>;
 
-  static Handle copy(const MeniscusOptions *options) { return Handle(meniscus_options_copy(options)); }
   Options &set_numbers(const std::string &key, const double *values, std::size_t count) {
     check(meniscus_options_set_numbers(handle_.get(), key.c_str(), values, count));
     return *this;
@@ -183,7 +183,8 @@ class Asked {
  public:
   explicit Asked(const Options &options)
       : on_progress_(options.on_progress()), handle_(meniscus_options_copy(options.c())) {
-    if (on_progress_) meniscus::check(meniscus_options_on_progress(handle_.get(), &Asked::hear, this));
+    if (!on_progress_) return;
+    meniscus::check(meniscus_options_on_progress(handle_.get(), &Asked::hear, this));
   }
   Asked(const Asked &) = delete;
   Asked &operator=(const Asked &) = delete;

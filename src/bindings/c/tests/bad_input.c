@@ -18,7 +18,7 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
     refused(status, MENISCUS_STATUS_##kind, message, mesh, __LINE__);                                          \
   } while (0)
 
-/// Refuses options, either when one of them is set or when particles are to be reconstructed by them.
+/// Refuses options, either when one of them is set or when particles are reconstructed by them.
 static void refuse_options(const char *message, const char *const *said, int line) {
   MeniscusOptions *options = meniscus_options_new();
   MeniscusStatus status = MENISCUS_STATUS_OK;
@@ -43,7 +43,8 @@ static void refuse_options(const char *message, const char *const *said, int lin
   meniscus_options_free(options);
 }
 
-#define OPTION(message, ...) refuse_options(message, (const char *const[]){__VA_ARGS__, NULL}, __LINE__)
+#define OPTION(message, ...) \
+  refuse_options(message, (const char *const[]){__VA_ARGS__, NULL}, __LINE__)
 
 #define PARTICLES(kind, message, ...)                                                                          \
   do {                                                                                                         \
@@ -130,17 +131,23 @@ static void keys_and_values_are_refused(void) {
   SET("options is NULL", meniscus_options_cancel_by(NULL, NULL));
   SET("key is NULL", meniscus_options_set(options, NULL, "1"));
   SET("no option has the key \"thread\"", meniscus_options_set_number(options, "thread", 1));
-  SET("threads: expected a whole number from 0, got [1.5]", meniscus_options_set_number(options, "threads", 1.5));
-  SET("smallest-drop: expected a smaller number", meniscus_options_set_number(options, "smallest-drop", 1e10));
-  SET("normals: expected true or false, got [2.0]", meniscus_options_set_number(options, "normals", 2));
+  SET("threads: expected a whole number from 0, got [1.5]",
+      meniscus_options_set_number(options, "threads", 1.5));
+  SET("smallest-drop: expected a smaller number",
+      meniscus_options_set_number(options, "smallest-drop", 1e10));
+  SET("normals: expected true or false, got [2.0]",
+      meniscus_options_set_number(options, "normals", 2));
   SET("up: expected one of y, z", meniscus_options_set_number(options, "up", 1));
   SET("attributes: expected text", meniscus_options_set_number(options, "attributes", 1));
   SET("scratch: expected text", meniscus_options_set_number(options, "scratch", 1));
-  SET("origin: expected 3 numbers: x, y, z, got [NaN, 0.0]", meniscus_options_set_numbers(options, "origin", numbers, 2));
+  SET("origin: expected 3 numbers: x, y, z, got [NaN, 0.0]",
+      meniscus_options_set_numbers(options, "origin", numbers, 2));
   SET("origin: expected 3 numbers", meniscus_options_set_numbers(options, "origin", NULL, 0));
-  SET("origin is NULL, and 3 are said to be there", meniscus_options_set_numbers(options, "origin", NULL, 3));
+  SET("origin is NULL, and 3 are said to be there",
+      meniscus_options_set_numbers(options, "origin", NULL, 3));
   SET("origin: ", meniscus_options_set_numbers(options, "origin", numbers, SIZE_MAX));
-  SET("spacing: expected a number, got [NaN, 0.0]", meniscus_options_set_numbers(options, "spacing", numbers, 2));
+  SET("spacing: expected a number, got [NaN, 0.0]",
+      meniscus_options_set_numbers(options, "spacing", numbers, 2));
   // Whatever was refused has changed nothing, and NULL returns an option to its default.
   MeniscusMesh *mesh;
   OK(meniscus_options_set_numbers(options, "origin", numbers, 3));
@@ -280,11 +287,11 @@ static void conversions_are_refused(const char *folder) {
   snprintf(output, sizeof output, "%s/none/mesh_{}.ply", folder);
   snprintf(input, sizeof input, "%s/none_{}.bgeo", folder);
   const char *inputs[] = {input, NULL};
-#define CONVERT(kind, message, inputs, count, output, ...)                                                     \
+#define CONVERT(kind, message, inputs, count, output, ...) \
   do {                                                                                                         \
-    MeniscusOptions *options = OPTIONS(__VA_ARGS__);                                                           \
-    WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL));                              \
-    meniscus_options_free(options);                                                                            \
+    MeniscusOptions *options = OPTIONS(__VA_ARGS__); \
+    WRITE(kind, message, meniscus_convert(inputs, count, output, options, NULL)); \
+    meniscus_options_free(options); \
   } while (0)
   CONVERT(INPUT, "there are no frames", inputs, 1, output, "start", "0");
   CONVERT(REQUEST, "input_count is 0", inputs, 0, output, "start", "0");

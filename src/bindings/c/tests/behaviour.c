@@ -15,7 +15,8 @@ static void copies_are_what_is_lent(void) {
   };
   MeniscusParticles particles = particles_of(positions);
   particles.attributes = attributes, particles.attribute_count = 2;
-  MeniscusOptions *options = OPTIONS("spacing", "0.05", "normals", "true", "attributes", "velocity,heat");
+  MeniscusOptions *options =
+      OPTIONS("spacing", "0.05", "normals", "true", "attributes", "velocity,heat");
   MeniscusMesh *mesh;
   OK(meniscus_reconstruct(&particles, options, &mesh));
   meniscus_options_free(options);
@@ -342,9 +343,11 @@ static void keys_are_listed(void) {
 
 /// A value is the same as text and as numbers.
 static void text_and_numbers_are_the_same_options(void) {
-  const double origin[] = {0.01, 0, -0.5}, tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
+  const double origin[] = {0.01, 0, -0.5};
+  const double tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
   MeniscusOptions *all[] = {
-      OPTIONS("spacing", "5e-2", "origin", "0.01 0 -0.5", "domain", "-0.02,-,-,0.4,-,-", "normals", "true", "memory", "1GiB"),
+      OPTIONS("spacing", "5e-2", "origin", "0.01 0 -0.5", "domain", "-0.02,-,-,0.4,-,-", "normals",
+              "true", "memory", "1GiB"),
       meniscus_options_new(),
   };
   OK(meniscus_options_set_number(all[1], "spacing", 0.05));
@@ -361,7 +364,8 @@ static void text_and_numbers_are_the_same_options(void) {
     OK(meniscus_mesh_arrays(meshes[i], &arrays[i]));
     CHECK(arrays[i].normals && arrays[i].vertex_count == arrays[0].vertex_count);
   }
-  CHECK(memcmp(arrays[0].positions, arrays[1].positions, 3 * arrays[0].vertex_count * sizeof(double)) == 0);
+  const size_t bytes = 3 * arrays[0].vertex_count * sizeof(double);
+  CHECK(memcmp(arrays[0].positions, arrays[1].positions, bytes) == 0);
   meniscus_mesh_free(meshes[0]), meniscus_mesh_free(meshes[1]);
 }
 

@@ -154,39 +154,51 @@ static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
 static int left;
 static MeniscusCancel *cancel;
 
-/// Sets an option, if the library takes the value.
-static void set(MeniscusOptions *options, const char *key, const char *value) {
-  MeniscusStatus status = meniscus_options_set(options, key, value);
-  CHECK(status == MENISCUS_STATUS_OK || (status == MENISCUS_STATUS_REQUEST && strlen(meniscus_last_error()) > 5));
+/// Looks at the outcome of a call that sets an option: values are taken, or refused with a message.
+static void taken_or_refused(MeniscusStatus status) {
+  CHECK(status == MENISCUS_STATUS_OK || status == MENISCUS_STATUS_REQUEST);
+  CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
 }
 
-static void set_numbers(MeniscusOptions *options, const char *key, const double *values, size_t count) {
-  MeniscusStatus status = count == 1 ? meniscus_options_set_number(options, key, *values) : meniscus_options_set_numbers(options, key, values, count);
-  CHECK(status == MENISCUS_STATUS_OK || (status == MENISCUS_STATUS_REQUEST && strlen(meniscus_last_error()) > 5));
+static void set(MeniscusOptions *options, const char *key, const char *value) {
+  taken_or_refused(meniscus_options_set(options, key, value));
+}
+
+static void set_numbers(MeniscusOptions *options, const char *key, const double *values,
+                        size_t count) {
+  taken_or_refused(meniscus_options_set_numbers(options, key, values, count));
 }
 
 static void set_number(MeniscusOptions *options, const char *key, double value) {
-  set_numbers(options, key, &value, 1);
+  taken_or_refused(meniscus_options_set_number(options, key, value));
 }
 
 static void set_box(MeniscusOptions *options, const char *key) {
   double box[6];
   for (int i = 0; i < 6; i++) {
-    box[i] = rarely(12) ? number(1) : rarely(6) ? (i < 3 ? -INFINITY : INFINITY) : (i < 3 ? -0.2 : 0.7) + 0.1 * share();
+    const double open = i < 3 ? -INFINITY : INFINITY, usual = (i < 3 ? -0.2 : 0.7) + 0.1 * share();
+    box[i] = rarely(12) ? number(1) : rarely(6) ? open : usual;
   }
   if (rarely(4)) set_numbers(options, key, box, 6);
 }
 
-/// Whether random values of an option do no harm: devices are not looked for, as most of the time would go to them; nobody waits for
-/// frames that never come, and folders are those of the test.
+/// Whether random values of an option do no harm. Others look for devices, which takes most of the
+/// time, wait for frames that never come, write elsewhere, or start too many threads.
 static bool is_harmless(const char *key) {
-  return strcmp(key, "backend") && strcmp(key, "device") && strcmp(key, "watch") && strcmp(key, "scratch") && strcmp(key, "threads");
+  const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
+  for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {
+    if (strcmp(key, harmful[i]) == 0) return false;
+  }
+  return true;
 }
 
 /// Sets any option from anything.
 static void set_anything(MeniscusOptions *options) {
-  const char *odd[] = {"", "0", "1", "-1", "nan", "1e999", "true", "false", "auto", "none", "y", "z", "1,2", "1 2 3", "-,-,-,-,-,-",
-                       "0,-,0,1,-,1", ",", "3..5", "5..3", "18446744073709551616", "1KiB", "velocity,heat", "\xff", NULL};
+  const char *odd[] = {
+      "",     "0",    "1", "-1", "nan", "1e999", "true",        "false",       "auto",
+      "none", "y",    "z", ",",  "1,2", "1 2 3", "-,-,-,-,-,-", "0,-,0,1,-,1", "velocity,heat",
+      "3..5", "5..3", "5", "\xff", NULL,  "1KiB",  "18446744073709551616",
+  };
   double numbers[7];
   const char *key = rarely(10) ? words[pick(8)] : meniscus_options_key(pick(60));
   if (key && !is_harmless(key)) return;
@@ -219,8 +231,10 @@ static MeniscusOptions *some_options(const char *folder) {
   if (rarely(8)) set_number(options, "simplify", number(0.5));
   if (rarely(10)) set_number(options, "smallest-component", number(5));
   if (rarely(10)) set_number(options, "smallest-drop", pick(9));
-  if (rarely(6)) set(options, "attributes", rarely(4) ? words[pick(8)] : rarely(2) ? "velocity" : "none");
-  set_number(options, "memory", rarely(8) ? (double)((uint64_t)fabs(number(1 << 20)) % (1u << 30)) : 200 << 20);
+  const char *usual = rarely(2) ? "velocity" : "none";
+  if (rarely(6)) set(options, "attributes", rarely(4) ? words[pick(8)] : usual);
+  const uint64_t budget = rarely(8) ? (uint64_t)fabs(number(1 << 20)) % (1u << 30) : 200 << 20;
+  set_number(options, "memory", (double)budget);
   if (rarely(20)) set(options, "scratch", rarely(2) ? folder : "there/is/none");
   if (rarely(30)) {
     const bool is_cpu = rarely(2);
@@ -237,7 +251,8 @@ static MeniscusOptions *some_options(const char *folder) {
   }
   set_number(options, "threads", rarely(50) ? 5000 : 1 + rarely(40));
   if (rarely(3)) {
-    const char *indicators[] = {"cloud", "counting", "symmetry", "none"}, *methods[] = {"dif", "mueller", "zhu-bridson", "yu-turk"};
+    const char *indicators[] = {"cloud", "counting", "symmetry", "none"};
+    const char *methods[] = {"dif", "mueller", "zhu-bridson", "yu-turk"};
     set(options, "indicator", rarely(2) ? NULL : indicators[pick(4)]);
     if (rarely(2)) set(options, "method", methods[pick(4)]);
     if (rarely(2)) set(options, "periodic-mesh", rarely(2) ? "cut" : "overlap");
@@ -355,7 +370,9 @@ static void convert(const char *folder, const char *frames) {
   }
   MeniscusSummary summary = {.size = sizeof summary};
   const char *to = rarely(10) ? NULL : rarely(3) ? one : output;
-  note(meniscus_convert(rarely(20) ? NULL : inputs, rarely(4) ? pick(3) : 1, to, some, rarely(3) ? NULL : &summary));
+  const char *const *from = rarely(20) ? NULL : inputs;
+  const size_t count = rarely(4) ? pick(3) : 1;
+  note(meniscus_convert(from, count, to, some, rarely(3) ? NULL : &summary));
   meniscus_options_free(some);
 }
 

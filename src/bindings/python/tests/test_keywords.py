@@ -53,16 +53,22 @@ def keywords(function: Any) -> set[str]:
 
 STUB = ast.parse((Path(meniscus.__file__).parent / "_meniscus.pyi").read_text())
 CLASSES = {node.name: node for node in STUB.body if isinstance(node, ast.ClassDef)}
-ALIASES = {ast.unparse(node.target): node.value for node in STUB.body if isinstance(node, ast.AnnAssign) and node.value}
+
+
+def assigned(where: ast.Module | ast.ClassDef) -> list[ast.AnnAssign]:
+    return [node for node in where.body if isinstance(node, ast.AnnAssign)]
+
+
+ALIASES = {ast.unparse(node.target): node.value for node in assigned(STUB) if node.value}
 
 
 def typed(name: str) -> dict[str, ast.expr]:
-    """The keys of one of the stub's TypedDicts, and of those that it extends, each with its type."""
+    """The keys of one of the stub's TypedDicts and of its bases, each with its type."""
     found: dict[str, ast.expr] = {}
     for base in CLASSES[name].bases:
         if ast.unparse(base) != "TypedDict":
             found |= typed(ast.unparse(base))
-    own = {ast.unparse(item.target): item.annotation for item in CLASSES[name].body if isinstance(item, ast.AnnAssign)}
+    own = {ast.unparse(item.target): item.annotation for item in assigned(CLASSES[name])}
     assert not set(found) & set(own), f"{name} repeats a key"
     return found | own
 
@@ -73,11 +79,13 @@ def stub_keywords(function: ast.FunctionDef) -> set[str]:
     others = function.args.kwarg
     if others is None or others.annotation is None:
         return own
-    return own | set(typed(ast.unparse(others.annotation).removeprefix("Unpack[").removesuffix("]")))
+    unpacked = ast.unparse(others.annotation).removeprefix("Unpack[").removesuffix("]")
+    return own | set(typed(unpacked))
 
 
 def in_stub(where: ast.Module | ast.ClassDef, name: str) -> ast.FunctionDef:
-    return next(node for node in where.body if isinstance(node, ast.FunctionDef) and node.name == name)
+    functions = (node for node in where.body if isinstance(node, ast.FunctionDef))
+    return next(node for node in functions if node.name == name)
 
 
 def members(annotation: ast.expr) -> list[ast.expr]:
@@ -155,13 +163,14 @@ def test_the_stub_has_the_keywords_of_each_function() -> None:
 @pytest.mark.parametrize("name", sorted(typed("_OfFrames")))
 def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
     """By a simulation, which takes all keywords: values may be refused, but not their types."""
+    inputs, output = tmp_path / "in_{}.bgeo", tmp_path / "out_{}.ply"
     known: list[str] = []
     for member in members(typed("_OfFrames")[name]):
         known += words(member)
         values = words(member) or [SAMPLES[ast.unparse(member)]]
         for value in values:
             try:
-                meniscus.Simulation(f"{tmp_path}/in_{{}}.bgeo", tmp_path / "out_{}.ply", **{name: value})
+                meniscus.Simulation(inputs, output, **{name: value})
             except (meniscus.InputError, meniscus.FileError, meniscus.DeviceError) as error:
                 assert not re.search(" is needed| is none of ", str(error)), (name, value)
     if known and known != ["auto"]:

@@ -38,7 +38,8 @@ def test_stubs_of_another_signature_are_found_out(tmp_path: Path) -> None:
     (copy / "_meniscus.pyi").write_text(changed)
     (copy / "__init__.pyi").write_text("")
     done = stubtest("meniscus._meniscus", env={"MYPYPATH": str(tmp_path), "PATH": ""})
-    assert done.returncode != 0 and "Mesh.write" in done.stdout and "overwrite" in done.stdout, done.stdout + done.stderr
+    assert done.returncode != 0, done.stdout + done.stderr
+    assert "Mesh.write" in done.stdout and "overwrite" in done.stdout, done.stdout + done.stderr
 
 
 def test_keywords_of_another_name_or_type_are_found_out(tmp_path: Path) -> None:
